@@ -150,7 +150,7 @@ class Ridge(Method):
                 float(((self._design(a) @ matrix + self.mean - b) ** 2).sum()) for a, b in checks
             )
             if error < best:
-                best, self.matrix, self.penalty = error, matrix, float(penalty / len(z))
+                best, self.matrix = error, matrix
 
     def _pair(self, bones: VirtualBones, name: str) -> tuple[Any, Any]:
         x, frame, _ = self.features(bones.store.clip(name).joints)

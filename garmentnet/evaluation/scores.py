@@ -146,18 +146,13 @@ def pool(name: str, clips: Sequence[Scores]) -> Scores:
     def mean(values: Sequence[float]) -> float:
         return float(np.average(values, weights=frames))
 
+    def score(found: Sequence[Score]) -> Score:
+        rmse, *others = zip(*map(dataclasses.astuple, found), strict=True)
+        return Score(_root_mean(rmse, frames), *map(mean, others))
+
     def parts(vertices: str) -> Parts:
-        scores = {p: [getattr(getattr(c, vertices), p) for c in clips] for p in PARTS}
-        return Parts(
-            **{
-                part: Score(
-                    _root_mean([s.rmse for s in found], frames),
-                    mean([s.hausdorff for s in found]),
-                    mean([s.sted for s in found]),
-                )
-                for part, found in scores.items()
-            }
-        )
+        every = [getattr(c, vertices) for c in clips]
+        return Parts(*(score([getattr(parts, p) for parts in every]) for p in PARTS))
 
     per_class = {}
     for label in sorted({k for c in clips for k in c.per_class}):

@@ -164,54 +164,41 @@ def _prediction(
     cloth: NDArray[np.float32],
     transforms: NDArray[np.float64],
     joints: Any,
-    bones: BoneModel,
+    bone_model: BoneModel,
     push_out: bool,
     name: str,
 ) -> Prediction:
     garment, rig, m = subject.garment, subject.body, np.asarray(joints, np.float64)
-    moved, farthest = 0.0, 0.0
+    moved, farthest, count = 0.0, 0.0, garment.n_bones
     if push_out and is_closed(rig.faces):
-        held = np.zeros(garment.n_vertices, bool)
-        if subject.bound is not None:
-            held[subject.bound.index] = True
+        held = np.ones(garment.n_vertices, bool)
+        held[subject.free] = False
         push = PushOut(rig, garment.faces, pinned=held, n_vertices=garment.n_vertices)
         pushed = push(cloth, m)
         cloth, moved, farthest = pushed.vertices, pushed.moved, pushed.farthest
     body = np.asarray(ssdr.skin(rig.rest, rig.indices, rig.weights, m), np.float32)
+    rest, bones, weights = subject.skin(smooth=True)
+    used = np.unique(bones[bones >= count]) - count
+    names = [f"virtual_{b:02d}" for b in range(count)]
+    skinning = Skinning(
+        rest,
+        np.where(bones < count, bones, count + np.searchsorted(used, bones - count)),
+        weights,
+        np.concatenate([transforms, m[:, used]], axis=1),
+        faces=garment.faces,
+        fps=subject.fps,
+        bone_model=bone_model,
+        bone_names=(*names, *(subject.skeleton.names[j] for j in used)),
+        name=name,
+    )
     return Prediction(
         cloth=MeshSequence(cloth, garment.faces, subject.fps, name=name),
         body=MeshSequence(body, rig.faces, subject.fps, name="body"),
-        skinning=_skinning(subject, transforms, m, bones, name),
+        skinning=skinning,
         joints=m,
         root=subject.skeleton.positions(m)[:, 0],
         moved=moved,
         farthest=farthest,
-    )
-
-
-def _skinning(
-    subject: Subject,
-    transforms: NDArray[np.float64],
-    joints: NDArray[np.float64],
-    bone_model: BoneModel,
-    name: str,
-) -> Skinning:
-    garment, count = subject.garment, subject.garment.n_bones
-    rest, bones, weights = subject.skin(smooth=True)
-    used = np.unique(bones[bones >= count]) - count
-    bones = np.where(bones < count, bones, count + np.searchsorted(used, bones - count))
-    names = [f"virtual_{b:02d}" for b in range(count)]
-    names += [subject.skeleton.names[j] for j in used]
-    return Skinning(
-        rest,
-        bones,
-        weights,
-        np.concatenate([transforms, joints[:, used]], axis=1),
-        faces=garment.faces,
-        fps=subject.fps,
-        bone_model=bone_model,
-        bone_names=tuple(names),
-        name=name,
     )
 
 
