@@ -97,7 +97,7 @@ def perturbation_field(garment: Garment, size: float, seed: int) -> NDArray[np.f
     rng = np.random.default_rng([seed, 0xC4A05])
     noise = rng.normal(size=(garment.n_vertices, 3))
     near = garment.adjacency()
-    degree: NDArray[np.float64] = np.asarray(near.sum(axis=1)).ravel()[:, None]
+    degree = np.asarray(near.sum(axis=1), np.float64).ravel()[:, None]
     free = ~garment.pinned
     for _ in range(_SMOOTHINGS):
         # Displacements of single vertices would only stretch edges and vanish at once; smooth ones

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import copy
 import itertools
+import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -276,7 +277,7 @@ def left_out(grams: Sequence[Array], parameters: Any, pivots: Sequence[int]) -> 
 
 def _root(q: Array, w: Array) -> float:
     """RMSE of a mixture, metres: √(wᵀ Q w)."""
-    return float(np.sqrt(max(0.0, w @ q @ w)))
+    return math.sqrt(max(0.0, float(w @ q @ w)))
 
 
 def smallest_good(errors: Sequence[float], within: float = 0.02) -> int:
