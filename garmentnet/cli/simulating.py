@@ -1,4 +1,4 @@
-"""The commands ``garmentnet simulate, dataset``."""
+"""The command ``garmentnet dataset``, also called ``simulate``."""
 
 from __future__ import annotations
 
@@ -9,24 +9,11 @@ import typer
 
 from .learning import output_folder
 
-__all__ = ["dataset", "simulate"]
-
-
-def simulate(
-    scene: Annotated[Path, typer.Argument(help="Scene or data set (TOML).")],
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Store of clips to write.")
-    ] = None,
-    workers: Annotated[int | None, typer.Option(help="Threads; all cores by default.")] = None,
-) -> None:
-    """Simulate the clips that a file describes."""
-    from .data_set import run
-
-    run(scene, output or output_folder() / f"{scene.stem}.clips", workers=workers)
+__all__ = ["dataset"]
 
 
 def dataset(
-    name: Annotated[str, typer.Argument(help="tiny, small, or a file (TOML).")],
+    name: Annotated[str, typer.Argument(help="A scene or data set (TOML), or tiny, small.")],
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Store of clips to write.")
     ] = None,
@@ -35,7 +22,7 @@ def dataset(
     ] = None,
     workers: Annotated[int | None, typer.Option(help="Threads; all cores by default.")] = None,
 ) -> None:
-    """Make a data set; stopped and started again, it goes on where it was."""
+    """Simulate the clips of a scene or a data set; stopped and started again, it goes on."""
     from .data_set import run
 
     stem = Path(name).stem + ("-recorded" if motion else "")

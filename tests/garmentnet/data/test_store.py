@@ -92,7 +92,6 @@ def test_reads_what_was_written(store: ClipStore, rng: np.random.Generator) -> N
     np.testing.assert_array_equal(again.rest, GARMENT)
     np.testing.assert_array_equal(again.pinned, [0, 0, 0, 0, 1])
     assert again.skeleton.names == SKELETON.names
-    assert again.attributes == {"scene": "strip"}
     naive = np.einsum(
         "fvab,vb->fva",
         clip.joints[:, body().indices[:, 0]].astype(float),
