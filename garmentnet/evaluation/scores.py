@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ssdr.errors import InputError
 from ssdr.metrics import hausdorff, sted
 
-from ..collision.push_out import PushOut, is_closed
+from ..collision.push_out import INSIDE, PushOut, is_closed
 from ..data.clip import Clip
 from ..data.motion import CLASSES
 from ..data.virtual_bones import VirtualBones
@@ -28,8 +28,6 @@ from .methods import Method
 
 __all__ = ["PARTS", "VERTICES", "ClassError", "Parts", "Score", "Scores", "evaluate", "pool"]
 
-# Metres below the skin from which a vertex counts as inside, as for simulated clips.
-_INSIDE = 5e-4
 _MM = 1e3  # from metres to millimetres
 PARTS = ("low", "high", "overall")
 VERTICES = ("all", "free")
@@ -211,7 +209,7 @@ class _Scorer:
             per_class[CLASSES[int(label)]] = ClassError(len(s), *errors)
         inside = np.full(predicted.shape[:2], np.nan)
         if self.skin is not None:
-            inside = self.skin.signed_distance(predicted, clip.joints) < -_INSIDE
+            inside = self.skin.signed_distance(predicted, clip.joints) < -INSIDE
         return Scores(
             clip.name,
             clip.n_frames,
