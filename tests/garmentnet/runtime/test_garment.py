@@ -136,6 +136,14 @@ def test_pivots_are_mixed_as_in_torch(pivots, tmp_path):
     assert np.abs(play(garment, joints, P()) - expected).max() < CLOSE
 
 
+def test_one_pivot_alone_is_run(pivots, tmp_path):
+    one = Checkpoint(pivots.networks[:1], pivots.parameters[:1], pivots.kernel)
+    garment = load_live(save_checkpoint(one, tmp_path / "one.safetensors"))
+    joints = made.motion(0.5, seed=6)
+    expected = pivots.networks[0].predict(joints)
+    assert np.abs(play(garment, joints, P(bending=0.7)) - expected).max() < CLOSE
+
+
 def test_pivots_without_weight_are_not_run(pivots, tmp_path):
     with torch.no_grad():
         narrow = Kernel(sigma=0.01)
