@@ -18,16 +18,15 @@ from ..data.motion import CLASSES
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
 from ..data.virtual_bones import VirtualBones, parameter_roles, virtual_bones
+from ..drawing.dressed import draw_clip
 from ..io.files import write_file, writing
 from ..networks.checkpoint import Checkpoint, load_checkpoint
 from ..training.run import choose_clips, with_mirrored
 from .baselines import BodySkinned, MeanShape, Ridge
-from .bounds import chaos_floor
 from .methods import BonesThemselves, Method, Network
-from .pictures import draw_clip
 from .published import SANTESTEBAN
 from .regression import train_regression
-from .scores import VERTICES, Scores, evaluate, pool
+from .scores import VERTICES, Scores, chaos_floor, evaluate, pool
 from .tables import class_table, interval_table, intervals, markdown, score_table
 
 __all__ = ["fit_baselines", "group_of", "report"]

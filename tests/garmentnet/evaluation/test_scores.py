@@ -8,9 +8,8 @@ torch = pytest.importorskip("torch")
 
 import ssdr
 from garmentnet.collision.push_out import PushOut
-from garmentnet.evaluation.bounds import chaos_floor
 from garmentnet.evaluation.methods import BonesThemselves, Method, Network, PushedMethod
-from garmentnet.evaluation.scores import evaluate
+from garmentnet.evaluation.scores import chaos_floor, evaluate
 from garmentnet.evaluation.tables import score_table
 from ssdr.errors import InputError
 from ssdr.metrics import compare
