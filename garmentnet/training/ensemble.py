@@ -262,11 +262,11 @@ def compare_networks(
     InputError
         If the set has no clip of the split.
     """
-    names = [c.name for c in store.clips(split) if c.parameters == parameters]
+    names = store.names(split, parameters)
     if not names:
         raise InputError("store", f"{split} motions of {parameters}", str(store.path))
     (some,) = spread([len(names)], _CLIPS)
-    names = [names[k] for k in some]
+    names = tuple(names[k] for k in some)
     total, used = np.zeros((len(networks), len(networks))), 0
     chosen = spread([store.clip(n).n_frames for n in names], frames)
     for name, here in zip(names, chosen, strict=True):
