@@ -6,7 +6,6 @@ extras that only others need.
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -21,14 +20,20 @@ from .exporting import export
 from .importing import import_clips
 from .learning import demo, evaluate, predict, reproduce, train
 from .models import models
-from .simulating import dataset, simulate
+from .simulating import dataset
 from .viewing import view
 
 __all__ = ["app", "main"]
 
+_CODES: tuple[tuple[Any, int], ...] = (
+    ((KeyboardInterrupt, typer.Abort), 130),
+    (MissingDependencyError, 4),
+    (FormatError, 3),
+    (InputError, 2),
+    ((SsdrError, OSError, MemoryError), 1),
+)
+
 app = typer.Typer(
-    add_completion=True,
-    no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     help="Loose garments on a moving body: simulate, learn, predict.",
@@ -36,10 +41,11 @@ app = typer.Typer(
 
 
 _COMMANDS = (
-    simulate, dataset, train, evaluate, predict, view, export, reproduce, demo, models
+    dataset, train, evaluate, predict, view, export, reproduce, demo, models
 )  # fmt: skip
 for _command in _COMMANDS:
     app.command()(_command)
+app.command("simulate")(dataset)
 app.command("import")(import_clips)
 
 
@@ -57,49 +63,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     with safe_streams(), interrupt_on_signals():
         try:
-            code = app(words, prog_name="garmentnet", standalone_mode=False)
-            # The parser turns an interrupt into this code, without a message.
-            return _stopped() if code == 130 else code if isinstance(code, int) else 0
-        except (KeyboardInterrupt, typer.Abort):
-            return _stopped()
-        except MissingDependencyError as error:
-            return _fail(4, error)
-        except FormatError as error:
-            return _fail(3, error)
-        except InputError as error:
-            return _fail(2, error)
-        except BrokenPipeError:
-            # The reader of stdout has closed it; Python would fail again when it exits.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            return 1
-        except (SsdrError, OSError, MemoryError) as error:
-            return _fail(1, error)
-        except Exception as error:
-            if not hasattr(error, "format_message"):
-                raise
-            return _usage(error)
+            code = app(words or ["--help"], prog_name="garmentnet", standalone_mode=False)
+            if code == 130:  # what the parser makes of an interrupt
+                raise KeyboardInterrupt
+            return code if isinstance(code, int) else 0
+        except (Exception, KeyboardInterrupt) as error:
+            return _report(error)
 
 
-def _stopped() -> int:
-    _write_line("stopped; the same command again goes on where it was")
-    return 130
-
-
-def _fail(code: int, error: BaseException) -> int:
-    _write_line(f"error: {error_text(error)}")
-    return code
-
-
-def _usage(error: Any) -> int:
-    # Errors of the command line's parser; without arguments it raises the help.
-    text, context = error.format_message(), getattr(error, "ctx", None)
-    if context is not None and text == context.get_help():
-        print(text, file=sys.stderr)
+def _report(error: BaseException) -> int:
+    """Say in one line what went wrong, and return the exit code; raise what is unexpected."""
+    if hasattr(error, "format_message"):  # of the command line's parser
+        context = getattr(error, "ctx", None)
+        if context is not None:
+            print(context.get_usage(), file=sys.stderr)
+        _write_line(f"error: {error.format_message()}")
         return 2
-    if context is not None:
-        print(context.get_usage(), file=sys.stderr)
-    _write_line(f"error: {text}")
-    return 2
+    code = next((code for kinds, code in _CODES if isinstance(error, kinds)), None)
+    if code is None:
+        raise error
+    if code == 130:
+        _write_line("stopped; the same command again goes on where it was")
+    elif not isinstance(error, BrokenPipeError):  # the reader of stdout has gone
+        _write_line(f"error: {error_text(error)}")
+    return code
 
 
 def _write_line(text: str) -> None:

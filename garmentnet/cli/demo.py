@@ -112,9 +112,9 @@ def run_pipeline(folder: Path | str, *, progress: Show | None = None) -> dict[st
     """
     from ..configs.config import load_config
     from ..data.virtual_bones import virtual_bones
+    from ..drawing.dressed import draw_clip
     from ..evaluation.baselines import MeanShape, Ridge
     from ..evaluation.methods import Network
-    from ..evaluation.pictures import draw_clip
     from ..evaluation.scores import evaluate
     from ..evaluation.tables import score_table
     from ..networks.checkpoint import load_checkpoint

@@ -48,7 +48,6 @@ def train(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Folder of the run.")
     ] = None,
-    seed: Annotated[int | None, typer.Option("--seed", help="Instead of train.seed.")] = None,
     ensemble: Annotated[
         bool, typer.Option("--ensemble", help="A network for every training set, and the kernel.")
     ] = False,
@@ -68,10 +67,7 @@ def train(
     from ..training.ensemble import train_ensemble
     from ..training.run import train as train_network
 
-    changes = list(settings or [])
-    if seed is not None:
-        changes.append(f"train.seed={seed}")
-    chosen = override(load_config(config), changes)
+    chosen = override(load_config(config), settings or ())
     source = store or (Path(chosen.data.store) if chosen.data.store else None)
     if source is None:
         raise InputError("--store", "a folder of clips, here or as data.store", "nothing")
@@ -119,9 +115,6 @@ def evaluate(
     against: Annotated[
         str | None, typer.Option(metavar="NAME", help="Method that the others are divided by.")
     ] = None,
-    push_out: Annotated[
-        bool, typer.Option("--push-out", help="Score with vertices moved out of the body too.")
-    ] = False,
 ) -> None:
     """The paper's table on unseen motions and unseen parameters, beside baselines and floors."""
     from ..data.store import ClipStore
@@ -137,7 +130,6 @@ def evaluate(
             pictures=pictures,
             clips=clips or (),
             against=against,
-            push_out=push_out,
             progress=show,
         )
     typer.echo(text)

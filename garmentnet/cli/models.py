@@ -9,6 +9,8 @@ import typer
 
 from ssdr.errors import FormatError, InputError
 
+from .progress import aligned
+
 __all__ = ["models"]
 
 _HEAD = ("name", "vertices", "bones", "reads", "MB", "error")
@@ -29,27 +31,22 @@ def models(
         there = (p for p in sorted(folder.rglob("*.safetensors")) if ".state" not in p.suffixes)
         files |= {str(path): path for path in there}
     rows = [_HEAD, *((name, *_row(path)) for name, path in files.items())]
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        typer.echo("  ".join(x.ljust(n) for x, n in zip(row, widths, strict=True)).rstrip())
+    typer.echo(aligned(rows))
 
 
 def _row(path: Path) -> tuple[str, ...]:
     from ssdr.io.registry import reading
 
     from ..io.tensors import load_arrays
-    from ..networks.document import read_subject
+    from ..networks.document import read_document
 
     size = f"{path.stat().st_size / 1e6:.1f}"
     try:
         arrays, documents = load_arrays(path, ("checkpoint",))
         with reading(path):
-            d, subject = read_subject(arrays, documents)
-            network = d["networks"][0]["config"]
-            reads = ["pose"] + ["parameters"] * (
-                d["kernel"] is not None or network["data"]["condition"]
-            )
-            errors = [f"{k} {1e3 * v:.1f} mm" for k, v in d.get("errors", {}).items()]
+            d, subject = read_document(arrays, documents)
+            reads = ["pose"] + ["parameters"] * d.reads_parameters
+            errors = [f"{k} {1e3 * v:.1f} mm" for k, v in d.errors.items()]
     except FormatError as error:
         return "", "", "", size, str(error).removeprefix(f"{path}: ")
     g = subject.garment

@@ -1,19 +1,26 @@
-"""Progress of a command on stderr, with the bar of the command ``ssdr``."""
+"""Progress of a command on stderr, with the bar of the command ``ssdr``; tables of text."""
 
 from __future__ import annotations
 
 import contextlib
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 from ssdr.cli import progress
 
-__all__ = ["Show", "progress_bar"]
+__all__ = ["Show", "aligned", "progress_bar"]
 
 # Called with what is being done and the fraction of it that is done.
 Show = Callable[[str, float], None]
 _EVERY = 5.0  # seconds between lines
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> str:
+    """A table whose columns are as wide as their longest text."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = ("  ".join(x.ljust(n) for x, n in zip(row, widths, strict=True)) for row in rows)
+    return "\n".join(line.rstrip() for line in lines)
 
 
 @contextlib.contextmanager

@@ -256,21 +256,6 @@ def _move_out(px, py, pz, margin, farthest, hint, scene, nodes, gaps):
 
 
 @kernel
-def gather_corners(vertices: Any, triangles: Any, corners: Any) -> None:
-    """Corners of the triangles of a scene.
-
-    vertices   (V, 3)  float64  in
-    triangles  (T, 3)  int32    in the tree's order, in
-    corners    (T, 9)  float64  out
-    """
-    for t in range(len(triangles)):
-        for k in range(3):
-            v = triangles[t, k]
-            for c in range(3):
-                corners[t, 3 * k + c] = vertices[v, c]
-
-
-@kernel
 def signed_distances(points: Any, scene: Any, limit: float, out: Any) -> None:
     """Signed distance of each point, negative inside; inf where it is outside beyond the limit.
 
@@ -296,8 +281,6 @@ def push_frame(
     scene: Any,
     hints: Any,
     out: Any,
-    before: Any,
-    after: Any,
 ) -> None:
     """Move the points of one frame out of the body.
 
@@ -311,19 +294,16 @@ def push_frame(
     scene               tuple    see the module
     hints       (n,)    int32    a triangle likely to be near each point, or −1; updated
     out         (n, 3)  float64  out
-    before      (n,)    float64  signed distances, inf beyond the margin or fixed; out
-    after       (n,)    float64  the same for `out`; out
     """
     n = len(points)
     nodes, gaps = np.empty(2 * scene[1] + 2, np.int64), np.empty(2 * scene[1] + 2, np.float64)
     wanted, length = np.zeros((n, 3)), np.zeros(n)
     any_moved, look = False, max(_LOOK, margin)
     # Lower bounds of the distance of points that are known to be outside.
-    clear = np.zeros(n)
+    clear, before = np.zeros(n), np.full(n, np.inf)
     for i in range(n):
         for c in range(3):
             out[i, c] = points[i, c]
-        before[i] = after[i] = np.inf
         if fixed[i]:
             continue
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
@@ -341,7 +321,7 @@ def push_frame(
                     x, y, z = points[j, 0] - px, points[j, 1] - py, points[j, 2] - pz
                     clear[j] = max(clear[j], s - np.sqrt(x * x + y * y + z * z))
             continue
-        before[i] = after[i] = s
+        before[i] = s
         qx, qy, qz, _ = _move_out(px, py, pz, margin, farthest, which, scene, nodes, gaps)
         wanted[i, 0], wanted[i, 1], wanted[i, 2] = qx - px, qy - py, qz - pz
         length[i] = np.sqrt((qx - px) ** 2 + (qy - py) ** 2 + (qz - pz) ** 2)
@@ -391,4 +371,4 @@ def push_frame(
         )
         if s < min(before[i], margin - _GAIN):
             continue
-        out[i, 0], out[i, 1], out[i, 2], after[i] = px, py, pz, s
+        out[i, 0], out[i, 1], out[i, 2] = px, py, pz

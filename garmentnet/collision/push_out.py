@@ -24,7 +24,7 @@ from ssdr.errors import InputError, is_real
 from ssdr.kernels.closest import fit_boxes, tree_order
 from ssdr.parallel import chunk_bounds, run_chunks
 
-from .kernels import gather_corners, push_frame, signed_distances
+from .kernels import push_frame, signed_distances
 
 __all__ = ["INSIDE", "MARGIN", "PushOut", "PushedOut", "is_closed"]
 
@@ -48,14 +48,10 @@ class PushedOut:
         Metres, with the dtype of the input.
     distance : (F, V) float64
         How far each vertex was moved, metres.
-    inside_before, inside_after : (F, V) bool
-        Whether it was, and is, more than half a millimetre inside; False where it is fixed.
     """
 
     vertices: NDArray[np.floating]
     distance: NDArray[np.float64]
-    inside_before: NDArray[np.bool_]
-    inside_after: NDArray[np.bool_]
 
     @property
     def moved(self) -> float:
@@ -163,12 +159,11 @@ class PushOut:
         frames, count = v.shape[:2]
         out = np.empty_like(v)
         distance = np.empty((frames, count))
-        before, after = np.empty((frames, count), bool), np.empty((frames, count), bool)
 
         def push(_: int, start: int, stop: int) -> None:
             bodies = self._posed(m[start:stop])
             hints = np.full(count, -1, np.int32)
-            moved, first, last = np.empty((count, 3)), np.empty(count), np.empty(count)
+            moved = np.empty((count, 3))
             for t in range(start, stop):
                 points = np.ascontiguousarray(v[t], dtype=np.float64)
                 push_frame(
@@ -182,15 +177,12 @@ class PushOut:
                     self._scene(bodies[t - start]),
                     hints,
                     moved,
-                    first,
-                    last,
                 )
                 out[t] = moved
                 distance[t] = np.sqrt(((moved - points) ** 2).sum(axis=1))
-                before[t], after[t] = first < -INSIDE, last < -INSIDE
 
         run_chunks(push, chunk_bounds(frames, _FRAMES))
-        return PushedOut(out, distance, before, after)
+        return PushedOut(out, distance)
 
     def signed_distance(
         self, vertices: ArrayLike, joints: ArrayLike, *, limit: float = math.inf
@@ -239,8 +231,7 @@ class PushOut:
         """The posed body as the kernels need it."""
         boxes = np.empty((2 ** (self._depth + 1) - 1, 6))
         fit_boxes(body, self._triangles, self._depth, boxes)
-        corners = np.empty((len(self._triangles), 9))
-        gather_corners(body, self._triangles, corners)
+        corners = body.take(self._triangles, axis=0).reshape(-1, 9)
         return corners, self._depth, boxes
 
 

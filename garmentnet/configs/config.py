@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from ssdr.errors import FormatError, InputError
 
@@ -182,27 +182,6 @@ class Config:
             expected = 'collision = 0 where kind = "basis", which computes no mesh in training'
             raise InputError("high.collision", expected, self.high.collision)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Nested dictionaries; :meth:`of` reads them."""
-        return dataclasses.asdict(self)
-
-    @classmethod
-    def of(cls, table: Any, origin: str = "config") -> Config:
-        """From nested dictionaries, as TOML and JSON give them.
-
-        Raises
-        ------
-        FormatError
-            If a setting is unknown or of the wrong type; the message names `origin` and the
-            setting.
-
-        Examples
-        --------
-        >>> Config.of({"train": {"seed": 3}}).train.seed
-        3
-        """
-        return from_table(cls, table, file=origin)
-
 
 # Integers that may be 0; all others are at least 1.
 _ZERO = ("seed", "threads", "pivots", "high_epochs")
@@ -238,12 +217,12 @@ def load_config(path: Path | str) -> Config:
     name = str(path)
     if name in preset_names():
         text = resources.files(__package__).joinpath(f"{name}.toml").read_text("utf-8")
-        return Config.of(parse_toml(text, name), name)
+        return from_table(Config, parse_toml(text, name), file=name)
     file = Path(path)
     if not file.is_file():
         presets = ", ".join(preset_names())
         raise InputError("config", f"a TOML file or one of {presets}", name)
-    return Config.of(read_toml(file), name)
+    return from_table(Config, read_toml(file), file=name)
 
 
 def override(config: Config, changes: Sequence[str]) -> Config:
@@ -259,7 +238,7 @@ def override(config: Config, changes: Sequence[str]) -> Config:
     >>> override(Config(), ["train.seed=3", "high.mlp=[16, 16]"]).high.mlp
     (16, 16)
     """
-    table = config.as_dict()
+    table = dataclasses.asdict(config)
     for change in changes:
         path, sign, value = change.partition("=")
         section, dot, name = path.strip().partition(".")
@@ -269,4 +248,4 @@ def override(config: Config, changes: Sequence[str]) -> Config:
             table[section][name] = parse_toml(f"value = {value}", change)["value"]
         except FormatError:
             table[section][name] = value.strip()  # a plain word needs no quotes
-    return Config.of(table, ", ".join(changes))
+    return from_table(Config, table, file=", ".join(changes))

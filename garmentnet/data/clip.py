@@ -78,11 +78,6 @@ class Clip:
     def fps(self) -> float:
         return self.outfit.fps
 
-    @property
-    def mirrored_of(self) -> str | None:
-        """Name of the clip that this one reflects."""
-        return self.name.removesuffix(MIRRORED) if self.is_mirrored else None
-
     @functools.cached_property
     def sequence(self) -> MeshSequence:
         """The garment; frames are read from disk when they are used."""

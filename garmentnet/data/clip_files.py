@@ -10,21 +10,19 @@ and compress to about an eighth of float32.
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ssdr.errors import FormatError, InputError
 from ssdr.io.atomic import free_name, remove
-from ssdr.io.registry import check, reading
-
-from ..io.packages import require
+from ssdr.io.registry import import_optional as require
+from ssdr.io.registry import reading
 
 __all__ = [
     "Frames",
@@ -34,7 +32,6 @@ __all__ = [
     "decode_steps",
     "encode_steps",
     "open_array",
-    "read_metadata",
     "write_clip",
     "zarr",
 ]
@@ -49,16 +46,6 @@ _ARRAYS: Mapping[str, tuple[str, float]] = {
     "joints": ("float32", math.nan),
     "classes": ("int8", -1),
 }
-_REQUIRED = (
-    "frames",
-    "split",
-    "motion",
-    "parameters",
-    "seed",
-    "perturbation",
-    "quality",
-    "provenance",
-)
 
 
 def write_clip(
@@ -138,25 +125,6 @@ def decode_steps(stored: NDArray[np.uint32], step: float) -> NDArray[np.float32]
         chunk[:] = np.cumsum(chunk, axis=0, dtype=np.int32)
     whole = np.cumsum(x, axis=2, dtype=np.int32)
     return (np.swapaxes(whole, 1, 2) * step).astype(np.float32)
-
-
-def read_metadata(path: Path) -> dict[str, Any]:
-    """The attributes of a clip.
-
-    Raises
-    ------
-    FormatError
-        If one is missing or of the wrong type.
-    """
-    with reading(path):
-        metadata: dict[str, Any] = json.loads((path / "zarr.json").read_text())["attributes"]
-        missing = [k for k in _REQUIRED if k not in metadata]
-        if missing:
-            raise FormatError(f"no attribute {missing[0]}")
-        check(metadata["split"] in get_args(Split), f"split {metadata['split']!r}")
-        if not isinstance(metadata["quality"].get("accepted"), bool):
-            raise FormatError("quality does not state whether the clip was accepted")
-        return metadata
 
 
 def open_array(path: Path, name: str, shape: tuple[int, ...]) -> Any:

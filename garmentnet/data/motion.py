@@ -40,7 +40,6 @@ class Motion:
     classes : (F,) int array
         Class of motion of each frame, an index into :data:`garmentnet.data.motion.CLASSES`.
     fps : float
-    name : str
 
     Raises
     ------
@@ -57,7 +56,6 @@ class Motion:
     joints: NDArray[np.float64]
     classes: NDArray[np.int8]
     fps: float = 30.0
-    name: str = ""
 
     def __post_init__(self) -> None:
         shape = np.shape(self.joints)
@@ -77,16 +75,11 @@ class Motion:
     def __len__(self) -> int:
         return self.n_frames
 
-    def cut(self, start: int, stop: int, name: str | None = None) -> Motion:
+    def cut(self, start: int, stop: int) -> Motion:
         """Frames from `start` up to `stop`."""
         if not 0 <= start < stop <= self.n_frames:
             raise InputError("start, stop", f"0 to {self.n_frames}", (start, stop))
-        return Motion(
-            self.joints[start:stop],
-            self.classes[start:stop],
-            self.fps,
-            self.name if name is None else name,
-        )
+        return Motion(self.joints[start:stop], self.classes[start:stop], self.fps)
 
 
 def interpolate(

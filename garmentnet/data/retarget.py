@@ -43,7 +43,7 @@ _NEEDED = ("pelvis", "thigh_l", "shin_l", "foot_l", "arm_l", "forearm_l", "hand_
 _LIMBS = {"arm": "forearm", "forearm": "hand", "thigh": "shin", "shin": "foot"}
 
 
-def retarget(bvh: Bvh, skeleton: Skeleton, *, fps: float = 30.0, name: str = "") -> Motion:
+def retarget(bvh: Bvh, skeleton: Skeleton, *, fps: float = 30.0) -> Motion:
     """Retarget a motion to another skeleton.
 
     Joints are matched by name.  Every joint takes the world rotation of the joint of that name,
@@ -59,7 +59,6 @@ def retarget(bvh: Bvh, skeleton: Skeleton, *, fps: float = 30.0, name: str = "")
         Of :mod:`garmentnet.scenes.body`, or with the same names.
     fps : float
         Of the result.
-    name : str
 
     Returns
     -------
@@ -129,7 +128,7 @@ def retarget(bvh: Bvh, skeleton: Skeleton, *, fps: float = 30.0, name: str = "")
     at = np.arange(frames, dtype=np.float64) * (bvh.fps / fps)
     joints = interpolate(skeleton, joints, at)
     recorded = np.full(frames, CLASSES.index("recorded"), dtype=np.int8)
-    return Motion(joints, recorded, fps, name)
+    return Motion(joints, recorded, fps)
 
 
 def _match(bvh: Bvh, skeleton: Skeleton) -> dict[str, int]:

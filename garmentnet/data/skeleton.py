@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -73,6 +74,22 @@ class Skeleton:
         if name not in self.names:
             raise InputError("name", f"one of {', '.join(self.names)}", repr(name))
         return self.names.index(name)
+
+    def read(self, names: Sequence[str]) -> list[int]:
+        """Numbers of the joints that features read, ascending: those named, or all.
+
+        The root's rotation says which way is down; it is read in any case.
+
+        Raises
+        ------
+        InputError
+            If there is no joint of a name.
+        """
+        missing = [n for n in names if n not in self.names]
+        if missing:
+            expected = f"joints of the body ({', '.join(self.names)})"
+            raise InputError("features.joints", expected, ", ".join(missing))
+        return sorted({0, *map(self.names.index, names or self.names)})
 
     def mirror(self) -> NDArray[np.int32]:
         """The joint ``(J,)`` on the other side of each; where there is none, the joint itself."""

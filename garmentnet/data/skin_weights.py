@@ -48,10 +48,6 @@ class BodyBound:
     indices: NDArray[np.int32]
     weights: NDArray[np.float64]
 
-    def free(self, n_vertices: int) -> NDArray[np.int64]:
-        """The other vertices, ascending."""
-        return np.setdiff1d(np.arange(n_vertices), self.index)
-
     def place(self, vertices: NDArray[Any], joints: Any) -> NDArray[Any]:
         """A copy of `vertices` ``(F, V, 3)`` with these where joints ``(F, J, 3, 4)`` put them."""
         out = np.array(vertices)

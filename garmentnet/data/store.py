@@ -20,14 +20,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import ssdr
-from ssdr.errors import FormatError, InputError
+from ssdr.errors import FormatError, InputError, check_choice
 from ssdr.io.atomic import free_name, remove
 from ssdr.io.registry import check, reading
 from ssdr.sequence import MeshSequence
 from ssdr.skinning import Skinning
 
 from .clip import MIRRORED, Clip, spread
-from .clip_files import Split, check_finite, compressors, read_metadata, write_clip, zarr
+from .clip_files import Split, check_finite, compressors, write_clip, zarr
 from .motion import CLASSES
 from .outfit import Outfit
 from .parameters import SimulationParameters
@@ -47,8 +47,6 @@ class ClipStore(Outfit):
     Attributes
     ----------
     path : Path
-    attributes : dict
-        Further facts that were passed to :meth:`create`.
 
     The attributes of :class:`~garmentnet.data.outfit.Outfit` come first.
 
@@ -77,7 +75,6 @@ class ClipStore(Outfit):
     """
 
     path: Path
-    attributes: dict[str, Any]
 
     def __repr__(self) -> str:
         return f"ClipStore({str(self.path)!r}, {len(self.names())} clips, V={self.n_vertices})"
@@ -209,17 +206,16 @@ class ClipStore(Outfit):
                 skeleton=Skeleton(body.names(), attributes["parents"], joint_rest),
                 fps=float(attributes["fps"]),
                 path=target,
-                attributes=dict(attributes.get("made_by", {})),
             )
 
-    def names(
+    def clips(
         self,
         split: Split | None = None,
         parameters: SimulationParameters | None = None,
         accepted: bool | None = True,
         perturbed: bool | None = False,
-    ) -> tuple[str, ...]:
-        """Names of the clips, sorted, that meet all conditions.
+    ) -> Iterator[Clip]:
+        """The clips, sorted by name, that meet all conditions.
 
         Parameters
         ----------
@@ -230,21 +226,22 @@ class ClipStore(Outfit):
         perturbed : bool or None
             Whether their first frame was perturbed to measure chaos; None: either.
         """
-        if split is not None and split not in get_args(Split):
-            raise InputError("split", f"one of {get_args(Split)}", repr(split))
-        chosen = []
-        for name in self._present():
-            metadata = read_metadata(self.path / "clips" / name)
-            if split is not None and metadata["split"] != split:
-                continue
-            if parameters is not None and metadata["parameters"] != dataclasses.asdict(parameters):
-                continue
-            if accepted is not None and metadata["quality"]["accepted"] is not accepted:
-                continue
-            if perturbed is not None and (metadata["perturbation"] > 0) is not perturbed:
-                continue
-            chosen.append(name)
-        return tuple(chosen)
+        if split is not None:
+            check_choice(split, "split", Split)
+        folder = self.path / "clips"
+        check(folder.is_dir(), f"{self.path}: no folder clips")
+        for clip in map(self.clip, sorted(p.name for p in folder.iterdir() if p.name in self)):
+            if (
+                split in (None, clip.split)
+                and parameters in (None, clip.parameters)
+                and accepted in (None, clip.accepted)
+                and perturbed in (None, clip.perturbation > 0)
+            ):
+                yield clip
+
+    def names(self, *args: Any, **kwargs: Any) -> tuple[str, ...]:
+        """Names of the clips that :meth:`clips` chooses."""
+        return tuple(clip.name for clip in self.clips(*args, **kwargs))
 
     def clip(self, name: str) -> Clip:
         """A clip by its name; reflected if the name ends in ``~mirrored``.
@@ -260,9 +257,12 @@ class ClipStore(Outfit):
             return self.clip(name.removesuffix(MIRRORED)).mirrored()
         if name not in self:
             raise InputError("name", f"a clip of {self.path}", repr(name))
-        metadata = read_metadata(self.path / "clips" / name)
         path = self.path / "clips" / name
         with reading(path):
+            metadata = json.loads((path / "zarr.json").read_text())["attributes"]
+            check(metadata["split"] in get_args(Split), f"split {metadata['split']!r}")
+            accepted = metadata["quality"].get("accepted")
+            check(isinstance(accepted, bool), "quality does not state whether it was accepted")
             return Clip(
                 outfit=self,
                 name=name,
@@ -278,10 +278,6 @@ class ClipStore(Outfit):
                 is_mirrored=False,
                 path=path,
             )
-
-    def clips(self, *args: Any, **kwargs: Any) -> Iterator[Clip]:
-        """The clips that :meth:`names` chooses."""
-        return (self.clip(name) for name in self.names(*args, **kwargs))
 
     def sample(self, names: Sequence[str], count: int) -> Iterator[tuple[Clip, NDArray[np.int64]]]:
         """Clips and frames of each, `count` or all together, evenly spread."""
@@ -354,8 +350,7 @@ class ClipStore(Outfit):
         target = self.path / "clips" / name
         if target.exists():
             raise InputError("name", "a clip that is not in the store", repr(name))
-        if split not in get_args(Split):
-            raise InputError("split", f"one of {get_args(Split)}", repr(split))
+        check_choice(split, "split", Split)
         accepted = quality.get("accepted")
         if not isinstance(accepted, bool):
             raise InputError("quality", "a bool 'accepted'", quality)
@@ -396,11 +391,6 @@ class ClipStore(Outfit):
         for path in left:
             remove(path)
         return len(left)
-
-    def _present(self) -> list[str]:
-        folder = self.path / "clips"
-        check(folder.is_dir(), f"{self.path}: no folder clips")
-        return sorted(p.name for p in folder.iterdir() if p.name in self)
 
 
 def _checked_mirror(mirror: ArrayLike, garment: MeshSequence) -> NDArray[np.int32]:

@@ -7,6 +7,7 @@ import hashlib
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ssdr import Skinning
 
@@ -39,6 +40,29 @@ class Subject:
     fps: float
     garment_id: str
     bound: BodyBound | None = None
+
+    @property
+    def free(self) -> NDArray[np.int64]:
+        """Vertices that a network predicts, ascending; the body carries the others."""
+        every = np.arange(self.garment.n_vertices)
+        return every if self.bound is None else np.setdiff1d(every, self.bound.index)
+
+    def skin(self, *, smooth: bool) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+        """Rest pose, bones and weights of all vertices, those that the body carries too.
+
+        Behind the virtual bones come the body's joints.  `smooth` says whether what the body
+        carries is smoothed at rest, as it is for the low frequencies alone.
+        """
+        g, b = self.garment, self.bound
+        width = max(part.indices.shape[1] for part in (g, b) if part is not None)
+        pad = ((0, 0), (0, width - g.indices.shape[1]))
+        rest, bones, weights = np.array(g.rest), np.pad(g.indices, pad), np.pad(g.weights, pad)
+        if b is not None:
+            at, used = b.index[:, None], np.arange(b.indices.shape[1])
+            rest[b.index] = b.smooth if smooth else b.rest
+            bones[b.index] = weights[b.index] = 0
+            bones[at, used], weights[at, used] = g.n_bones + b.indices, b.weights
+        return rest, bones, weights
 
     @property
     def body_id(self) -> str:

@@ -29,13 +29,12 @@ from ssdr.laplacian import LaplacianSmoother
 
 from ..configs.config import BoneOptions
 from ..io.files import kept, write_file, writing
-from .clip import Clip
 from .parameters import SimulationParameters
 from .skin_weights import BodyBound, find_body_bound
 from .store import ClipStore
 from .subject import Subject, mesh_identity
 
-__all__ = ["ClipBones", "VirtualBones", "parameter_roles", "virtual_bones"]
+__all__ = ["VirtualBones", "parameter_roles", "virtual_bones"]
 
 # Refitting ends when a sweep lowers the error by less than this fraction: about 1 µm of 10 mm.
 _TOLERANCE = 1e-4
@@ -61,40 +60,6 @@ def parameter_roles(store: ClipStore) -> dict[SimulationParameters, str]:
         if roles.setdefault(clip.parameters, role) != role:
             raise FormatError(f"{store.path}: {clip.name} puts its parameters into {role!r} too")
     return roles
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class ClipBones:
-    """Low and high frequencies of a clip and the transforms of its virtual bones.
-
-    Attributes
-    ----------
-    clip : Clip
-    smoother : LaplacianSmoother
-        Splits the clip's frames as they are read.
-    fit : callable
-        Gives `transforms` and `rmse`, at the first call by fitting: losses need neither.
-    """
-
-    clip: Clip
-    smoother: LaplacianSmoother
-    fit: Callable[[], tuple[NDArray[np.float32], float]]
-
-    @property
-    def transforms(self) -> NDArray[np.float32]:
-        """Of the virtual bones ``(F, B, 3, 4)``, fitted to the low frequencies; not mirrored."""
-        return self.fit()[0]
-
-    @property
-    def rmse(self) -> float:
-        """Of LBS against the low frequencies, metres."""
-        return self.fit()[1]
-
-    def split(self, frames: Any = slice(None)) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Low and high frequencies of frames, each ``(f, V, 3)``, in world coordinates."""
-        whole = np.asarray(self.clip.sequence.frames(frames), np.float32)
-        low = np.asarray(self.smoother.smooth(whole), np.float32)
-        return low, whole - low
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -133,21 +98,28 @@ class VirtualBones:
         """The Laplacian smoother that splits low from high frequencies, on the rest pose."""
         return LaplacianSmoother(self.store.rest, self.store.faces, self.options.length)
 
-    def clip(self, name: str) -> ClipBones:
-        """A clip's frequencies and bones; each is computed when it is asked for."""
-        clip = self.store.clip(name)
-        original = self.store.clip(str(clip.mirrored_of)) if clip.is_mirrored else clip
-        return ClipBones(clip, self.smoother, functools.partial(self._fitted, original))
+    def split(
+        self, name: str, frames: Any = slice(None)
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Low and high frequencies of a clip's frames, each ``(f, V, 3)``, in the world."""
+        whole = np.asarray(self.store.clip(name).sequence.frames(frames), np.float32)
+        low = np.asarray(self.smoother.smooth(whole), np.float32)
+        return low, whole - low
+
+    def transforms(self, name: str) -> NDArray[np.float32]:
+        """Transforms ``(F, B, 3, 4)`` of a clip, fitted to its low frequencies once and kept."""
+        found = self.kept("clips", name, lambda: {"transforms": self.fit(self.split(name)[0])})
+        return np.asarray(found["transforms"])
 
     def fit(
         self, low: NDArray[np.float32], *, tolerance: float = _TOLERANCE
-    ) -> tuple[NDArray[np.float32], float]:
-        """Transforms ``(F, B, 3, 4)`` fitted to frames ``(F, V, 3)``, and their RMSE in metres.
+    ) -> NDArray[np.float32]:
+        """Transforms ``(F, B, 3, 4)`` fitted to frames ``(F, V, 3)``.
 
         Sweeps end when one lowers the error by less than the fraction `tolerance`.
         """
         found = ssdr.fit_bones(low, self.skinning, tolerance=tolerance, max_sweeps=_SWEEPS)
-        return np.asarray(found.skinning.transforms, np.float32), found.rmse
+        return np.asarray(found.skinning.transforms, np.float32)
 
     def kept(self, folder: str, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         """Arrays of a clip in a folder beside the bones, made where they are not there yet.
@@ -155,14 +127,6 @@ class VirtualBones:
         They are made anew for another clip of the same name.
         """
         return kept(self.folder / folder / f"{name}-{_digest(self.store, [name])}.npz", make)
-
-    def _fitted(self, clip: Clip) -> tuple[NDArray[np.float32], float]:
-        def make() -> dict[str, Any]:
-            transforms, rmse = self.fit(self.clip(clip.name).split()[0])
-            return {"transforms": transforms, "rmse": rmse}
-
-        found = self.kept("clips", clip.name, make)
-        return found["transforms"], float(found["rmse"])
 
 
 def virtual_bones(

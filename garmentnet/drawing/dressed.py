@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter1d
 
 from ssdr import MeshSequence
-from ssdr.render import FABRIC, SKIN, Part, contact_sheet
+from ssdr.render import FABRIC, SKIN, Part, contact_sheet, write_picture
 
 from ..data.clip import Clip
 from ..data.motion import CLASSES
@@ -22,6 +23,7 @@ __all__ = [
     "MILLIMETRES",
     "camera_track",
     "caption",
+    "draw_clip",
     "dressed",
     "facing_the_camera",
     "outfit_parts",
@@ -159,6 +161,24 @@ def outfit_sheet(
         unit=MILLIMETRES,
         **options,
     )
+
+
+def draw_clip(clip: Clip, prediction: NDArray[np.float32], path: Path) -> Path:
+    """Draw truth, prediction ``(F, V, 3)`` and error of a clip, row by row, as a PNG.
+
+    The error is coloured on the cloth alone, and the figures are RMSE over the cloth: of the clip
+    in the head, of a frame in its column.
+    """
+    outfit = clip.outfit
+    sheet = outfit_sheet(
+        MeshSequence(clip.body(), outfit.body.faces, clip.fps),
+        MeshSequence(prediction, outfit.faces, clip.fps, name=clip.name),
+        clip.joints,
+        outfit.skeleton.positions(clip.joints)[:, 0],
+        truth=clip,
+    )
+    write_picture(sheet, path)
+    return path
 
 
 def spread_frames(count: int, n_frames: int) -> list[int]:

@@ -22,7 +22,7 @@ from ..data.store import ClipStore
 from ..data.virtual_bones import VirtualBones
 from ..networks.features import PoseFeatures, transforms_in_frame
 from ..networks.low_frequency import BoneCode
-from ..networks.skinning import TorchSkinning
+from ..networks.skinning import TorchSkinning, apply_frame, remove_frame
 from .methods import Method
 
 __all__ = ["BodySkinned", "MeanShape", "Ridge", "body_skinning"]
@@ -60,8 +60,8 @@ class MeanShape(Method):
         frames = 0
         for clip, some in bones.store.sample(names, _MEAN_FRAMES):
             frame = self.features(clip.joints)[1][some]
-            low, detail = bones.clip(clip.name).split(some)
-            total += ((low - frame[:, None, :, 3]) @ frame[..., :3]).sum(axis=0)
+            low, detail = bones.split(clip.name, some)
+            total += remove_frame(frame, low).sum(axis=0)
             high += (detail @ frame[..., :3]).sum(axis=0)
             frames += len(some)
         self.high: NDArray[np.float64] = np.asarray(high / frames)
@@ -69,8 +69,7 @@ class MeanShape(Method):
 
     def predict(self, clip: Clip) -> NDArray[np.float32]:
         _, frame, _ = self.features(clip.joints)
-        turned = self.shape @ frame[..., :3].transpose(0, 2, 1)
-        return np.asarray(turned + frame[:, None, :, 3], np.float32)
+        return np.asarray(apply_frame(frame, self.shape), np.float32)
 
 
 def body_skinning(store: ClipStore, *, neighbours: int = 8) -> Skinning:
@@ -120,7 +119,7 @@ class Ridge(Method):
     ----------
     bones : VirtualBones
     names, validation : sequence of str
-        Clips; mirrored ones too.
+        Clips.
     """
 
     name = "ridge"
@@ -151,12 +150,11 @@ class Ridge(Method):
                 float(((self._design(a) @ matrix + self.mean - b) ** 2).sum()) for a, b in checks
             )
             if error < best:
-                best, self.matrix, self.penalty = error, matrix, float(penalty / len(z))
+                best, self.matrix = error, matrix
 
     def _pair(self, bones: VirtualBones, name: str) -> tuple[Any, Any]:
-        clip, fitted = bones.store.clip(name), bones.clip(name)
-        x, frame, _ = self.features(clip.joints)
-        local = transforms_in_frame(fitted.transforms, frame)
+        x, frame, _ = self.features(bones.store.clip(name).joints)
+        local = transforms_in_frame(bones.transforms(name), frame)
         return x, self.code.numbers(local).reshape(len(x), -1)
 
     def _design(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -167,6 +165,4 @@ class Ridge(Method):
         x, frame, _ = self.features(clip.joints)
         y = (self._design(x) @ self.matrix + self.mean).reshape(len(x), *self.code.shape)
         low = self.lbs(self.code(torch.from_numpy(y).float())).double().numpy()
-        local = low + self.high
-        world = local @ frame[..., :3].transpose(0, 2, 1) + frame[:, None, :, 3]
-        return np.asarray(world, np.float32)
+        return np.asarray(apply_frame(frame, low + self.high), np.float32)

@@ -111,9 +111,9 @@ class BonesThemselves(Method):
 
     def split(self, clip: Clip, bones: VirtualBones) -> tuple[Array, Array]:
         """The skinned bones and the clip's own high part."""
-        s, fitted = bones.skinning, bones.clip(clip.name)
-        low = np.asarray(ssdr.skin(s.rest, s.indices, s.weights, fitted.transforms), np.float32)
-        true_low, high = fitted.split()
+        s, m = bones.skinning, bones.transforms(clip.name)
+        low = np.asarray(ssdr.skin(s.rest, s.indices, s.weights, m), np.float32)
+        true_low, high = bones.split(clip.name)
         if bones.bound is not None:
             # Where a network has them, too.
             low[:, bones.bound.index] = true_low[:, bones.bound.index]

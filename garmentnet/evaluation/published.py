@@ -22,7 +22,7 @@ from ..training.batches import Track
 from ..training.high_frequency import DetailObjective
 from ..training.loop import Progress, fit
 from .methods import Network
-from .regression import FrameMLP, InFrame, Variant, WindowMLP
+from .regression import FrameMLP, Variant, WindowMLP
 
 __all__ = ["BASELINES", "SANTESTEBAN", "TransformerDetail", "train_chen"]
 
@@ -41,7 +41,7 @@ BASELINES = (
     ),
     # Zhang, Wang, Ceylan & Mitra 2021, "Dynamic Neural Garments", its coarse garment alone, in its
     # spirit: layers that see the last frames of the body's motion, without skinning.
-    Variant("DNG, coarse", parts=("low",), network=WindowMLP, space=InFrame, features="rooted"),
+    Variant("DNG, coarse", parts=("low",), network=WindowMLP, unposed=False, features="rooted"),
     # As published it reads rotations alone, not where the body goes.
     Variant(
         "Santesteban 2019, as published",

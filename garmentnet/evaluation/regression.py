@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -27,7 +26,7 @@ from ..data.clip import MIRRORED, Clip
 from ..data.virtual_bones import VirtualBones
 from ..networks.features import PoseReader, transforms_in_frame
 from ..networks.gru import GRULinear
-from ..networks.skinning import remove_frame
+from ..networks.skinning import apply_frame, remove_frame
 from ..training.batches import Track, load_tracks
 from ..training.coefficients import CoefficientObjective
 from ..training.loop import Progress, fit
@@ -38,7 +37,6 @@ from .methods import Array, Method
 
 __all__ = [
     "FrameMLP",
-    "InFrame",
     "Regression",
     "Unposed",
     "Variant",
@@ -53,35 +51,7 @@ _RANK, _FRAMES = 192, 1500
 _RIDGE = 1e-3
 
 
-class Space(ABC):
-    """Relative to what a baseline predicts."""
-
-    @abstractmethod
-    def remove(self, mesh: Any, joints: Any, part: Part) -> Array:
-        """What the network shall predict ``(F, V, 3)`` for a mesh or its detail ``(F, V, 3)``.
-
-        Both and the joints ``(F, J, 3, 4)`` are in the moving frame.
-        """
-
-    @abstractmethod
-    def add(self, predicted: Any, joints: Any, part: Part) -> Array:
-        """The mesh or its detail of what was predicted."""
-
-
-class InFrame(Space):
-    """Positions in the moving frame."""
-
-    def __init__(self, bones: VirtualBones | None = None) -> None:
-        """Of any bones."""
-
-    def remove(self, mesh: Any, joints: Any, part: Part) -> Array:
-        return np.asarray(mesh, np.float32)
-
-    def add(self, predicted: Any, joints: Any, part: Part) -> Array:
-        return np.asarray(predicted, np.float32)
-
-
-class Unposed(Space):
+class Unposed:
     """Offsets o of the rest pose, which the body's joints skin: v = Σ_j w_ij M_j (p_i + o_i).
 
     Detail is unposed by the blended rotations alone.
@@ -92,6 +62,7 @@ class Unposed(Space):
         self._weights = self.skinning.dense_weights()
 
     def remove(self, mesh: Any, joints: Any, part: Part) -> Array:
+        """Offsets ``(F, V, 3)`` of a mesh, or of its detail, under joints ``(F, J, 3, 4)``."""
         m = np.einsum("vj,fjab->fvab", self._weights, joints, optimize=True)
         a = m[..., :3]
         if part != "high":
@@ -101,6 +72,7 @@ class Unposed(Space):
         return np.asarray(found, np.float32)
 
     def add(self, predicted: Any, joints: Any, part: Part) -> Array:
+        """The mesh, or its detail, of offsets."""
         s = self.skinning
         if part == "high":
             m = np.einsum("vj,fjab->fvab", self._weights, joints[..., :3], optimize=True)
@@ -154,8 +126,9 @@ class Variant:
         What is predicted: by one network for each.
     network : callable
         Makes a network from the numbers of inputs, hidden units and outputs.
-    space : callable
-        Makes a :class:`Space` from the virtual bones.
+    unposed : bool
+        Whether it predicts offsets of the rest pose, which the body skins, or positions in the
+        moving frame.
     features : str
         Configuration whose pose features the networks read; "": those of the configuration at hand.
     changes : tuple of str
@@ -165,7 +138,7 @@ class Variant:
     name: str
     parts: tuple[Part, ...] = ("whole",)
     network: Callable[[int, int, int], nn.Module] = GRULinear
-    space: Callable[[VirtualBones], Space] = Unposed
+    unposed: bool = True
     features: str = ""
     changes: tuple[str, ...] = ()
 
@@ -194,7 +167,7 @@ class Regression(Method):
         self,
         variant: Variant,
         reader: PoseReader,
-        space: Space,
+        space: Unposed | None,
         nets: dict[Part, tuple[nn.Module, ShapeBasis]],
     ) -> None:
         self.name, self.variant, self.reader, self.space = variant.name, variant, reader, space
@@ -207,10 +180,11 @@ class Regression(Method):
         joints = transforms_in_frame(clip.joints, frame)
         out: dict[Part, Array] = {}
         for part, (net, basis) in self.nets.items():
-            local = self.space.add(basis.decode(net(x)[0][0].numpy()), joints, part)
-            moved = local @ frame[..., :3].swapaxes(-1, -2)
-            if part != "high":
-                moved = moved + frame[:, None, :, 3]
+            local = basis.decode(net(x)[0][0].numpy())
+            if self.space is not None:
+                local = self.space.add(local, joints, part)
+            turned = local @ frame[..., :3].swapaxes(-1, -2)
+            moved = turned if part == "high" else apply_frame(frame, local)
             out[part] = np.asarray(moved, np.float32)
         return out
 
@@ -260,7 +234,7 @@ def train_regression(
     data = dataclasses.replace(config.data, condition=False)
     own = override(dataclasses.replace(config, features=features, data=data), variant.changes)
     reader = pose_reader(own, bones, names)
-    space = variant.space(bones)
+    space = Unposed(bones) if variant.unposed else None
     tracks, held = (load_tracks(reader, bones, n) for n in (names, validation))
     nets: dict[Part, tuple[nn.Module, ShapeBasis]] = {}
     history = {}
@@ -299,7 +273,7 @@ class _Target:
 
     bones: VirtualBones
     reader: PoseReader
-    space: Space
+    space: Unposed | None
     part: Part
 
     def basis(self, names: Sequence[str]) -> ShapeBasis:
@@ -325,6 +299,8 @@ class _Target:
         if self.part == "whole":
             mesh = remove_frame(frame, clip.sequence.frames(frames))
         else:
-            low, high = self.bones.clip(name).split(frames)
+            low, high = self.bones.split(name, frames)
             mesh = remove_frame(frame, low) if self.part == "low" else high @ frame[..., :3]
-        return np.asarray(self.space.remove(mesh, joints, self.part), np.float32)
+        if self.space is not None:
+            mesh = self.space.remove(mesh, joints, self.part)
+        return np.asarray(mesh, np.float32)

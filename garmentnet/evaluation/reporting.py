@@ -18,16 +18,15 @@ from ..data.motion import CLASSES
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
 from ..data.virtual_bones import VirtualBones, parameter_roles, virtual_bones
+from ..drawing.dressed import draw_clip
 from ..io.files import write_file, writing
 from ..networks.checkpoint import Checkpoint, load_checkpoint
 from ..training.run import choose_clips, with_mirrored
 from .baselines import BodySkinned, MeanShape, Ridge
-from .bounds import by_looseness, chaos_floor, looseness
-from .methods import BonesThemselves, Method, Network, PushedMethod
-from .pictures import draw_clip
+from .methods import BonesThemselves, Method, Network
 from .published import SANTESTEBAN
 from .regression import train_regression
-from .scores import VERTICES, Scores, evaluate, pool
+from .scores import VERTICES, Scores, chaos_floor, evaluate, pool
 from .tables import class_table, interval_table, intervals, markdown, score_table
 
 __all__ = ["fit_baselines", "group_of", "report"]
@@ -48,7 +47,6 @@ def report(
     pictures: int = 1,
     clips: Sequence[str] = (),
     against: str | None = None,
-    push_out: bool = False,
     progress: Progress | None = None,
 ) -> str:
     """Score checkpoints on unseen motions and, if they read parameters, unseen parameters.
@@ -70,9 +68,6 @@ def report(
     against : str, optional
         Method whose errors the others' are divided by; the baseline of Santesteban et al. 2019 by
         default where it is scored, else the first checkpoint.
-    push_out : bool
-        Whether each checkpoint is scored a second time with its vertices moved out of the body,
-        and drawn so.
 
     Returns
     -------
@@ -95,17 +90,15 @@ def report(
     config, base = first.networks[0].config, _base(first, store)
     reading = [n for n in networks if n.checkpoint.reads_parameters]
     parts = _test_clips(store, base, bool(reading), clips)
-    shown: list[Method] = [PushedMethod(n, store) for n in networks] if push_out else [*networks]
     fitted = (MeanShape, BodySkinned, Ridge, SANTESTEBAN) if baselines else ()
     names = [m.name for m in (BonesThemselves, *networks, *fitted)]
-    names += [m.name for m in shown if m.name not in names]
     against = against or (SANTESTEBAN.name if baselines else networks[0].name)
     if against not in names:
         raise InputError("against", f"one of {', '.join(names)}", repr(against))
 
     bones = virtual_bones(store, config.bones, progress=progress)
     bound = BonesThemselves(bones)
-    methods: list[Method] = [bound, *networks, *(shown if push_out else [])]
+    methods: list[Method] = [bound, *networks]
     if baselines:
         methods += fit_baselines(bones, config, base, folder / "baselines", progress)
     document: dict[str, Any] = {
@@ -117,7 +110,6 @@ def report(
     others = [n for n in parts["unseen_motions"] if store.clip(n).split != "test"]
     if others:
         lines += ["", f"Of other splits than test: {', '.join(others)}"]
-    rows: list[Scores] = []
     for key, chosen in parts.items():
         if not chosen:
             continue
@@ -129,7 +121,6 @@ def report(
         if not seen:
             lines += _section(key.replace("_", " "), found, against, document)
             continue
-        rows = found
         groups: dict[str, list[str]] = {}
         for name in chosen:
             groups.setdefault(group_of(store.clip(name)), []).append(name)
@@ -137,13 +128,11 @@ def report(
             part = [pool(r.name, [c for c in r.clips if c.name in members]) for r in found]
             lines += _section(f"unseen motions, {group}", part, against, document)
     lines += _chaos(bones, base, document)
-    if rows:
-        lines += _by_looseness(bones, parts["unseen_motions"], rows)
-    for network, method in zip(networks, shown, strict=True):
+    for network in networks:
         for name in parts["unseen_motions"][:pictures]:
             clip, file = store.clip(name), folder / f"{network.name}-{name}.png"
             with writing(file):
-                draw_clip(clip, method.predict(clip), file)
+                draw_clip(clip, network.predict(clip), file)
     text = "\n".join(lines) + "\n"
     write_file(folder / "report.json", json.dumps(document).encode())
     write_file(folder / "report.md", text.encode())
@@ -274,15 +263,6 @@ def _chaos(bones: VirtualBones, base: SimulationParameters, document: dict[str, 
     lines = [[k, *(f"{v[x]:.2f}" for x in keys), f"{v['frames']:.0f}"] for k, v in found.items()]
     head = ["chaos floor, mm", "overall", "low", "overall, free", "low, free", "frames"]
     return ["", markdown(head, lines)] if lines else []
-
-
-def _by_looseness(bones: VirtualBones, names: Sequence[str], rows: Sequence[Scores]) -> list[str]:
-    mean = looseness(bones, names)
-    quarters = {r.name: by_looseness(r, mean) for r in rows}
-    head = ["mean error, mm, by distance to the body"]
-    head += [f"{distance:.0f} mm" for distance, _ in quarters[rows[0].name]]
-    lines = [[name, *(f"{e:.1f}" for _, e in found)] for name, found in quarters.items()]
-    return ["", markdown(head, lines)]
 
 
 def _base(model: Checkpoint, store: ClipStore) -> SimulationParameters:

@@ -11,7 +11,8 @@ and STED of the free ones are those of the mesh of the triangles whose corners a
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,16 +21,24 @@ from numpy.typing import NDArray
 from ssdr.errors import InputError
 from ssdr.metrics import hausdorff, sted
 
-from ..collision.push_out import PushOut, is_closed
+from ..collision.push_out import INSIDE, PushOut, is_closed
 from ..data.clip import Clip
 from ..data.motion import CLASSES
 from ..data.virtual_bones import VirtualBones
 from .methods import Method
 
-__all__ = ["PARTS", "VERTICES", "ClassError", "Parts", "Score", "Scores", "evaluate", "pool"]
+__all__ = [
+    "PARTS",
+    "VERTICES",
+    "ClassError",
+    "Parts",
+    "Score",
+    "Scores",
+    "chaos_floor",
+    "evaluate",
+    "pool",
+]
 
-# Metres below the skin from which a vertex counts as inside, as for simulated clips.
-_INSIDE = 5e-4
 _MM = 1e3  # from metres to millimetres
 PARTS = ("low", "high", "overall")
 VERTICES = ("all", "free")
@@ -81,8 +90,6 @@ class Scores:
         By class of motion.
     inside, inside_free : float
         Fraction of the vertices inside the body, over all frames; NaN if its mesh is not closed.
-    per_vertex : (V,) float64
-        Mean overall error, mm.
     clips : tuple of Scores
         The clips that were pooled.
     """
@@ -94,14 +101,11 @@ class Scores:
     per_class: dict[str, ClassError]
     inside: float
     inside_free: float
-    per_vertex: NDArray[np.float64]
     clips: tuple[Scores, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """Numbers and dictionaries, for JSON; without the errors of single vertices."""
-        table = dataclasses.asdict(dataclasses.replace(self, clips=()))
-        del table["per_vertex"]
-        return table | {"clips": [c.as_dict() for c in self.clips]}
+        """Numbers and dictionaries, for JSON."""
+        return dataclasses.asdict(self)
 
 
 def evaluate(
@@ -151,18 +155,13 @@ def pool(name: str, clips: Sequence[Scores]) -> Scores:
     def mean(values: Sequence[float]) -> float:
         return float(np.average(values, weights=frames))
 
+    def score(found: Sequence[Score]) -> Score:
+        rmse, *others = zip(*map(dataclasses.astuple, found), strict=True)
+        return Score(_root_mean(rmse, frames), *map(mean, others))
+
     def parts(vertices: str) -> Parts:
-        scores = {p: [getattr(getattr(c, vertices), p) for c in clips] for p in PARTS}
-        return Parts(
-            **{
-                part: Score(
-                    _root_mean([s.rmse for s in found], frames),
-                    mean([s.hausdorff for s in found]),
-                    mean([s.sted for s in found]),
-                )
-                for part, found in scores.items()
-            }
-        )
+        every = [getattr(c, vertices) for c in clips]
+        return Parts(*(score([getattr(parts, p) for parts in every]) for p in PARTS))
 
     per_class = {}
     for label in sorted({k for c in clips for k in c.per_class}):
@@ -178,9 +177,53 @@ def pool(name: str, clips: Sequence[Scores]) -> Scores:
         per_class,
         mean([c.inside for c in clips]),
         mean([c.inside_free for c in clips]),
-        np.average([c.per_vertex for c in clips], axis=0, weights=frames),
         tuple(clips),
     )
+
+
+def chaos_floor(
+    bones: VirtualBones, pairs: Iterable[tuple[str, str]] | None = None
+) -> dict[str, dict[str, float]]:
+    """RMSE / √2, mm, between clips and the same clips from a perturbed first frame.
+
+    Two such runs differ by √2 times their distance from the mean of all runs, and no function of
+    the motion can be expected to do better than that mean.
+
+    Parameters
+    ----------
+    bones : VirtualBones
+    pairs : pairs of names, optional
+        :meth:`ClipStore.pairs` by default.
+
+    Returns
+    -------
+    dict
+        For each class of motion and for "all": RMSE / √2 ``low`` and ``overall``, over free
+        vertices ``low_free`` and ``overall_free``, and the number of ``frames``; empty without
+        pairs.
+    """
+    keys = ("low", "overall", "low_free", "overall_free")
+    free = ~np.asarray(bones.store.pinned, bool)
+    sums: dict[str, NDArray[np.float64]] = {}
+    smoother = bones.smoother
+    for first, second in bones.store.pairs() if pairs is None else pairs:
+        a, b = bones.store.clip(first), bones.store.clip(second)
+        frames = min(a.n_frames, b.n_frames)
+        gap = a.sequence.frames(slice(0, frames)) - b.sequence.frames(slice(0, frames))
+        # Smoothing is linear: the difference of the low parts is the smoothed difference.
+        low = np.asarray(smoother.smooth(gap))
+        of_vertices = [(x.astype(np.float64) ** 2).sum(-1) for x in (low, gap)]
+        means = [x[:, part].mean(-1) for part in (slice(None), free) for x in of_vertices]
+        squares = np.stack([*means, np.ones(frames)])
+        for label in [-1, *np.unique(a.classes[:frames])]:
+            chosen = a.classes[:frames] == label if label >= 0 else slice(None)
+            key = CLASSES[int(label)] if label >= 0 else "all"
+            sums[key] = sums.get(key, np.zeros(5)) + squares[:, chosen].sum(axis=1)
+    return {
+        name: {k: _MM * math.sqrt(x / s[4] / 2) for k, x in zip(keys, s[:4], strict=True)}
+        | {"frames": float(s[4])}
+        for name, s in sums.items()
+    }
 
 
 def _root_mean(values: Sequence[float], weights: Sequence[int]) -> float:
@@ -206,8 +249,7 @@ class _Scorer:
     def score(self, method: Method, clip: Clip) -> Scores:
         """Predict a clip and compare the prediction with it."""
         low, high = method.split(clip, self.bones)
-        fitted = self.bones.clip(clip.name)
-        true_low, true_high = fitted.split()
+        true_low, true_high = self.bones.split(clip.name)
         truth, predicted = true_low + true_high, low + high
         pairs = {
             "low": (true_low, low),
@@ -223,7 +265,7 @@ class _Scorer:
             per_class[CLASSES[int(label)]] = ClassError(len(s), *errors)
         inside = np.full(predicted.shape[:2], np.nan)
         if self.skin is not None:
-            inside = self.skin.signed_distance(predicted, clip.joints) < -_INSIDE
+            inside = self.skin.signed_distance(predicted, clip.joints) < -INSIDE
         return Scores(
             clip.name,
             clip.n_frames,
@@ -232,7 +274,6 @@ class _Scorer:
             per_class,
             float(inside.mean()),
             float(inside[:, self.free].mean()),
-            _MM * np.sqrt(square).mean(axis=0),
         )
 
     def _compare(self, truth: Array, other: Array) -> tuple[Score, Score]:

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import os
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from ssdr.errors import SsdrError
+from ssdr.io.arrays.archive import read_arrays, write_arrays
 from ssdr.io.atomic import write_bytes
-from ssdr.io.registry import reading
 
 __all__ = ["kept", "write_file", "writing"]
 
@@ -57,12 +55,11 @@ def kept(path: Path, make: Callable[[], dict[str, Any]]) -> dict[str, NDArray[An
         If the file is damaged; without it, it is made again.
     """
     if not path.is_file():
-        packed = io.BytesIO()
-        np.savez(packed, **make())
+        made = make()
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_file(path, packed.getvalue())
-    with reading(path), np.load(path, allow_pickle=False) as arrays:
-        return {k: arrays[k] for k in arrays.files}
+        with writing(path):
+            write_arrays(path, made, compress=False)
+    return read_arrays(path, required=(), optional=("*",))
 
 
 def _free_space(path: Path) -> str:

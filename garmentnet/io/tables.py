@@ -116,7 +116,7 @@ def _value(hint: Any, value: Any, file: str, key: str) -> Any:
             raise _error(file, key, f"one of {get_args(hint)}", repr(value))
         return value
     if get_origin(hint) is types.UnionType:
-        return _value(get_args(hint)[0], value, file, key)  # None is what a missing key means
+        return None if value is None else _value(get_args(hint)[0], value, file, key)
     if get_origin(hint) is tuple:
         if not isinstance(value, (list, tuple)):
             raise _error(file, key, "a list", repr(value))

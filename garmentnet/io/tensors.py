@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssdr.errors import FormatError, InputError
+from ssdr.io.registry import import_optional as require
 from ssdr.io.registry import reading
-
-from .packages import require
 
 __all__ = ["SHIPPED", "load_arrays"]
 

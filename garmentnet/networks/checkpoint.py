@@ -18,16 +18,15 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ssdr.errors import FormatError, InputError
-from ssdr.io.registry import check, reading
+from ssdr.io.registry import reading
 
-from ..configs.config import Config
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
 from ..data.subject import Subject, mesh_identity
-from .document import BOUND, FORMAT, MESH, VERSION, read_subject
-from .ensemble import Ensemble, Kernel
-from .features import Normaliser
-from .network import Motion, MotionNetwork
+from .document import BOUND, MESH, Document, KernelRecord, NetworkRecord, read_document
+from .ensemble import Kernel
+from .features import Normaliser, transforms_in_frame
+from .network import Motion, MotionNetwork, Predictor
 from .tensor_files import load_tensors, part_of, save_tensors
 
 __all__ = [
@@ -42,7 +41,7 @@ _MANY = 10_000
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Checkpoint:
+class Checkpoint(Predictor):
     """One network, or the pivots of an ensemble.
 
     Attributes
@@ -55,12 +54,27 @@ class Checkpoint:
         Of an ensemble.
     errors : mapping of str to float
         RMSE by what it is of, metres; what ``garmentnet models`` shows.
+
+    Raises
+    ------
+    InputError
+        If the networks differ in rest pose, skin weights or moving frame.
     """
 
     networks: tuple[MotionNetwork, ...]
     parameters: tuple[SimulationParameters | None, ...]
     kernel: Kernel | None
     errors: Mapping[str, float] = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        first = self.networks[0]
+        for other in self.networks[1:]:
+            a, b = first.subject.garment, other.subject.garment
+            same = all(
+                np.array_equal(getattr(a, k), getattr(b, k)) for k in ("rest", "indices", "weights")
+            )
+            if not same or first.config.features.frame != other.config.features.frame:
+                raise InputError("networks", "pivots of one rest pose, weights and frame", "others")
 
     @property
     def subject(self) -> Subject:
@@ -71,28 +85,26 @@ class Checkpoint:
         """Whether a prediction needs simulation parameters."""
         return self.kernel is not None or self.networks[0].config.data.condition
 
-    @property
-    def ensemble(self) -> Ensemble:
-        """The pivots as an ensemble.
-
-        Raises
-        ------
-        InputError
-            If the checkpoint is a single network.
-        """
-        if self.kernel is None:
-            raise InputError("checkpoint", "an ensemble", "a single network")
+    def weights(self, parameters: SimulationParameters) -> NDArray[np.float64]:
+        """Ψ̄ ``(K,)`` of an ensemble's pivots at some parameters; sums to 1."""
+        assert self.kernel is not None
         rows = np.stack([p.normalised() for p in self.parameters if p is not None])
-        return Ensemble(self.networks, rows, self.kernel)
+        return self.kernel.weights(rows, parameters.normalised())
 
-    def motions(
-        self, joints: Any, parameters: SimulationParameters | None = None, *, detail: bool = True
-    ) -> list[Motion]:
-        """Predict a motion with the network or the ensemble.
+    @torch.no_grad()
+    def run(
+        self,
+        joints: Any,
+        state: Any = None,
+        *,
+        parameters: SimulationParameters | None = None,
+        detail: bool = True,
+        frames: Any = None,
+    ) -> tuple[Motion, Any]:
+        """As :meth:`MotionNetwork.run`; equation 3 of the paper for an ensemble.
 
         Parameters
         ----------
-        joints : (F, J, 3, 4) array
         parameters : SimulationParameters, optional
             For an ensemble and a network that reads them; other networks have parameters of
             their own.
@@ -102,20 +114,32 @@ class Checkpoint:
         InputError
             If the parameters are missing, or the joints do not fit the body.
         """
-        model = self.networks[0] if self.kernel is None else self.ensemble
         theta = None
         if self.reads_parameters:
             if parameters is None:
                 raise InputError("parameters", "bending, density and time scale", None)
             theta = parameters.normalised()
-        return model.motions(joints, parameters=theta, detail=detail)
-
-    def predict(
-        self, joints: Any, parameters: SimulationParameters | None = None, *, detail: bool = True
-    ) -> NDArray[np.float32]:
-        """World positions ``(F, V, 3)``, metres; arguments as :meth:`motions`."""
-        parts = self.motions(joints, parameters, detail=detail)
-        return np.concatenate([m.vertices() for m in parts])
+        first = self.networks[0]
+        if self.kernel is None or parameters is None:
+            return first.run(joints, state, parameters=theta, detail=detail, frames=frames)
+        states = list(state or (None,) * len(self.networks))
+        transforms: Any = 0.0
+        high: Any = 0.0
+        frame: Any = None
+        for k, w in enumerate(self.weights(parameters).tolist()):
+            if w == 0:  # not run; of the pivots at least one has some
+                continue
+            motion, states[k] = self.networks[k].run(
+                joints, states[k], detail=detail, frames=frames
+            )
+            frame = motion.frame
+            transforms = transforms + w * motion.transforms
+            high = None if high is None or motion.high is None else high + w * motion.high
+        chosen = np.asarray(joints) if frames is None else np.asarray(joints)[frames]
+        body = torch.from_numpy(transforms_in_frame(chosen, frame)).float().to(first.device)
+        # LBS is linear in the transforms, so Σ Ψ̄ LBS(M_i) = LBS(Σ Ψ̄ M_i) is skinned once.
+        low = first.carry(first.lbs(transforms), body)
+        return Motion(transforms, low, high, frame), tuple(states)
 
     def check_fits(self, store: ClipStore) -> None:
         """Raise InputError unless the store has this garment, body and frame rate."""
@@ -146,20 +170,14 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path | str, *, half: bool = Fa
     if subject.bound is not None:
         arrays |= {f"bound.{k}": getattr(subject.bound, k) for k in BOUND}
     tensors: dict[str, Tensor] = {}
-    record: list[dict[str, Any]] = []
+    records: list[NetworkRecord] = []
     pairs = zip(checkpoint.networks, checkpoint.parameters, strict=True)
     for k, (network, trained_on) in enumerate(pairs):
         config = dataclasses.replace(
             network.config, data=dataclasses.replace(network.config.data, store="")
         )
-        record.append(
-            {
-                "config": config.as_dict(),
-                "parameters": None if trained_on is None else dataclasses.asdict(trained_on),
-                "high": network.high is not None,
-                "clamp": network.normaliser.clamp,
-            }
-        )
+        clamp = network.normaliser.clamp
+        records.append(NetworkRecord(config, trained_on, network.high is not None, clamp))
         for key, v in network.state_dict().items():
             small = half and v.is_floating_point() and v.numel() >= _MANY
             tensors[f"network.{k}.{key}"] = v.half() if small else v
@@ -168,20 +186,16 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path | str, *, half: bool = Fa
     if kernel is not None:
         tensors |= {f"kernel.{k}": v for k, v in kernel.state_dict().items()}
     tensors |= {k: torch.from_numpy(np.array(v)) for k, v in arrays.items()}
-    document = {
-        "format": FORMAT,
-        "version": VERSION,
-        "fps": subject.fps,
-        "garment_id": subject.garment_id,
-        "body_id": subject.body_id,
-        "joint_names": list(subject.skeleton.names),
-        "networks": record,
-        "errors": dict(checkpoint.errors),
-        "kernel": None
-        if kernel is None
-        else {"sizes": kernel.sizes, "sigma": kernel.sigma, "shape": kernel.shape},
-    }
-    return save_tensors(Path(path), tensors, {"checkpoint": document})
+    document = Document(
+        fps=subject.fps,
+        garment_id=subject.garment_id,
+        body_id=subject.body_id,
+        joint_names=subject.skeleton.names,
+        networks=tuple(records),
+        kernel=None if kernel is None else KernelRecord(kernel.sizes, kernel.sigma, kernel.shape),
+        errors=dict(checkpoint.errors),
+    )
+    return save_tensors(Path(path), tensors, {"checkpoint": dataclasses.asdict(document)})
 
 
 def load_checkpoint(path: Path | str) -> Checkpoint:
@@ -195,28 +209,18 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
     file = Path(path)
     tensors, documents = load_tensors(file, ("checkpoint",))
     with reading(file):
-        d, subject = read_subject({k: v.numpy() for k, v in tensors.items()}, documents)
-        networks, parameters = [], []
-        for k, record in enumerate(d["networks"]):
-            networks.append(_network(subject, record, part_of(tensors, f"network.{k}.")))
-            trained_on = record["parameters"]
-            parameters.append(None if trained_on is None else SimulationParameters(**trained_on))
+        d, subject = read_document({k: v.numpy() for k, v in tensors.items()}, documents)
+        networks = [
+            _network(subject, record, part_of(tensors, f"network.{k}."))
+            for k, record in enumerate(d.networks)
+        ]
         kernel = None
-        if d["kernel"] is not None:
-            check(all(p is not None for p in parameters), "pivots without parameters")
-            inputs, hidden, latent = (int(n) for n in d["kernel"]["sizes"])
-            shape, sigma = d["kernel"]["shape"], d["kernel"]["sigma"]
-            check(shape in ("gaussian", "exponential"), f"a kernel of shape {shape!r}")
+        if d.kernel is not None:
             with torch.device("meta"):
-                kernel = Kernel(inputs, hidden=hidden, latent=latent, sigma=sigma, shape=shape)
+                kernel = Kernel(*d.kernel.sizes, sigma=d.kernel.sigma, shape=d.kernel.shape)
             kernel.load_state_dict(part_of(tensors, "kernel."), assign=True)
-        elif len(networks) != 1:
-            raise FormatError(f"{len(networks)} networks without a kernel")
-        errors = {str(k): float(v) for k, v in d.get("errors", {}).items()}
-        checkpoint = Checkpoint(tuple(networks), tuple(parameters), kernel, errors)
-        if kernel is not None:
-            _ = checkpoint.ensemble
-        return checkpoint
+        parameters = tuple(record.parameters for record in d.networks)
+        return Checkpoint(tuple(networks), parameters, kernel, d.errors)
 
 
 def load_weights(network: MotionNetwork, start: Checkpoint, part: str) -> None:
@@ -245,15 +249,14 @@ def load_weights(network: MotionNetwork, start: Checkpoint, part: str) -> None:
     network.normaliser = source.normaliser
 
 
-def _network(subject: Subject, record: dict[str, Any], part: dict[str, Tensor]) -> MotionNetwork:
-    config = Config.of(record["config"], "configuration")
+def _network(subject: Subject, record: NetworkRecord, part: dict[str, Tensor]) -> MotionNetwork:
     mean, deviation = part.pop("features.mean").numpy(), part.pop("features.deviation").numpy()
     # Weights have no memory before their sizes are found to be those of the tensors: a hostile
     # configuration cannot fill it.
     with torch.device("meta"):
-        normaliser = Normaliser(mean, deviation, float(record["clamp"]))
-        network = MotionNetwork(config, subject, normaliser)
-        if record["high"]:
+        normaliser = Normaliser(mean, deviation, record.clamp)
+        network = MotionNetwork(record.config, subject, normaliser)
+        if record.high:
             network.add_high()
     if mean.shape != (network.features.size,) or deviation.shape != mean.shape:
         raise FormatError(f"statistics of {mean.shape} features, not {network.features.size}")

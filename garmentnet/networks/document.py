@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -11,11 +11,14 @@ from ssdr import Skinning
 from ssdr.errors import FormatError
 from ssdr.io.registry import check
 
+from ..configs.config import Config
+from ..data.parameters import SimulationParameters
 from ..data.skeleton import Skeleton
 from ..data.skin_weights import BodyBound
 from ..data.subject import Subject
+from ..io.tables import from_table
 
-__all__ = ["BOUND", "FORMAT", "MESH", "VERSION", "read_subject"]
+__all__ = ["BOUND", "MESH", "Document", "KernelRecord", "NetworkRecord", "read_document"]
 
 FORMAT, VERSION = "garmentnet checkpoint", 4
 # Arrays of a mesh, and of what the body carries.
@@ -26,9 +29,46 @@ BOUND = tuple(f.name for f in dataclasses.fields(BodyBound))
 _MAX_SKINNING = 4 << 30
 
 
-def read_subject(
-    arrays: dict[str, Any], documents: dict[str, Any]
-) -> tuple[dict[str, Any], Subject]:
+@dataclasses.dataclass(frozen=True)
+class NetworkRecord:
+    """A network: its settings, the parameters it was trained on, whether it has detail."""
+
+    config: Config
+    parameters: SimulationParameters | None
+    high: bool
+    clamp: float
+
+
+@dataclasses.dataclass(frozen=True)
+class KernelRecord:
+    """The kernel of an ensemble; see :class:`~garmentnet.networks.ensemble.Kernel`."""
+
+    sizes: tuple[int, ...]
+    sigma: float
+    shape: Literal["gaussian", "exponential"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Document:
+    """The JSON document of a checkpoint."""
+
+    fps: float
+    garment_id: str
+    body_id: str
+    joint_names: tuple[str, ...]
+    networks: tuple[NetworkRecord, ...]
+    kernel: KernelRecord | None
+    errors: dict[str, Any] = dataclasses.field(default_factory=dict)
+    format: str = FORMAT
+    version: int = VERSION
+
+    @property
+    def reads_parameters(self) -> bool:
+        """Whether a prediction needs simulation parameters."""
+        return self.kernel is not None or self.networks[0].config.data.condition
+
+
+def read_document(arrays: dict[str, Any], documents: dict[str, Any]) -> tuple[Document, Subject]:
     """The checkpoint's document, and whom its networks were trained for.
 
     Parameters
@@ -42,21 +82,27 @@ def read_subject(
     FormatError
         If it is no checkpoint, of another version, or contradicts itself.
     """
-    d = documents["checkpoint"]
-    check(isinstance(d, dict) and d.get("format") == FORMAT, "not a checkpoint of garmentnet")
-    check(d.get("version") == VERSION, f"version {d.get('version')}, this reads {VERSION}")
-    names = tuple(str(n) for n in d["joint_names"])
-    skeleton = Skeleton(names, arrays["skeleton.parents"], arrays["skeleton.rest"])
+    table = documents["checkpoint"]
+    ours = isinstance(table, dict) and table.get("format") == FORMAT
+    check(ours, "not a checkpoint of garmentnet")
+    version = table.get("version")
+    check(version == VERSION, f"version {version}, this reads {VERSION}")
+    d = from_table(Document, table, file="document")
+    mixed, count = d.kernel is not None, len(d.networks)
+    check(count == 1 or (mixed and count), f"{count} networks, kernel {d.kernel}")
+    known = all(r.parameters is not None for r in d.networks)
+    check(known or not mixed, "pivots without parameters")
+    skeleton = Skeleton(d.joint_names, arrays["skeleton.parents"], arrays["skeleton.rest"])
     bones = len(arrays["network.0.low.code.centres"])
     subject = Subject(
         _skinning(arrays, "garment", bones, None),
-        _skinning(arrays, "body", skeleton.n_joints, names),
+        _skinning(arrays, "body", skeleton.n_joints, d.joint_names),
         skeleton,
-        float(d["fps"]),
-        str(d["garment_id"]),
+        d.fps,
+        d.garment_id,
         _bound(arrays, skeleton.n_joints),
     )
-    check(subject.body_id == d["body_id"], "the body is not the one that the file names")
+    check(subject.body_id == d.body_id, "the body is not the one that the file names")
     return d, subject
 
 

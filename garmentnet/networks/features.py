@@ -65,13 +65,7 @@ class PoseFeatures:
 
     def __init__(self, skeleton: Skeleton, options: FeatureOptions, fps: float) -> None:
         self.skeleton, self.options, self.fps = skeleton, options, float(fps)
-        missing = [j for j in options.joints if j not in skeleton.names]
-        if missing:
-            expected = f"joints of the body ({', '.join(skeleton.names)})"
-            raise InputError("features.joints", expected, ", ".join(missing))
-        read = [k for k, name in enumerate(skeleton.names) if name in options.joints]
-        # The root's rotation says which way is down; it is read in any case.
-        self._read = sorted({0, *read}) if read else list(range(skeleton.n_joints))
+        self._read = skeleton.read(options.joints)
 
     @property
     def size(self) -> int:

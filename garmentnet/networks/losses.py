@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from ssdr import Skinning
 from ssdr.laplacian import uniform_laplacian
 
-from .skinning import TorchSkinning, apply_frame
+from .skinning import TorchSkinning
 
 __all__ = [
     "EXACT",
@@ -70,14 +70,12 @@ class BodyShape(nn.Module):
             "faces", torch.from_numpy(np.asarray(body.faces, dtype=np.int64)), persistent=False
         )
 
-    def forward(self, joints: Tensor, frame: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    def forward(self, joints: Tensor) -> tuple[Tensor, Tensor]:
         """Positions and unit normals ``(N, V_B, 3)`` under ``(N, J, 3, 4)``.
 
         With `frame` ``(N, 3, 4)`` the joints are relative to it and the result is in the world.
         """
         v = self.skinning(joints)
-        if frame is not None:
-            v = apply_frame(frame, v)
         a, b, c = (v[:, self.faces[:, k]] for k in range(3))
         area = torch.linalg.cross(b - a, c - a, dim=-1)
         normal = torch.zeros_like(v)

@@ -73,7 +73,7 @@ class Motion:
 
 
 class Predictor:
-    """What a network and an ensemble share: whole motions and single frames from :meth:`run`."""
+    """What a network and a checkpoint share: whole motions and single frames from :meth:`run`."""
 
     def run(
         self,
@@ -88,7 +88,7 @@ class Predictor:
         raise NotImplementedError
 
     def motions(
-        self, joints: Any, *, parameters: Any = None, detail: bool = True, frames: Any = None
+        self, joints: Any, parameters: Any = None, *, detail: bool = True, frames: Any = None
     ) -> list[Motion]:
         """The motion, or some of its frames, in parts of at most 128 frames."""
         joints, state, out = np.asarray(joints), None, []
@@ -102,10 +102,10 @@ class Predictor:
         return out
 
     def predict(
-        self, joints: Any, *, parameters: Any = None, detail: bool = True, frames: Any = None
+        self, joints: Any, parameters: Any = None, *, detail: bool = True, frames: Any = None
     ) -> NDArray[np.float32]:
         """World positions ``(F, V, 3)`` of a motion, or of some of its frames, ascending."""
-        parts = self.motions(joints, parameters=parameters, detail=detail, frames=frames)
+        parts = self.motions(joints, parameters, detail=detail, frames=frames)
         return np.concatenate([m.vertices() for m in parts])
 
     def step(
@@ -162,9 +162,7 @@ class MotionNetwork(nn.Module, PoseReader, Predictor):
         self.low = LowFrequency(self.size, config.low.hidden, code)
         self.high: HighFrequency | DetailBasis | None = None
         bound = subject.bound
-        n = garment.n_vertices
-        # Vertices that the modules predict; the body carries the others.
-        self.free = np.arange(n) if bound is None else bound.free(n)
+        self.free = subject.free
         self.turns = SurfaceTurns(garment.indices, garment.weights, garment.n_bones, self.free)
         self.carried: TorchSkinning | None = None
         if bound is not None:

@@ -117,8 +117,8 @@ def matrix_from_sixd(sixd: Tensor) -> Tensor:
     return torch.stack([a, b, torch.linalg.cross(a, b, dim=-1)], dim=-1)
 
 
-def apply_frame(frame: Tensor, points: Tensor) -> Tensor:
-    """Points ``(..., V, 3)`` from a moving frame ``(..., 3, 4)`` to the world.
+def apply_frame(frame: Any, points: Any) -> Any:
+    """Points ``(..., V, 3)`` from a moving frame ``(..., 3, 4)`` to the world; tensors or arrays.
 
     Examples
     --------
@@ -126,7 +126,7 @@ def apply_frame(frame: Tensor, points: Tensor) -> Tensor:
     >>> apply_frame(frame, torch.zeros(1, 3)).tolist()
     [[2.0, 2.0, 2.0]]
     """
-    return points @ frame[..., :3].transpose(-1, -2) + frame[..., None, :, 3]
+    return points @ frame[..., :3].swapaxes(-1, -2) + frame[..., None, :, 3]
 
 
 def remove_frame(frame: Any, points: Any) -> Any:

@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 
 from ssdr.io.atomic import atomic_path
+from ssdr.io.registry import import_optional as require
 
 from ..io.files import writing
-from ..io.packages import require
 from ..io.tensors import load_arrays
 
 __all__ = ["load_tensors", "part_of", "save_tensors"]

@@ -60,7 +60,7 @@ def read_joints(path: Path | str, checkpoint: Checkpoint) -> NDArray[np.float64]
     if not file.exists():
         raise InputError("motion", "a .bvh, a .npz or a clip", str(file))
     if file.name.lower().endswith((".bvh", ".bvh.gz")):
-        moved = retarget(read_bvh(file), subject.skeleton, fps=subject.fps, name=file.stem)
+        moved = retarget(read_bvh(file), subject.skeleton, fps=subject.fps)
         return np.asarray(moved.joints, np.float64)
     clip = read_clip(file, checkpoint)
     if clip is not None:

@@ -15,6 +15,7 @@ from ssdr import MeshSequence, Skinning
 from ssdr.errors import InputError
 from ssdr.io.atomic import atomic_path
 from ssdr.io.registry import FORMATS
+from ssdr.io.registry import import_optional as require
 from ssdr.render import write_picture
 from ssdr.render.film import Film
 from ssdr.rigid import nearest_rotation
@@ -30,7 +31,6 @@ from ..drawing.dressed import (
     outfit_sheet,
 )
 from ..io.files import writing
-from ..io.packages import require
 from .prediction import Prediction
 
 __all__ = ["check_output", "rigid", "save_prediction"]

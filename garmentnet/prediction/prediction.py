@@ -42,8 +42,6 @@ class Prediction:
     joints : (F, J, 3, 4) array
     root : (F, 3) array
         Positions of the root joint, metres.
-    extrapolated : tuple of str
-        A sentence for every parameter outside the trained range.
     moved : float
         Fraction of the cloth's vertices that were moved out of the body or along with those that
         were, over all frames.
@@ -58,7 +56,6 @@ class Prediction:
     skinning: Skinning
     joints: NDArray[np.float64]
     root: NDArray[np.float64]
-    extrapolated: tuple[str, ...]
     moved: float = 0.0
     farthest: float = 0.0
 
@@ -119,17 +116,15 @@ def predict(
     if not several and None not in (parameters, trained_on) and parameters != trained_on:
         expected = f"those of this single network, {trained_on} (an ensemble takes any)"
         raise InputError("parameters", expected, parameters)
-    beyond: tuple[str, ...] = ()
     if several and parameters is not None:
         beyond = _beyond(checkpoint, parameters)
         if beyond:
-            text = "; ".join(beyond)
-            warnings.warn(f"extrapolated: {text}", SsdrWarning, stacklevel=2)
+            warnings.warn(f"extrapolated: {beyond}", SsdrWarning, stacklevel=2)
     motions = checkpoint.motions(joints, parameters, detail=detail)
     cloth = np.concatenate([part.vertices() for part in motions])
     transforms = np.concatenate([part.world_transforms() for part in motions])
     bones: BoneModel = "rigid" if checkpoint.kernel is None else "affine"
-    return _prediction(checkpoint.subject, cloth, transforms, joints, bones, push_out, name, beyond)
+    return _prediction(checkpoint.subject, cloth, transforms, joints, bones, push_out, name)
 
 
 def predict_live(
@@ -161,7 +156,7 @@ def predict_live(
         state, cloth[f] = garment.step(state, pose, parameters)
         transforms[f] = garment.transforms(state, pose)
     bones: BoneModel = "rigid" if garment.mixture is None else "affine"
-    return _prediction(subject, cloth, transforms, m, bones, push_out, name, ())
+    return _prediction(subject, cloth, transforms, m, bones, push_out, name)
 
 
 def _prediction(
@@ -169,70 +164,45 @@ def _prediction(
     cloth: NDArray[np.float32],
     transforms: NDArray[np.float64],
     joints: Any,
-    bones: BoneModel,
+    bone_model: BoneModel,
     push_out: bool,
     name: str,
-    beyond: tuple[str, ...],
 ) -> Prediction:
     garment, rig, m = subject.garment, subject.body, np.asarray(joints, np.float64)
-    moved, farthest = 0.0, 0.0
+    moved, farthest, count = 0.0, 0.0, garment.n_bones
     if push_out and is_closed(rig.faces):
-        held = np.zeros(garment.n_vertices, bool)
-        if subject.bound is not None:
-            held[subject.bound.index] = True
+        held = np.ones(garment.n_vertices, bool)
+        held[subject.free] = False
         push = PushOut(rig, garment.faces, pinned=held, n_vertices=garment.n_vertices)
         pushed = push(cloth, m)
         cloth, moved, farthest = pushed.vertices, pushed.moved, pushed.farthest
     body = np.asarray(ssdr.skin(rig.rest, rig.indices, rig.weights, m), np.float32)
+    rest, bones, weights = subject.skin(smooth=True)
+    used = np.unique(bones[bones >= count]) - count
+    names = [f"virtual_{b:02d}" for b in range(count)]
+    skinning = Skinning(
+        rest,
+        np.where(bones < count, bones, count + np.searchsorted(used, bones - count)),
+        weights,
+        np.concatenate([transforms, m[:, used]], axis=1),
+        faces=garment.faces,
+        fps=subject.fps,
+        bone_model=bone_model,
+        bone_names=(*names, *(subject.skeleton.names[j] for j in used)),
+        name=name,
+    )
     return Prediction(
         cloth=MeshSequence(cloth, garment.faces, subject.fps, name=name),
         body=MeshSequence(body, rig.faces, subject.fps, name="body"),
-        skinning=_skinning(subject, transforms, m, bones, name),
+        skinning=skinning,
         joints=m,
         root=subject.skeleton.positions(m)[:, 0],
-        extrapolated=beyond,
         moved=moved,
         farthest=farthest,
     )
 
 
-def _skinning(
-    subject: Subject,
-    transforms: NDArray[np.float64],
-    joints: NDArray[np.float64],
-    bone_model: BoneModel,
-    name: str,
-) -> Skinning:
-    garment, bound = subject.garment, subject.bound
-    rest, bones, weights = garment.rest, garment.indices, garment.weights
-    names = [f"virtual_{b:02d}" for b in range(garment.n_bones)]
-    if bound is not None:
-        used = np.unique(bound.indices)
-        width = max(bones.shape[1], bound.indices.shape[1])
-        bones, weights, rest = (np.array(x) for x in (bones, weights, rest))
-        pad = ((0, 0), (0, width - bones.shape[1]))
-        bones, weights = np.pad(bones, pad), np.pad(weights, pad)
-        bones[bound.index] = weights[bound.index] = 0
-        columns = slice(0, bound.indices.shape[1])
-        bones[bound.index, columns] = garment.n_bones + np.searchsorted(used, bound.indices)
-        weights[bound.index, columns] = bound.weights
-        rest[bound.index] = bound.smooth
-        transforms = np.concatenate([transforms, joints[:, used]], axis=1)
-        names += [subject.skeleton.names[j] for j in used]
-    return Skinning(
-        rest,
-        bones,
-        weights,
-        transforms,
-        faces=garment.faces,
-        fps=subject.fps,
-        bone_model=bone_model,
-        bone_names=tuple(names),
-        name=name,
-    )
-
-
-def _beyond(checkpoint: Checkpoint, parameters: SimulationParameters) -> tuple[str, ...]:
+def _beyond(checkpoint: Checkpoint, parameters: SimulationParameters) -> str:
     # A network that reads parameters does not know its training sets.
     known = [dataclasses.asdict(p) for p in checkpoint.parameters if p is not None]
     messages = []
@@ -242,4 +212,4 @@ def _beyond(checkpoint: Checkpoint, parameters: SimulationParameters) -> tuple[s
         if not low * (1 - _ROUNDING) <= value <= high * (1 + _ROUNDING):
             range_ = "trained from" if known else "meant for"
             messages.append(f"{key} {value:g}, {range_} {low:g} to {high:g}")
-    return tuple(messages)
+    return "; ".join(messages)

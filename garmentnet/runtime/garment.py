@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from ssdr.errors import FormatError, InputError
 from ssdr.io.registry import check, reading
 
-from ..configs.config import Config, FeatureOptions
+from ..configs.config import FeatureOptions
 from ..data.parameters import SimulationParameters
 from ..data.skeleton import check_joints
 from ..data.subject import Subject
 from ..io.tensors import load_arrays
-from ..networks.document import read_subject
+from ..networks.document import read_document
 from .kernels import add_bones, all_rigid, moving_frame, place, pose_features, skin
 from .pivot import Mixture, Pivot, read_pivot
 
@@ -83,12 +83,8 @@ class LiveGarment:
         mixture: Mixture | None = None,
     ) -> None:
         self.subject, self.features, self.pivots, self.mixture = subject, features, pivots, mixture
-        names, o = subject.skeleton.names, features
-        missing = [j for j in o.joints if j not in names]
-        if missing:
-            raise InputError("features.joints", f"joints of {', '.join(names)}", missing)
-        read = {names.index(j) for j in o.joints}
-        self.read = np.array(sorted({0, *read}) if read else range(len(names)), np.int64)
+        o = features
+        self.read = np.array(subject.skeleton.read(o.joints), np.int64)
         self._options = (
             o.rotation == "sixd", o.heading_free, o.translation, o.velocities, o.root_motion
         )  # fmt: skip
@@ -223,13 +219,9 @@ class LiveGarment:
 
 def _parts(subject: Subject, detailed: bool) -> list[tuple[NDArray[Any], ...]]:
     # What skin reads of the predicted vertices, and of those that the body carries.
-    g, bound, n = subject.garment, subject.bound, subject.garment.n_vertices
-    free = np.arange(n) if bound is None else bound.free(n)
-    parts = [_part(g.rest[free], g.indices[free], g.weights[free], free)]
-    if bound is not None:
-        rest, joints = bound.rest if detailed else bound.smooth, g.n_bones + bound.indices
-        parts.append(_part(rest, joints, bound.weights, bound.index))
-    return parts
+    rest, bones, weights = subject.skin(smooth=not detailed)
+    places = [subject.free] + ([] if subject.bound is None else [subject.bound.index])
+    return [_part(rest[k], bones[k], weights[k], k) for k in places]
 
 
 def _part(rest: Any, indices: Any, weights: Any, where: Any) -> tuple[NDArray[Any], ...]:
@@ -260,18 +252,12 @@ def load_live(path: Path | str) -> LiveGarment:
     file = Path(path)
     arrays, documents = load_arrays(file, ("checkpoint",))
     with reading(file):
-        d, subject = read_subject(arrays, documents)
-        configs = [Config.of(r["config"], "configuration") for r in d["networks"]]
-        if not configs or (len(configs) > 1) != (d["kernel"] is not None):
-            raise FormatError(f"{len(configs)} networks, kernel {d['kernel']}")
-        kinds = [(c.features, r["high"]) for c, r in zip(configs, d["networks"], strict=True)]
+        d, subject = read_document(arrays, documents)
+        kinds = [(r.config.features, r.high) for r in d.networks]
         check(all(kind == kinds[0] for kind in kinds), "pivots that differ in features or modules")
-        mixture = Mixture.read(arrays, d) if d["kernel"] is not None else None
-        pivots = tuple(
-            read_pivot(arrays, k, c, r, subject)
-            for k, (c, r) in enumerate(zip(configs, d["networks"], strict=True))
-        )
-        garment = LiveGarment(subject, configs[0].features, pivots, mixture)
+        mixture = Mixture.read(arrays, d)
+        pivots = tuple(read_pivot(arrays, k, r, subject) for k, r in enumerate(d.networks))
+        garment = LiveGarment(subject, kinds[0][0], pivots, mixture)
         for pivot in pivots:
             if len(pivot.mean) != garment.n_features:
                 raise FormatError(f"{len(pivot.mean)} features, not {garment.n_features}")

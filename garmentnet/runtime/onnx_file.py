@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssdr.errors import InputError
+from ssdr.io.registry import import_optional as require
 
 from ..data.parameters import RANGES
 from ..io.files import write_file
-from ..io.packages import require
 from .garment import LiveGarment
 from .pivot import Recurrent
 
@@ -55,7 +55,7 @@ def export_onnx(garment: LiveGarment, path: Path | str, *, bits: int = 32) -> Pa
     """
     if bits not in (32, 16, 8):
         raise InputError("bits", "32, 16 or 8", bits)
-    if len(garment.pivots) > 1:
+    if garment.mixture is not None:
         raise InputError("model", "one network, such as reads the parameters", "an ensemble")
     if garment.features.rotation != "sixd":
         raise InputError("model", "features.rotation 'sixd'", garment.features.rotation)
@@ -188,21 +188,14 @@ def _frame(g: _Graph, garment: LiveGarment) -> None:
     all_ = g.op("Concat", matrix, place, axis=2)
     if frame:
         all_ = g.op("MatMul", frame, all_)
-    index, weights = np.array(s.garment.indices), np.array(s.garment.weights)
-    rest = np.array(s.garment.rest, np.float32)
-    dense = np.zeros((len(rest), bones + joints), np.float32)
+    rest, index, weights = s.skin(smooth=pivot.high is None)
+    carried = s.bound is not None
+    dense = np.zeros((len(rest), bones + joints * carried), np.float32)
     np.add.at(dense, (np.arange(len(rest))[:, None], index), weights)
-    free = np.arange(len(rest))
-    if s.bound is not None:
-        b = s.bound
-        free = b.free(len(rest))
-        rest[b.index] = b.smooth if pivot.high is None else b.rest
-        dense[b.index] = 0
-        np.add.at(dense, (b.index[:, None], bones + b.indices), b.weights)
+    if carried:
         moved = g.op("Sub", shifts, near) if near else shifts
         body = g.op("Concat", rotations, g.shaped(moved, joints, 3, 1), axis=2)
         all_ = g.op("Concat", all_, body, axis=0)
-    dense = dense if s.bound is not None else dense[:, :bones]
     skin = g.weight(dense, min(32, max(16, g.bits)))
     # Rounded weights still sum to 1.
     skin = g.op("Div", skin, g.op("ReduceSum", skin, np.array([1]), keepdims=1))
@@ -210,7 +203,7 @@ def _frame(g: _Graph, garment: LiveGarment) -> None:
     turned = g.shaped(g.op("MatMul", g.part(blend, 0, 3), rest[:, :, None]), -1, 3)
     v = g.op("Add", turned, g.shaped(g.part(blend, 3, 4), -1, 3))
     if pivot.high is not None:
-        v = g.op("Add", v, _detail(g, garment, x, motion, blend, free, reset))
+        v = g.op("Add", v, _detail(g, garment, x, motion, blend, reset))
     g.op("Add", v, near or np.zeros(3, np.float32), out=g.end(1, "vertices", len(rest), 3))
 
 
@@ -294,9 +287,7 @@ def _recurrent(g: _Graph, r: Recurrent, x: str, state: str, reset: str) -> str:
     return g.op("Add", g.op("MatMul", g.weight(r.w_out), h), r.b_out)
 
 
-def _detail(
-    g: _Graph, garment: LiveGarment, x: str, motion: str, blend: str, free: Any, reset: str
-) -> str:
+def _detail(g: _Graph, garment: LiveGarment, x: str, motion: str, blend: str, reset: str) -> str:
     pivot, n = garment.pivots[0], garment.subject.garment.n_vertices
     assert pivot.high is not None
     assert pivot.basis is not None
@@ -309,7 +300,7 @@ def _detail(
     numbers = _recurrent(g, pivot.high, read, "high_state", reset)
     count = len(pivot.basis)
     every = np.zeros((count, n, 3), np.float32)
-    every[:, free] = pivot.basis.reshape(count, 3, -1).transpose(0, 2, 1)
+    every[:, garment.subject.free] = pivot.basis.reshape(count, 3, -1).transpose(0, 2, 1)
     basis = every.reshape(count, -1)
     flat = g.op("Add", g.op("MatMul", numbers, g.weight(basis[1:])), basis[0])
     rows = g.op("Transpose", blend, perm=[2, 0, 1])

@@ -9,11 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssdr.errors import FormatError
-from ssdr.io.registry import check
 
-from ..configs.config import Config
-from ..data.parameters import SimulationParameters
 from ..data.subject import Subject
+from ..networks.document import Document, NetworkRecord
 
 __all__ = ["Mixture", "Pivot", "Recurrent", "read_pivot"]
 
@@ -153,19 +151,19 @@ class Mixture:
     exponential: bool
 
     @classmethod
-    def read(cls, arrays: dict[str, Any], document: dict[str, Any]) -> Mixture:
-        """From the arrays and the document of a checkpoint."""
-        inputs, hidden, latent = (int(n) for n in document["kernel"]["sizes"])
+    def read(cls, arrays: dict[str, Any], document: Document) -> Mixture | None:
+        """From the arrays and the document of a checkpoint; None if it has one network alone."""
+        kernel = document.kernel
+        if kernel is None:
+            return None
+        inputs, hidden, latent = kernel.sizes
         shapes = ((hidden, inputs), (hidden,), (latent, hidden), (latent,))
         names = ("g.0.weight", "g.0.bias", "g.2.weight", "g.2.bias")
         layers = tuple(
             _take(arrays, f"kernel.{n}", s, np.float64) for n, s in zip(names, shapes, strict=True)
         )
-        rows = [SimulationParameters(**r["parameters"]) for r in document["networks"]]
-        shape = document["kernel"]["shape"]
-        check(shape in ("gaussian", "exponential"), f"a kernel of shape {shape!r}")
-        sigma = float(document["kernel"]["sigma"])
-        return cls(layers, np.stack([p.normalised() for p in rows]), sigma, shape == "exponential")
+        rows = [r.parameters.normalised() for r in document.networks if r.parameters is not None]
+        return cls(layers, np.stack(rows), kernel.sigma, kernel.shape == "exponential")
 
     def __call__(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
         """Share of each pivot ``(K,)`` at normalised parameters ``(3,)``; the shares sum to 1."""
@@ -179,9 +177,7 @@ class Mixture:
         return np.tanh(x @ w.T + b) @ v.T + c
 
 
-def read_pivot(
-    arrays: dict[str, Any], k: int, config: Config, record: dict[str, Any], subject: Subject
-) -> Pivot:
+def read_pivot(arrays: dict[str, Any], k: int, record: NetworkRecord, subject: Subject) -> Pivot:
     """Network k of a checkpoint.
 
     Raises
@@ -189,9 +185,10 @@ def read_pivot(
     FormatError
         If an array is missing or of another shape, or it is of a kind that is not run here.
     """
+    config = record.config
     if config.low.rotation != "sixd":
         raise FormatError(f"low.rotation {config.low.rotation!r}; only 'sixd' is run here")
-    if record["high"] and config.high.kind != "basis":
+    if record.high and config.high.kind != "basis":
         raise FormatError(f"high.kind {config.high.kind!r}; only 'basis' is run here")
     name, b = f"network.{k}.", subject.garment.n_bones
     mean = arrays[f"{name}features.mean"]
@@ -213,17 +210,17 @@ def read_pivot(
     pivot = Pivot(
         np.asarray(mean, np.float64),
         _take(arrays, f"{name}features.deviation", mean.shape, np.float64),
-        float(record["clamp"]),
+        record.clamp,
         bool(theta),
         recurrent("low", len(mean) + theta, config.low.hidden, 9 * b),
         take("low.code.deviation", b, 9),
         take("low.code.mean", b, 9),
         take("low.code.centres", b, 3),
     )
-    if not record["high"]:
+    if not record.high:
         return pivot
     o, body = config.high, config.high.source == "body"
-    n = subject.garment.n_vertices - (0 if subject.bound is None else len(subject.bound.index))
+    n = len(subject.free)
     high = recurrent("high", (len(mean) if body else 9 * b) + theta, o.hidden, o.rank)
     deviation = take("high.deviation", o.rank)
     # What the components are scaled by lies in the layer before them.

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from ssdr.errors import InputError
 from ssdr.io.arrays.archive import read_arrays, write_arrays
+from ssdr.io.registry import import_optional as require
 from ssdr.io.registry import reading
 from ssdr.skinning import Skinning
 
 from ..data.skeleton import Skeleton
 from ..data.skin_weights import strongest
-from ..io.packages import require
 
 __all__ = ["Body", "default_body", "load_body", "make_body", "save_body"]
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import coo_array
 
 from ssdr.errors import InputError
 from ssdr.kernels.closest import tree_order
@@ -129,9 +128,7 @@ class Cloth:
         self._hinges = hinges[~pinned[hinges].all(axis=1)]
         self._angles, self._hinge_lengths = _rest_angles(rest, self._hinges)
         self._colours = colour(self._edges, pinned), colour(self._hinges, pinned)
-        ones, n = np.ones(len(edges)), garment.n_vertices
-        one = coo_array((ones, (edges[:, 0], edges[:, 1])), (n, n)).tocsr()
-        one = one + one.T
+        one = garment.adjacency()
         self._near = (one + one @ one).tocsr()
 
     def simulate(

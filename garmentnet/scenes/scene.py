@@ -97,14 +97,13 @@ class MotionSource:
         if self.file:
             whole = retarget(read_bvh(self.file), body.skeleton, fps=fps)
             stop = min(whole.n_frames, self.start + self.frames)
-            return whole.cut(self.start, stop, self.name)
+            return whole.cut(self.start, stop)
         danced = dance(
             body.skeleton,
             seed=self.seed,
             frames=max(self.frames, self.whole),
             fps=fps,
             classes=self.classes or None,
-            name=self.name,
             repertoire=self.repertoire,
         )
         return danced.cut(0, self.frames)

@@ -10,7 +10,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
 
 from ssdr.errors import InputError
 
@@ -97,10 +96,8 @@ def perturbation_field(garment: Garment, size: float, seed: int) -> NDArray[np.f
     """Smooth random displacements ``(V, 3)`` of free vertices; their RMS length is `size`."""
     rng = np.random.default_rng([seed, 0xC4A05])
     noise = rng.normal(size=(garment.n_vertices, 3))
-    e, n = garment.edges(), garment.n_vertices
-    near = coo_array((np.ones(len(e)), (e[:, 0], e[:, 1])), (n, n)).tocsr()
-    near = near + near.T
-    degree: NDArray[np.float64] = np.asarray(near.sum(axis=1)).ravel()[:, None]
+    near = garment.adjacency()
+    degree = np.asarray(near.sum(axis=1), np.float64).ravel()[:, None]
     free = ~garment.pinned
     for _ in range(_SMOOTHINGS):
         # Displacements of single vertices would only stretch edges and vanish at once; smooth ones

@@ -64,7 +64,7 @@ class Track:
     def detail(self, frames: Any = slice(None)) -> Tensor:
         """Its high frequencies in the moving frame, ``(f, V, 3)`` float32."""
         # A difference of positions is only rotated.
-        high = self.bones.clip(self.name).split(frames)[1]
+        high = self.bones.split(self.name, frames)[1]
         return torch.from_numpy((high @ self.frame[frames][..., :3]).astype(np.float32))
 
     def joints(self, frames: Any = slice(None)) -> Tensor:

@@ -15,8 +15,7 @@ from ..configs.config import TrainOptions
 from ..networks.gru import dropout_mask
 from ..networks.losses import EXACT
 from .batches import Batch, Track
-from .loop import Objective
-from .precision import mixed_precision
+from .loop import Objective, mixed_precision
 
 __all__ = ["CoefficientObjective"]
 

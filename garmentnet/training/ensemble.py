@@ -1,9 +1,4 @@
-"""Training of an ensemble: one network for every training set, pivots, kernel, comparison.
-
-It has two forms.  The paper's: pivots that know their own parameters' clips alone.  With
-``data.condition`` a network that reads the parameters learns from all training sets first; pivots
-start from it and are fine-tuned, and it is mixed with them by a share that validation sets choose.
-"""
+"""Training of an ensemble: one network for every training set, pivots, kernel, comparison."""
 
 from __future__ import annotations
 
@@ -30,58 +25,24 @@ from ..networks.ensemble import Kernel
 from ..networks.network import MotionNetwork
 from .loop import Progress
 from .pivots import (
-    error_of,
+    Mixed,
     fit_kernel,
     gram,
     inverse_distance,
-    left_out_errors,
+    left_out,
     nearest,
     select_pivots,
     smallest_good,
 )
 from .run import train
 
-__all__ = ["Sweep", "compare_networks", "sweep_pivots", "train_ensemble"]
+__all__ = ["compare_networks", "sweep_pivots", "train_ensemble"]
 
 Array = NDArray[np.float64]
-# Weights (K,) of pivots (K, P) at parameters (P,), all normalised.
-Mixer = Callable[[Array, Any], Array]
 # Gram matrix of the networks' residuals on a parameter set, and its normalised parameters (P,).
 Compared = tuple[Array, Array]
 # Clips of a parameter set on which networks are compared, at most: predicting is the cost.
 _CLIPS = 4
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Sweep:
-    """The ensemble of K pivots, one entry of the sweep over K.
-
-    Attributes
-    ----------
-    pivots : list of int
-        Indices of training sets.
-    kernel : Kernel
-        With the bandwidth that has the smallest error on the validation sets.
-    validation_mm : float or None
-        That error; None where nothing can be left out.
-    score_mm : float
-        Mean error over the validation sets and over every training set predicted from the other
-        pivots: one validation set alone says little.
-    test_mm : dict
-        Errors of ``rbf``, ``inverse distance`` and ``nearest`` on the test sets, for training
-        motions (``train``) and test motions (``test``).
-    """
-
-    pivots: list[int]
-    kernel: Kernel
-    validation_mm: float | None
-    score_mm: float
-    test_mm: dict[str, dict[str, float]]
-
-    def record(self) -> dict[str, Any]:
-        """The entry in ``ensemble.json``."""
-        fields = {k: v for k, v in vars(self).items() if k != "kernel"}
-        return {"count": len(self.pivots), "sigma": self.kernel.sigma} | fields
 
 
 def train_ensemble(
@@ -183,18 +144,18 @@ def train_ensemble(
 
     networks = tuple(c.networks[0] for c in checkpoints)
     sweep = sweep_pivots(store, networks, sets, config, progress=progress)
-    count = o.pivots or smallest_good([s.score_mm for s in sweep])
-    chosen = sweep[min(count, len(sweep)) - 1]
+    count = o.pivots or smallest_good([record["score_mm"] for _, record in sweep])
+    kernel, chosen = sweep[min(count, len(sweep)) - 1]
     report = {
         "sets": [dataclasses.asdict(p) for p in sets],
-        "pivots": chosen.pivots,
-        "sigma": chosen.kernel.sigma,
-        "sweep": [s.record() for s in sweep],
+        "pivots": chosen["pivots"],
+        "sigma": kernel.sigma,
+        "sweep": [record for _, record in sweep],
     }
     write_file(folder / "ensemble.json", json.dumps(report, indent=1).encode())
-    pivots = tuple(networks[i] for i in chosen.pivots)
-    trained_on = tuple(sets[i] for i in chosen.pivots)
-    whole = Checkpoint(pivots, trained_on, chosen.kernel)
+    pivots = tuple(networks[i] for i in chosen["pivots"])
+    trained_on = tuple(sets[i] for i in chosen["pivots"])
+    whole = Checkpoint(pivots, trained_on, kernel)
     return save_checkpoint(whole, folder / "ensemble.safetensors")
 
 
@@ -205,22 +166,28 @@ def sweep_pivots(
     config: Config,
     *,
     progress: Callable[[str, float], None] | None = None,
-) -> list[Sweep]:
+) -> list[tuple[Kernel, dict[str, Any]]]:
     """Pivots and kernel for K from 1 to all training sets, and their errors.
 
     Bandwidth and training step are chosen on the validation sets, never on the test sets.
 
     Returns
     -------
-    list of Sweep
-        For K = 1 to the number of training sets.
+    list of (Kernel, dict)
+        For K = 1 to the number of training sets the kernel with the bandwidth that has the
+        smallest error on the validation sets, and its entry in ``ensemble.json``: `pivots`, the
+        indices of training sets; `validation_mm`, that error, None where nothing can be left out;
+        `score_mm`, the mean error over the validation sets and over every training set predicted
+        from the other pivots, as one validation set alone says little; `test_mm`, errors of
+        ``rbf``, ``inverse distance`` and ``nearest`` on the test sets, for training motions
+        (``train``) and test motions (``test``).
     """
     roles, o = parameter_roles(store), config.ensemble
     held, tested = (
         [p for p in store.parameters() if roles[p] == role] for role in ("validation", "test")
     )
 
-    def grams(of: Sequence[SimulationParameters], split: str) -> list[Compared]:
+    def compared(of: Sequence[SimulationParameters], split: str) -> list[Compared]:
         out = []
         for k, p in enumerate(of):
             out.append((compare_networks(store, networks, p, split, o.frames), p.normalised()))
@@ -229,25 +196,21 @@ def sweep_pivots(
         return out
 
     theta = np.stack([p.normalised() for p in sets])
-    train_grams = [q for q, _ in grams(sets, "train")]
-    held_out = grams(held, "train")
-    tests = {split: grams(tested, split) for split in ("train", "test")}
+    grams = [q for q, _ in compared(sets, "train")]
+    held_out = compared(held, "train")
+    tests = {split: compared(tested, split) for split in ("train", "test")}
 
-    def errors(of: Sequence[Compared], mix: Mixer, pivots: list[int]) -> list[float]:
-        found = []
-        for q, at in of:
-            found.append(error_of(q[np.ix_(pivots, pivots)], mix(theta[pivots], at)))
-        return found
+    def mixed(of: Sequence[Compared], pivots: list[int]) -> list[Mixed]:
+        return [Mixed.of(pivots, theta, at, q) for q, at in of]
 
     sweep = []
     for count in range(1, len(sets) + 1):
-        pivots = select_pivots(train_grams, theta, count)
+        pivots = select_pivots(grams, theta, count)
+        learned, validation = left_out(grams, theta, pivots), mixed(held_out, pivots)
         fits = [
             fit_kernel(
-                train_grams,
-                theta,
-                pivots,
-                validation=held_out,
+                learned,
+                validation,
                 sigma=sigma,
                 shape=o.kernel,
                 steps=o.steps,
@@ -256,21 +219,29 @@ def sweep_pivots(
             for sigma in o.sigmas
         ]
         # With one pivot the weights are 1, and all errors are the same or NaN.
-        kernel, validation = min(fits, key=lambda f: (math.isnan(f[1]), f[1]))
-        rbf = kernel.weights
-        mixers: dict[str, Mixer] = {
-            "rbf": rbf,
+        kernel, error = min(fits, key=lambda f: (math.isnan(f[1]), f[1]))
+        mixers = {
+            "rbf": kernel.weights,
             "inverse distance": inverse_distance,
             "nearest": nearest,
         }
-        seen = left_out_errors(kernel, train_grams, theta, pivots) + errors(held_out, rbf, pivots)
-        test_mm = {
-            name: {k: 1e3 * float(np.mean(errors(q, mix, pivots))) for k, q in tests.items() if q}
-            for name, mix in mixers.items()
+        seen = [m.error(kernel.weights) for m in (*learned, *validation)]
+        record = {
+            "count": count,
+            "sigma": kernel.sigma,
+            "pivots": pivots,
+            "validation_mm": None if math.isnan(error) else 1e3 * error,
+            "score_mm": 1e3 * float(np.mean(seen)),
+            "test_mm": {
+                name: {
+                    k: 1e3 * float(np.mean([m.error(mix) for m in mixed(q, pivots)]))
+                    for k, q in tests.items()
+                    if q
+                }
+                for name, mix in mixers.items()
+            },
         }
-        validation_mm = None if math.isnan(validation) else 1e3 * validation
-        score_mm = 1e3 * float(np.mean(seen))
-        sweep.append(Sweep(pivots, kernel, validation_mm, score_mm, test_mm))
+        sweep.append((kernel, record))
     return sweep
 
 
@@ -291,11 +262,11 @@ def compare_networks(
     InputError
         If the set has no clip of the split.
     """
-    names = [c.name for c in store.clips(split) if c.parameters == parameters]
+    names = store.names(split, parameters)
     if not names:
         raise InputError("store", f"{split} motions of {parameters}", str(store.path))
     (some,) = spread([len(names)], _CLIPS)
-    names = [names[k] for k in some]
+    names = tuple(names[k] for k in some)
     total, used = np.zeros((len(networks), len(networks))), 0
     chosen = spread([store.clip(n).n_frames for n in names], frames)
     for name, here in zip(names, chosen, strict=True):

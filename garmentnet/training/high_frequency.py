@@ -24,8 +24,7 @@ from ..networks.losses import BodyShape, collision_depth, frame_norm
 from ..networks.network import MotionNetwork
 from .batches import Batch, Track
 from .coefficients import CoefficientObjective
-from .loop import Objective
-from .precision import mixed_precision
+from .loop import Objective, mixed_precision
 
 __all__ = ["LEAST_DEVIATION", "DetailObjective", "HighFrequencyObjective"]
 

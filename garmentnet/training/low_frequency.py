@@ -19,8 +19,7 @@ from ..networks.gru import dropout_mask
 from ..networks.losses import EXACT, BodyShape, collision_depth
 from ..networks.network import MotionNetwork
 from .batches import Batch, Track
-from .loop import Objective
-from .precision import mixed_precision
+from .loop import Objective, mixed_precision
 from .targets import LowTargets
 
 __all__ = ["LowFrequencyObjective"]

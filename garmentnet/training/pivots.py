@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import copy
 import itertools
-from collections.abc import Iterable, Sequence
-from typing import Any
+import math
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -31,13 +32,13 @@ _EXACT = 1e-16
 _TINY = 1e-30
 
 __all__ = [
+    "Mixed",
     "convex_fit",
-    "error_of",
     "extremes",
     "fit_kernel",
     "gram",
     "inverse_distance",
-    "left_out_errors",
+    "left_out",
     "nearest",
     "select_pivots",
     "smallest_good",
@@ -89,16 +90,26 @@ def gram(predictions: Sequence[Any], truth: Any) -> Array:
     return np.asarray(r @ r.T / (truth.shape[0] * truth.shape[1]))
 
 
-def error_of(q: Array, weights: Any) -> float:
-    """RMSE of a mixture, metres: √(wᵀ Q w).
+class Mixed(NamedTuple):
+    """A mixture of pivots that can be compared with a simulation.
 
-    Examples
-    --------
-    >>> error_of(np.array([[3.0, -3.0], [-3.0, 3.0]]), [0.5, 0.5])
-    0.0
+    pivots, theta  (K, P), (P,)  normalised parameters of the pivots, and those to be mixed for
+    q              (K, K)        Gram matrix of the pivots' residuals there; see :func:`gram`
     """
-    w = np.asarray(weights, float)
-    return float(np.sqrt(max(0.0, w @ q @ w)))
+
+    pivots: Array
+    theta: Array
+    q: Array
+
+    @classmethod
+    def of(cls, pivots: Sequence[int], parameters: Any, theta: Any, q: Array) -> Mixed:
+        """The mixture of some networks, given the parameters and the Gram matrix of all."""
+        p = list(pivots)
+        return cls(np.asarray(parameters, float)[p], np.asarray(theta, float), q[np.ix_(p, p)])
+
+    def error(self, mix: Callable[[Array, Array], Array]) -> float:
+        """RMSE, metres, of the weights ``(K,)`` that a rule gives the pivots."""
+        return _root(self.q, mix(self.pivots, self.theta))
 
 
 def convex_fit(q: Array) -> tuple[Array, float]:
@@ -117,7 +128,7 @@ def convex_fit(q: Array) -> tuple[Array, float]:
     unit = np.sqrt(max(float(np.trace(q)) / len(q), _TINY))
     w, _ = nnls(np.vstack([root / unit, np.ones(len(q))]), np.append(np.zeros(len(q)), 1.0))
     w = w / w.sum()
-    return w, error_of(q, w)
+    return w, _root(q, w)
 
 
 def extremes(parameters: Any) -> list[int]:
@@ -191,31 +202,22 @@ def select_pivots(grams: Sequence[Array], parameters: Any, count: int) -> list[i
 
 
 def fit_kernel(
-    grams: Sequence[Array],
-    parameters: Any,
-    pivots: Sequence[int],
+    learned: Sequence[Mixed],
+    validation: Sequence[Mixed] = (),
     *,
-    validation: Sequence[tuple[Array, Any]] = (),
     sigma: float = 0.5,
-    shape: str = "gaussian",
+    shape: Literal["gaussian", "exponential"] = "gaussian",
     steps: int = 600,
     seed: int = 0,
 ) -> tuple[Kernel, float]:
     """Train the kernel, leaving out one training set at a time.
 
-    The mixture of the pivots other than s is compared with the simulation of s, for every training
-    set s.  If s were among the pivots, a kernel that always chooses s would be perfect and nothing
-    would be learned.
-
     Parameters
     ----------
-    grams : S arrays (S, S)
-        Of all networks against the simulation of each training set.
-    parameters : (S, P) array
-        Normalised.
-    pivots : sequence of int
-    validation : pairs (Q, θ)
-        Of sets that no network was trained on; the step with the smallest error on them is
+    learned : sequence of Mixed
+        See :func:`left_out`.
+    validation : sequence of Mixed
+        For sets that no network was trained on; the step with the smallest error on them is
         returned.  Without any it is the last step.
     sigma, shape : float, str
         Of the kernel.
@@ -233,33 +235,30 @@ def fit_kernel(
 
     Examples
     --------
-    >>> kernel, error = fit_kernel([np.eye(2)] * 2, [[0.0], [1.0]], [0, 1], steps=2)
+    >>> kernel, error = fit_kernel(left_out([np.eye(2)] * 2, [[0.0], [1.0]], [0, 1]), steps=2)
     >>> round(error, 3)
     1.0
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        kernel = Kernel(np.shape(parameters)[1], sigma=sigma, shape=shape)
-    p, theta = list(pivots), np.asarray(parameters, float)
-    left_out = _left_out(grams, theta, p)
-    held_out = [(theta[p], np.asarray(at, float), q[np.ix_(p, p)]) for q, at in validation]
+        kernel = Kernel(len(learned[0].theta) if learned else 3, sigma=sigma, shape=shape)
 
-    def mean_error(sets: list[tuple[Array, Array, Array]]) -> Tensor:
+    def mean_error(sets: Sequence[Mixed]) -> Tensor:
         errors = []
-        for places, at, q in sets:
-            w = kernel(torch.from_numpy(places), torch.from_numpy(at))
-            errors.append((w @ torch.from_numpy(q) @ w).clamp(min=_EXACT).sqrt())
+        for places, at, q in (map(torch.from_numpy, x) for x in sets):
+            w = kernel(places, at)
+            errors.append((w @ q @ w).clamp(min=_EXACT).sqrt())
         return torch.stack(errors).mean()
 
-    if not left_out:  # one pivot that is the only set: its weight is 1 whatever g is
+    if not learned:  # one pivot that is the only set: its weight is 1 whatever g is
         return kernel, float("nan")
     optimiser = torch.optim.Adam(kernel.parameters(), lr=1e-2, weight_decay=1e-3)
     best, best_state = float("inf"), copy.deepcopy(kernel.state_dict())
     for _ in range(steps + 1):
-        loss = mean_error(left_out)
+        loss = mean_error(learned)
         with torch.no_grad():
-            value = float(mean_error(held_out)) if held_out else float(loss)
-        if value < best or not held_out:
+            value = float(mean_error(validation)) if validation else float(loss)
+        if value < best or not validation:
             best, best_state = value, copy.deepcopy(kernel.state_dict())
         optimiser.zero_grad()
         torch.autograd.backward(loss)
@@ -268,27 +267,17 @@ def fit_kernel(
     return kernel, best
 
 
-def left_out_errors(
-    kernel: Kernel, grams: Sequence[Array], parameters: Any, pivots: Sequence[int]
-) -> list[float]:
-    """RMSE, metres, of each training set mixed from the pivots other than itself.
-
-    A set that is the only pivot is skipped.
-    """
-    sets = _left_out(grams, np.asarray(parameters, float), pivots)
-    return [error_of(q, kernel.weights(places, at)) for places, at, q in sets]
+def left_out(grams: Sequence[Array], parameters: Any, pivots: Sequence[int]) -> list[Mixed]:
+    """For each training set the mixture of the pivots other than itself, if there are any."""
+    others = ([i for i in pivots if i != s] for s in range(len(grams)))
+    return [
+        Mixed.of(some, parameters, parameters[s], grams[s]) for s, some in enumerate(others) if some
+    ]
 
 
-def _left_out(
-    grams: Sequence[Array], theta: Array, pivots: Sequence[int]
-) -> list[tuple[Array, Array, Array]]:
-    """For each set s the parameters of the other pivots, those of s, and the others' Q_s."""
-    found = []
-    for s, q in enumerate(grams):
-        others = [i for i in pivots if i != s]
-        if others:
-            found.append((theta[others], theta[s], q[np.ix_(others, others)]))
-    return found
+def _root(q: Array, w: Array) -> float:
+    """RMSE of a mixture, metres: √(wᵀ Q w)."""
+    return math.sqrt(max(0.0, float(w @ q @ w)))
 
 
 def smallest_good(errors: Sequence[float], within: float = 0.02) -> int:

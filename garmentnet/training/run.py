@@ -7,6 +7,7 @@ of threads.
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Callable, Sequence
 from fnmatch import fnmatchcase
@@ -129,9 +130,9 @@ def build_network(config: Config, bones: VirtualBones, names: Sequence[str]) -> 
     plain = [n for n in names if not n.endswith(MIRRORED)]
     low, frames = [], []
     for clip, some in bones.store.sample(plain, _STATISTICS):
-        low.append(bones.clip(clip.name).split(some)[0])
+        low.append(bones.split(clip.name, some)[0])
         frames.append(reader.features(clip.joints)[1][some])
-    transforms = bones.fit(np.concatenate(low), tolerance=1e-3)[0]
+    transforms = bones.fit(np.concatenate(low), tolerance=1e-3)
     network.low.code.fit(transforms_in_frame(transforms, np.concatenate(frames)))
     return network
 
@@ -265,7 +266,7 @@ def _high_objective(
 def _claim(folder: Path, config: Config, clips: Sequence[str]) -> None:
     # Settings that do not change the weights may differ from call to call.
     free = ("patience", "tensorboard", "device", "threads")
-    record = json.loads(json.dumps({"config": config.as_dict(), "clips": list(clips)}))
+    record = json.loads(json.dumps({"config": dataclasses.asdict(config), "clips": list(clips)}))
     record["config"]["data"].pop("store")
     for key in free:
         record["config"]["train"].pop(key)

@@ -52,7 +52,7 @@ class LowTargets:
         self.bones, self.features = bones, features
         self._folder = f"low-{features.options.frame}"
         store, n = bones.store, bones.store.n_vertices
-        self.free = np.arange(n) if bones.bound is None else bones.bound.free(n)
+        self.free = bones.subject.free
         laplacian = mesh_laplacian(store.faces, n)
         self.laplacian = laplacian[self.free][:, self.free]
         found = kept(
@@ -84,7 +84,7 @@ class LowTargets:
     def _local(self, name: str, frames: NDArray[np.int64] | slice) -> NDArray[np.float64]:
         """Low-frequency meshes in the moving frame."""
         frame = self.features(self.bones.store.clip(name).joints)[1][frames]
-        local: NDArray[np.float64] = remove_frame(frame, self.bones.clip(name).split(frames)[0])
+        local: NDArray[np.float64] = remove_frame(frame, self.bones.split(name, frames)[0])
         return local
 
     def _encode(self, name: str) -> NDArray[np.float16]:

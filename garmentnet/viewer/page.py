@@ -98,7 +98,7 @@ def write_page(
         If the garment is an ensemble, a motion is not one of its body or its truth does not fit,
         or the page would be larger even so.
     """
-    if len(garment.pivots) > 1:
+    if garment.mixture is not None:
         raise InputError("model", "one network, such as reads the parameters", "an ensemble")
     if not takes:
         raise InputError("takes", "one or more motions", "none")
@@ -167,23 +167,18 @@ def _figure(garment: LiveGarment, blocks: Blocks) -> dict[str, Any]:
     """The garment and behind it the body as one mesh; its bones are joints, then virtual bones."""
     s = garment.subject
     g, body, count = s.garment, s.body, s.skeleton.n_joints
-    rest, indices, weights = (np.array(x) for x in (g.rest, g.indices + count, g.weights))
-    parts = [x for x in (g, body, s.bound) if x is not None]
-    most = max(part.indices.shape[1] for part in parts)
+    rest, indices, weights = s.skin(smooth=garment.pivots[0].high is None)
+    most = max(indices.shape[1], body.indices.shape[1])
 
     def wide(x: NDArray[Any]) -> NDArray[Any]:
         return np.pad(x, ((0, 0), (0, most - x.shape[1])))
 
-    indices, weights = wide(indices), wide(weights)
-    if s.bound is not None:
-        at = s.bound.index
-        rest[at] = s.bound.smooth if garment.pivots[0].high is None else s.bound.rest
-        indices[at], weights[at] = wide(s.bound.indices), wide(s.bound.weights)
+    indices = (indices + count) % (count + g.n_bones)
     faces = np.concatenate([g.faces, body.faces + g.n_vertices])
     model = Skinning(
         np.concatenate([rest, body.rest]),
-        np.concatenate([indices, wide(body.indices)]),
-        np.concatenate([weights, wide(body.weights)]),
+        np.concatenate([wide(indices), wide(body.indices)]),
+        np.concatenate([wide(weights), wide(body.weights)]),
         np.tile(np.eye(3, 4), (1, count + g.n_bones, 1, 1)),
         faces=faces,
     )
@@ -288,10 +283,8 @@ def _network(
 
     basis = still = None
     if p.basis is not None:
-        free = np.arange(s.garment.n_vertices)
-        free = free if s.bound is None else s.bound.free(len(free))
         whole = np.zeros((len(p.basis), s.garment.n_vertices, 3), np.float32)
-        whole[:, free] = p.basis.reshape(len(p.basis), 3, -1).swapaxes(1, 2)
+        whole[:, s.free] = p.basis.reshape(len(p.basis), 3, -1).swapaxes(1, 2)
         mean, *components = whole.reshape(len(whole), -1)
         still, basis = packed(mean), packed(np.transpose(components))
     fields = dataclasses.asdict(parameters)

@@ -77,7 +77,6 @@ def dance(
     frames: int = 300,
     fps: float = 30.0,
     classes: Sequence[str] | None = None,
-    name: str | None = None,
     repertoire: Repertoire = "basic",
 ) -> Motion:
     """Generate a dance.
@@ -93,7 +92,6 @@ def dance(
     classes : sequence of str, optional
         Classes of motion, in this order first and then at random; by default four to six drawn
         from the seed, at least two of them fast (`wide`: six to eight, at least three).
-    name : str, optional
     repertoire : {"basic", "wide"}
         ``"wide"`` adds walking turns and weight shifts, varies the tempo, raises the arms up to
         vertical, turns in jumps and stops suddenly after fast moves.
@@ -134,7 +132,7 @@ def dance(
     _add_noise(rng, controls)
     joints = pose_joints(skeleton, controls, heading)
     at = np.minimum(np.round(np.arange(frames) * RATE / fps).astype(int), len(joints) - 1)
-    return Motion(joints[at], label[at], fps, f"dance-{seed}" if name is None else name)
+    return Motion(joints[at], label[at], fps)
 
 
 def _chosen(rng: np.random.Generator, made_of: _Moves) -> list[str]:

@@ -74,7 +74,7 @@ def test_a_clip_is_shown_beside_its_prediction(toy_run, toy_store, tmp_path):
 
 def test_train_then_evaluate_then_predict(toy_store, tmp_path, monkeypatch):
     monkeypatch.setenv("GARMENTNET_DATA", str(tmp_path / "data"))
-    out = call("train", settings(tmp_path), "--store", toy_store.path, "--seed", 3)
+    out = call("train", settings(tmp_path), "--store", toy_store.path, "--set", "train.seed=3")
     checkpoint = tmp_path / "data" / "runs" / "c-seed3" / "checkpoint.safetensors"
     assert out.strip() == str(checkpoint)
 

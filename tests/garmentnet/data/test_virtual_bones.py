@@ -29,7 +29,7 @@ def copy(toy_store, toy_bones, tmp_path):
         shutil.copy(toy_bones.folder / name, home)
     bones = virtual_bones(store, toy_bones.options)
     assert bones.folder == home
-    bones.clip(NAME).fit()
+    bones.transforms(NAME)
     return bones
 
 
@@ -38,7 +38,7 @@ def again(bones):
 
 
 def test_parts_add_up(copy):
-    low, high = copy.clip(NAME).split()
+    low, high = copy.split(NAME)
     np.testing.assert_allclose(
         low + high, copy.store.clip(NAME).sequence.frames(slice(None)), atol=1e-6
     )
@@ -51,7 +51,7 @@ def transforms_file(bones):
 
 def test_transforms_are_kept(copy):
     before = transforms_file(copy).stat().st_mtime_ns
-    again(copy).clip(NAME).fit()
+    again(copy).transforms(NAME)
     assert transforms_file(copy).stat().st_mtime_ns == before
 
 
@@ -61,17 +61,16 @@ def test_a_flipped_bit_is_found(copy):
     data[len(data) // 2] ^= 1
     file.write_bytes(data)
     with pytest.raises(FormatError, match=file.name):
-        again(copy).clip(NAME).fit()
+        again(copy).transforms(NAME)
     file.unlink()
-    again(copy).clip(NAME).fit()
+    again(copy).transforms(NAME)
 
 
 def test_bones_are_fitted_when_they_are_asked_for(copy):
     name = next(n for n in copy.store.names() if n != NAME)
-    parts = copy.clip(name)
-    high = parts.split()[1]
+    high = copy.split(name)[1]
     assert not list((copy.folder / "clips").glob(f"{name}-*"))
-    assert parts.transforms.shape == (len(high), copy.skinning.n_bones, 3, 4)
+    assert copy.transforms(name).shape == (len(high), copy.skinning.n_bones, 3, 4)
     assert list((copy.folder / "clips").glob(f"{name}-*"))
 
 

@@ -27,10 +27,9 @@ def checkpoint(toy_run):
 
 
 def test_a_report_has_scores_the_chaos_floor_and_pictures(checkpoint, toy_store, tmp_path):
-    options = {"baselines": False, "pictures": 1, "push_out": True}
+    options = {"baselines": False, "pictures": 1}
     text = report([checkpoint], toy_store, tmp_path, **options)
     assert "| bones themselves " in text
-    assert ", pushed out " in text
     assert "| chaos floor, mm " in text
     assert (tmp_path / "report.md").read_text("utf-8") == text
     assert len(list(tmp_path.glob("*.png"))) == 1

@@ -10,8 +10,12 @@ import pytest
 torch = pytest.importorskip("torch")
 
 
-from garmentnet.networks.ensemble import Ensemble, Kernel
+from garmentnet.data.parameters import SimulationParameters
+from garmentnet.networks.checkpoint import Checkpoint
+from garmentnet.networks.ensemble import Kernel
 from ssdr.errors import InputError
+
+PIVOTS = (SimulationParameters(), SimulationParameters(bending=1.5))
 
 
 def test_weights_are_convex_and_smooth():
@@ -42,22 +46,20 @@ def test_mixed_bones_are_mixed_meshes(toy_network, toy_store):
     with torch.no_grad():
         for p in other.low.parameters():
             p.add_(0.02 * torch.randn(p.shape, generator=torch.Generator().manual_seed(1)))
-    theta = np.array([[0.0, 0, 0], [1.0, 0, 0]])
-    ensemble = Ensemble((network, other), theta, Kernel())
+    ensemble = Checkpoint((network, other), PIVOTS, Kernel())
+    theta = SimulationParameters(bending=0.8)
     joints = toy_store.clip("base-test-0").joints[:20]
-    w = ensemble.weights([0.3, 0.0, 0.0])
+    w = ensemble.weights(theta)
     mixed = sum(
         a * n.predict(joints, detail=False) for a, n in zip(w, ensemble.networks, strict=True)
     )
-    assert (
-        np.abs(ensemble.predict(joints, parameters=[0.3, 0, 0], detail=False) - mixed).max() < 2e-6
-    )
+    assert np.abs(ensemble.predict(joints, theta, detail=False) - mixed).max() < 2e-6
     full = sum(a * n.predict(joints) for a, n in zip(w, ensemble.networks, strict=True))
-    whole = ensemble.predict(joints, parameters=[0.3, 0, 0])
+    whole = ensemble.predict(joints, theta)
     assert np.abs(whole - full).max() < 2e-6
     state, steps = None, []
     for pose in joints:
-        state, vertices = ensemble.step(state, pose, parameters=[0.3, 0, 0])
+        state, vertices = ensemble.step(state, pose, parameters=theta)
         steps.append(vertices)
     assert np.abs(np.stack(steps) - whole).max() < 3e-6
 
@@ -84,4 +86,4 @@ def test_pivots_must_share_their_bones(toy_network):
     moved = dataclasses.replace(g, rest=g.rest + np.float32(0.1))
     other.subject = dataclasses.replace(network.subject, garment=moved)
     with pytest.raises(InputError, match="rest pose"):
-        Ensemble((network, other), np.zeros((2, 3)), Kernel())
+        Checkpoint((network, other), PIVOTS, Kernel())

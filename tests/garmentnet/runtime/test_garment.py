@@ -109,7 +109,7 @@ def test_pivots_are_mixed_as_in_torch(pivots, tmp_path):
     joints = made.motion(1.0, seed=6)
     for bending in (0.2, 0.6, 1.5):
         theta = P(bending=bending)
-        weights = pivots.ensemble.weights(theta.normalised())
+        weights = pivots.weights(theta)
         np.testing.assert_allclose(garment.mixture(theta.normalised()), weights, atol=1e-12)
         # Detail is mixed in the surface's frame and turns with the mixed bones; in torch each
         # pivot's turns with its own.
@@ -134,6 +134,14 @@ def test_pivots_are_mixed_as_in_torch(pivots, tmp_path):
     garment = load_live(save_checkpoint(alike, tmp_path / "alike.safetensors"))
     expected = pivots.networks[0].predict(joints)
     assert np.abs(play(garment, joints, P()) - expected).max() < CLOSE
+
+
+def test_one_pivot_alone_is_run(pivots, tmp_path):
+    one = Checkpoint(pivots.networks[:1], pivots.parameters[:1], pivots.kernel)
+    garment = load_live(save_checkpoint(one, tmp_path / "one.safetensors"))
+    joints = made.motion(0.5, seed=6)
+    expected = pivots.networks[0].predict(joints)
+    assert np.abs(play(garment, joints, P(bending=0.7)) - expected).max() < CLOSE
 
 
 def test_pivots_without_weight_are_not_run(pivots, tmp_path):

@@ -42,7 +42,7 @@ def test_low_loss_against_vertices(toy_store, toy_bones, toy_network, monkeypatc
     network.low.zero_grad()
     z, _ = network.low(batch.inputs())
     (track,) = task.tracks
-    low = toy_bones.clip(_NAME).split(slice(0, 20))[0]
+    low = toy_bones.split(_NAME, slice(0, 20))[0]
     truth = torch.from_numpy(remove_frame(track.frame[:20], low)).float()
     gap = (network.mesh(z[batch.mask]) - truth)[:, network.free]
     # What the body carries is exact in the prediction, so its part of the Laplacian cancels.

@@ -9,13 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from garmentnet.training.pivots import (
+    Mixed,
     convex_fit,
-    error_of,
     extremes,
     fit_kernel,
     gram,
     inverse_distance,
-    left_out_errors,
+    left_out,
     nearest,
     select_pivots,
     smallest_good,
@@ -30,7 +30,8 @@ def test_gram_is_the_error_of_a_mixture():
     w = np.array([0.2, 0.5, 0.3])
     mixed = sum(a * g for a, g in zip(w, answers, strict=True))
     expected = np.sqrt(((mixed - truth) ** 2).sum(-1).mean())
-    assert np.isclose(error_of(gram(answers, truth), w), expected)
+    found = Mixed.of(range(3), np.zeros((3, 1)), [0.0], gram(answers, truth))
+    assert np.isclose(found.error(lambda pivots, theta: w), expected)
 
 
 @settings(max_examples=25, deadline=None)
@@ -93,15 +94,12 @@ def test_alternatives():
 
 def test_g_learns_which_parameter_matters():
     theta, _, truths, grams, shape = line(n=8)
-    kernel, _ = fit_kernel(grams, theta, range(8), sigma=0.5, steps=400)
-    learned = left_out_errors(kernel, grams, theta, range(8))
-    plain = [
-        error_of(
-            np.delete(np.delete(q, s, 0), s, 1),
-            inverse_distance(np.delete(theta, s, 0), theta[s]),
-        )
-        for s, q in enumerate(grams)
-    ]
+    sets = left_out(grams, theta, range(8))
+    kernel, _ = fit_kernel(sets, sigma=0.5, steps=400)
+    learned = [m.error(kernel.weights) for m in sets]
+    plain = [m.error(inverse_distance) for m in sets]
+    assert np.array_equal(sets[2].q, np.delete(np.delete(grams[2], 2, 0), 2, 1))
+    assert np.array_equal(sets[2].pivots, np.delete(theta, 2, 0))
     # The ends cannot be reached from inside by any convex mixture; the rest can.
     assert np.mean(learned[1:-1]) < 0.6 * np.mean(plain[1:-1])
     place = np.array([0.1, -0.9])
@@ -113,11 +111,11 @@ def test_g_learns_which_parameter_matters():
 
 def test_validation_chooses_the_step():
     theta, nets, _, grams, shape = line(noise=0.2)
-    check = (gram(nets, 0.3 * shape), np.array([0.3, 0.0]))
-    _, value = fit_kernel(grams, theta, range(6), validation=[check], steps=100)
-    kernel, _ = fit_kernel(grams, theta, range(6), validation=[check], steps=0)
-    start = error_of(check[0], kernel.weights(theta, check[1]))
-    assert value <= start
+    sets = left_out(grams, theta, range(6))
+    check = Mixed.of(range(6), theta, [0.3, 0.0], gram(nets, 0.3 * shape))
+    _, value = fit_kernel(sets, [check], steps=100)
+    kernel, _ = fit_kernel(sets, [check], steps=0)
+    assert value <= check.error(kernel.weights)
 
 
 def test_fit_does_not_disturb_other_randomness():
@@ -125,7 +123,7 @@ def test_fit_does_not_disturb_other_randomness():
     torch.manual_seed(5)
     expected = torch.rand(3)
     torch.manual_seed(5)
-    fit_kernel(grams, theta, range(6), steps=1)
+    fit_kernel(left_out(grams, theta, range(6)), steps=1)
     assert torch.equal(torch.rand(3), expected)
 
 

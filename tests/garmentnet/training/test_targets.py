@@ -18,7 +18,7 @@ def test_rows_against_the_mesh(toy_bones, toy_network, suffix):
     targets = LowTargets(toy_bones, features, [NAME])
     rows = targets.rows(NAME + suffix).astype(np.float64)
     frame = features(toy_bones.store.clip(NAME + suffix).joints)[1]
-    low = remove_frame(frame, toy_bones.clip(NAME + suffix).split()[0])
+    low = remove_frame(frame, toy_bones.split(NAME + suffix)[0])
     given = targets.basis.decode(rows[:, :-2])
     gap = np.linalg.norm((low - given)[:, targets.free], axis=(1, 2))
     size = np.linalg.norm(low - targets.basis.mean, axis=(1, 2))
