@@ -119,7 +119,7 @@ def parse_tolerance(tolerance: Any, diagonal: float) -> float:
 
 
 def names_arguments(function: Callable[P, R]) -> Callable[P, R]:
-    """Function that refuses a keyword which it does not have by an InputError, not a TypeError."""
+    """Decorated function that raises an InputError, not a TypeError, for an unknown keyword."""
     known = list(inspect.signature(function).parameters)
 
     @functools.wraps(function)
@@ -185,7 +185,7 @@ def check_floats(
 
 
 def check_squarable(array: NDArray[np.floating], argument: str, expected: str = "") -> None:
-    """Refuse numbers whose squares cannot be summed."""
+    """Raise an InputError for numbers so large that their squares cannot be summed."""
     if array.size and not np.abs(array).max() < LARGEST:
         raise InputError(argument, expected or f"numbers of less than {LARGEST:g}", "larger ones")
 

@@ -45,56 +45,58 @@ def decompose(
     """Find a rest pose, sparse convex skin weights and bones for an animated mesh.
 
     Minimises Σ_t Σ_i |v_i^t − Σ_j w_ij (R_j^t p_i + T_j^t)|² over rest pose p,
-    weights w (w >= 0, Σ_j w_ij = 1, at most K of them a vertex) and bones (R, T),
+    weights w (w >= 0, Σ_j w_ij = 1, at most K of them per vertex) and bones (R, T),
     rigid unless `bone_model` says otherwise.
 
     Parameters
     ----------
     sequence : MeshSequence, list of them, or (F, V, 3) array
         A list holds several shots of one mesh: they share rest pose and weights.
-        A single frame is allowed.  Arrays may be memory maps, zarr or dask arrays: what is
-        too large to be held at once is read by chunks, on the workers of a Dask client where
-        one is active.  They must not change during the call.
+        A single frame is allowed.  Arrays may be memory maps, zarr or dask arrays.  Those that
+        are too large for memory are read in chunks, on the workers of a Dask client if one is
+        active.  They must not change during the call.
     faces : (T, 3) int array, optional
         Triangles, if `sequence` is an array.
     bones : int
         Number of bones of the result, 1 to V.  Not needed with a skeleton or a model to start
         from, since these have their own number.
     influences : int or (int, {"uint8", "uint16", "float32"})
-        Largest number of bones that move a vertex (K), and what files will store their weights in,
-        as in ``(4, "uint8")``.  Of "uint8" and "uint16" the weights of the result are whole
-        multiples of 1/255 or 1/65535, which writers keep exactly, and all else is solved for them.
+        Largest number of bones that move a vertex (K), and the type in which files will store the
+        weights, such as ``(4, "uint8")``.  With "uint8" or "uint16", the weights of the result are
+        multiples of 1/255 or 1/65535, which writers keep exactly, and rest pose and bones are
+        solved for these weights.
     effort : {"fast", "balanced", "best"}
-        Place on the curve of speed against accuracy.
+        Trade-off between speed and accuracy.
     bone_model : {"rigid", "similarity", "affine"}
-        What a bone may do.  "rigid": turn and move.  "similarity": also scale uniformly.
-        "affine": also stretch and shear.  None may mirror (det > 0).
+        Transforms that a bone may have.  "rigid": rotation and translation.  "similarity": also
+        uniform scale.  "affine": also stretch and shear.  No bone may mirror (det > 0).
     rig : {"loose", "rigid"} or Skeleton, optional
-        By default bones have no hierarchy.  "rigid": each hangs on another by a joint that is
-        one point under both in every frame, so that the model can be posed; only roots move
-        about.  "loose": the bones that are found without a hierarchy get the tree of smallest
-        gaps; their joints may come apart.  A :class:`Skeleton` is kept.
+        By default bones have no hierarchy.  "rigid": each bone except roots is attached to its
+        parent at a joint, which both move to the same point in every frame, so that the model can
+        be posed; only roots translate freely.  "loose": bones are found without a hierarchy and
+        then connected by the tree with the smallest gaps, so that joints may come apart.  The
+        bones, parents and names of a :class:`Skeleton` are kept.
     start : Skinning or Start, optional
-        A model to go on from, such as a checkpoint: the result's error is never above its
-        error.  If it has other frames, bones for the frames given are fitted to
-        its weights.  A :class:`Start` holds parts of a model, some of which stay.
+        A model to continue from, such as a checkpoint: the error of the result is never above
+        that of this model.  If it has other frames, bones for the given frames are fitted to
+        its weights.  A :class:`Start` holds parts of a model, some of which are kept.
     vertex_importance : (V,) array, optional
         Non-negative; scales each vertex's squared error in the objective.
     frame_importance : (F,) array, optional
         Positive; scales each frame's squared error.  Values below 1e-4 of the largest are raised
         to that.
     smoothness : float
-        Length in the mesh's units: a jump of 1 in a weight across an edge costs as
-        much as this distance in every frame at one vertex.  0: off.
+        Length in the mesh's units: a difference of 1 in a weight between the ends of an edge
+        costs as much as an error of this length at one vertex in every frame.  0: no such cost.
     rng : int or numpy.random.Generator
         Seed; the same seed gives the same bits, whatever the number of threads.
     time_limit : float, optional
-        Seconds of this call, compilation left out, after which the best model so
+        Seconds of this call, without compilation, after which the best model so
         far is returned; at least one model is always made.
     checkpoint : path, optional
-        An ``.npz`` to which the best model so far is written every minute and at the end,
-        whole or not at all: an ordinary model, for `start` and every command.  While frames
-        are streamed it is a model of the frames that have been read.
+        An ``.npz`` file to which the best model so far is written every minute and at the end,
+        complete or not at all.  It is an ordinary model, which `start` and every command accept.
+        While frames are streamed, it has only the frames that have been read.
     callback : callable, optional
         Called with a :class:`Progress` after every step; the run stops if it returns True.
 
@@ -112,7 +114,7 @@ def decompose(
     Warns
     -----
     SsdrWarning
-        If some bones could go without a loss, so that fewer would do.
+        If some bones could be removed without raising the error.
 
     References
     ----------

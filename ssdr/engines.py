@@ -1,4 +1,4 @@
-"""Limits of the engines that play skinned models, and what they do to a model beyond them.
+"""Limits of game engines for skinned models, and what an engine does to a model beyond them.
 
 The page on engines quotes the source of each number.
 """
@@ -26,7 +26,7 @@ EngineName = Literal["unreal", "unity", "godot", "three", "bevy", "web"]
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Engine:
-    """What an engine takes of a skinned model.
+    """Limits of an engine for skinned models.
 
     Attributes
     ----------
@@ -34,29 +34,30 @@ class Engine:
     suffixes : tuple of str
         Formats that it reads; the first is the one to write.
     influences : int
-        Influences of a vertex that it keeps with its default settings.
+        Most influences of a vertex that the engine keeps with its default settings.
     influences_why : str
-        What becomes of more, and which setting keeps them.
+        Which setting or file format keeps more influences.
     bones : int or None
-        Most bones of a mesh; None: none is known below that of the format.
+        Most bones of a mesh; None if no limit below that of the file format is known.
     still_bones : bool
-        Whether bones that move no vertex count among them.
+        Whether bones that move no vertex count towards `bones`.
     bones_kind : {"refused", "cut off"}
-        What becomes of more.
+        Whether the engine refuses a mesh with more bones, or cuts bones off.
     bones_why : str
+        Explanation of `bones`.
     storage : {"float32", "uint16", "uint8"}
-        Type in which it holds weights with its default settings.
+        Type in which the engine stores weights with its default settings.
     rounds_down : bool
         Whether it divides weights by their sum in float32 and then rounds each down, so that they
-        sum to less than 1 and draw vertices towards the origin; else their sum is kept.
+        sum to less than 1 and draw vertices towards the origin; if not, their sum is kept.
     write : {"float32", "uint16", "uint8"}
-        Type in which to store weights: the finest that any of its settings holds.
+        Type in which to write weights to a file: the finest that any of its settings keeps.
     space : Space
         Unit and up axis that a model has once it is imported.
     lost_in_names : str
-        Regular expression of what bone names do not keep.
+        Regular expression of the part of a bone name that is lost on import.
     one_root : bool
-        Whether all bones must hang on one root.
+        Whether all bones must descend from one root.
     ignores_case : bool
         Whether names that differ in case alone count as the same.
     """
@@ -142,19 +143,19 @@ class Finding:
 
 
 def findings(model: Skinning, engine: Engine, suffix: str) -> tuple[Finding, ...]:
-    """What an engine would refuse, cut off, round or rename of a model.
+    """Findings that say what an engine would refuse, cut off, round or rename in a model.
 
     Parameters
     ----------
     model : Skinning
     engine : Engine
     suffix : str
-        That of the model's file, such as ``".glb"``.
+        Suffix of the model's file, such as ``".glb"``.
 
     Returns
     -------
     tuple of Finding
-        Empty if there is nothing to say.
+        Empty if the engine keeps the model as it is.
     """
     return tuple(_findings(model, engine, suffix))
 
@@ -193,12 +194,12 @@ def _findings(model: Skinning, engine: Engine, suffix: str) -> Iterator[Finding]
 
 
 def _rounded(model: Skinning, engine: Engine) -> tuple[NDArray[np.integer], NDArray[np.floating]]:
-    """Indices and weights that the engine holds."""
+    """Indices and weights as the engine stores them."""
     if not engine.rounds_down:
         indices, stored = quantise(model.indices, model.weights.astype(float), engine.storage)
         return indices, weight_values(stored)
     weights = model.weights.astype(np.float32)
-    # Where this sum comes out above 1, weights that are whole steps fall below them.
+    # Where rounding makes this sum exceed 1, weights that were whole steps round down by one step.
     weights /= np.cumsum(weights, axis=1, dtype=np.float32)[:, -1:]
     steps = np.float32(np.iinfo(engine.storage).max)
     return model.indices, np.floor(weights * steps) / float(steps)
@@ -215,12 +216,12 @@ def _renamed(names: tuple[str, ...], engine: Engine) -> Iterator[Finding]:
 
 
 def n_roots(model: Skinning) -> int:
-    """Number of bones that hang on no other."""
+    """Number of bones that have no parent."""
     return model.n_bones if model.parents is None else int((model.parents < 0).sum())
 
 
 def _moved(model: Skinning, indices: NDArray[np.integer], weights: NDArray[np.floating]) -> str:
-    """How far other weights move vertices at most, in words."""
+    """Text that says how far vertices move at most if they get other weights."""
     far = 0.0
     for frame in range(model.n_frames):
         other = skin(model.rest, indices, weights, model.transforms[frame], dtype=float)

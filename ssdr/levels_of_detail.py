@@ -43,7 +43,7 @@ class LevelsOfDetail(Decomposition):
     errors : tuple of float
         Root mean square error of each level.
     alone : tuple of float
-        Root mean square error of a decomposition of its own with as many bones.
+        Root mean square error of an independent decomposition with as many bones as each level.
 
     Examples
     --------
@@ -70,19 +70,19 @@ def levels(
     rng: int | np.random.Generator = 0,
     callback: Callback | None = None,
 ) -> LevelsOfDetail:
-    """Find models of several numbers of rigid bones whose bones are some of one skeleton.
+    """Models with several numbers of rigid bones, all taken from one skeleton.
 
-    The mesh is decomposed once for each number of bones, to know what is within reach.  From the
-    finest model the bones that the error needs least are removed one by one.  Then the bones of
-    all levels, which are the same ones, are moved together, so that the error of each level is
-    about the same multiple of that of its own decomposition.
+    The mesh is first decomposed once for each number of bones, which tells how small the error of
+    each level can be.  From the finest model, the bones whose removal adds least to the error are
+    removed one by one.  Then the transforms, which all levels share, are optimised so that the
+    error of each level is about the same multiple of that of its independent decomposition.
 
     Parameters
     ----------
     sequence, faces, influences, effort, rng
         As in :func:`decompose`.
     bones : sequence of int
-        Numbers of bones, each smaller than the one before.
+        Number of bones of each level, each smaller than the one before.
     callback : callable, optional
         As in :func:`decompose`; if it stops the run, there is no result.
 
@@ -116,7 +116,7 @@ def levels(
 
     def part(done: int) -> Callback:
         def follow(progress: Progress) -> None:
-            left = progress.elapsed  # of each part; that of the parts to come is not known
+            left = progress.elapsed  # an estimate: how long the later parts take is not known
             fraction = (done + progress.fraction) / n
             if callback is not None and callback(
                 dataclasses.replace(progress, fraction=fraction, time_left=left)
@@ -194,7 +194,7 @@ def _nest(
 
 
 def _check_counts(bones: Any) -> list[int]:
-    """Numbers of bones, after checking that they fall."""
+    """Numbers of bones, after checking that each is smaller than the one before."""
     if isinstance(bones, (str, bytes)) or not np.iterable(bones):
         raise InputError("bones", "several numbers of bones, as (60, 30, 12)", repr(bones))
     counts = [check_whole(count, "bones", 1) for count in bones]

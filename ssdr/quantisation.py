@@ -1,4 +1,4 @@
-"""Skin weights as files store them: integers that sum to their largest value at every vertex."""
+"""Skin weights as files store them: integers whose sum at a vertex is the largest of their type."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ from .start import Skeleton
 __all__ = ["round_weights"]
 
 _CHANGED = ("rest", "indices", "weights", "transforms", "joint_positions")
-_RIGID = 1e-4  # largest gap of a joint in the mesh's sizes: of single precision
+_RIGID = 1e-4  # largest gap of a rigid joint in single precision, relative to the mesh's size
 
 
 def round_weights(
@@ -30,18 +30,19 @@ def round_weights(
     *,
     storage: Literal["uint8", "uint16"] = "uint8",
 ) -> Decomposition:
-    """A model with weights as a file stores them, and all else solved again for these.
+    """Copy of a model with weights rounded for a file, and rest pose and bones solved for these.
 
-    What :func:`decompose` does at last for ``influences=(K, storage)``, for a model that is there.
-    Weights become whole multiples of 1/255 ("uint8") or 1/65535 ("uint16") that sum to 1, which
-    writers keep exactly; then rest pose, bones and, unit by unit, weights are solved in turns.
+    This is the last step of :func:`decompose` with ``influences=(K, storage)``, for an existing
+    model.  Weights become multiples of 1/255 ("uint8") or 1/65535 ("uint16") that sum to 1, which
+    writers keep exactly.  Then rest pose, bones and, step by step, weights are solved in turns.
 
     Parameters
     ----------
     sequence : MeshSequence, list of them, or (F, V, 3) array
-        What the model should follow, with as many frames as it has.  Held in memory.
+        Animation that the model reproduces, with as many frames as the model.  It is held in
+        memory.
     skinning : Skinning
-        Bones, hierarchy and names stay, every frame becomes a key.
+        The model.  Number of bones, hierarchy and names are kept; every frame becomes a key.
     storage : {"uint8", "uint16"}
 
     Returns

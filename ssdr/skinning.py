@@ -205,7 +205,7 @@ class Skinning:
         return to_local(self.transforms, parents, positions)
 
     def joint_gaps(self) -> NDArray[np.float64]:
-        """``(F, B)`` distances between where a bone and where its parent carry their joint.
+        """Distances ``(F, B)`` between the points to which a bone and its parent move their joint.
 
         0 at roots, and 0 up to rounding where the joints are rigid.
 

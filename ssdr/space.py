@@ -51,7 +51,7 @@ class Space:
         return f"{unit}, {f'{self.up} up' if self.up else 'up axis not stated'}"
 
     def but(self, other: Space) -> Space:
-        """Space with what is known of `other`, and else of this one."""
+        """Space with unit and up axis of `other` where these are known, otherwise of this one."""
         return Space(other.units or self.units, other.up or self.up)
 
 
@@ -62,10 +62,10 @@ def check_space(space: object) -> None:
 
 
 UNKNOWN = Space()
-METRES_Y_UP = Space(1.0, "y")  # of glTF, and of what is exchanged with Blender
+METRES_Y_UP = Space(1.0, "y")  # the space of glTF, and of files exchanged with Blender
 
 
 def common_space(spaces: Iterable[Space]) -> Space:
-    """The space of several meshes; what they disagree about is not known."""
+    """Space of several meshes; a unit or up axis in which they differ is unknown."""
     units, up = (set(known) for known in zip(*((s.units, s.up) for s in spaces), strict=True))
     return Space(units.pop() if len(units) == 1 else None, up.pop() if len(up) == 1 else None)

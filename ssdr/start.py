@@ -1,4 +1,4 @@
-"""Input that a decomposition may begin from: parts of a model, and a skeleton."""
+"""Input from which a decomposition may start: parts of a model, or a skeleton."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ JointKind = Literal["rigid", "loose"]
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Start:
-    """Parts of a model to begin from, and what of them stays.
+    """Parts of a model from which a decomposition starts, some of which are kept unchanged.
 
-    A whole model of which nothing stays, such as a checkpoint, is handed over as a
+    To start from a whole model of which nothing is kept, such as a checkpoint, pass it as a
     :class:`Skinning` instead.
 
     Parameters
     ----------
     rest : (V, 3) array, optional
-        Rest pose; stays as it is.
+        Rest pose, which is kept.
     rest_frame : int
-        Frame at which the rest pose starts where `rest` is not given.
+        If `rest` is not given, the frame whose vertices the solve of the rest pose starts with.
     indices, weights : (V, K) arrays, optional
-        Skin weights; they stay at `locked_vertices`.
+        Skin weights, which are kept at `locked_vertices`.
     locked_vertices : mask or indices, optional
-        Vertices whose given weights stay; all by default.
+        Vertices whose given weights are kept; all by default.
     transforms : (F, B0, 3, 4) array, optional
-        Transforms of B0 bones, at most as many as asked for; those of `locked_bones` stay.
+        Transforms of B0 bones, at most as many as asked for; those of `locked_bones` are kept.
     locked_bones : mask or indices, optional
-        Bones whose given transforms stay; all B0 by default.
+        Bones whose given transforms are kept; all B0 by default.
 
     Examples
     --------
@@ -55,7 +55,7 @@ class Start:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Skeleton:
-    """A skeleton whose bones, parents and names stay, while weights and motion are found.
+    """A skeleton whose bones, parents and names are kept, while weights and motion are found.
 
     Parameters
     ----------
@@ -63,14 +63,14 @@ class Skeleton:
         A model with a hierarchy, such as :func:`load_skinning` reads.  If it moves another mesh,
         its joints are taken to lie in the rest frame and its weights are not used.
     joints : {"rigid", "loose"}
-        "rigid": bone and parent carry the joint to the same point in every frame.  "loose": they
-        may carry it to different points.
+        "rigid": bone and parent move the joint to the same point in every frame.  "loose": they
+        may move it to different points.
     extra_bones : int or mapping
-        Number of bones to add to the skeleton, placed where the error is largest, or how many
-        below which bone, by name: ``{"chest": 2, "hips": 1}``.
+        Number of bones to add to the skeleton where the error is largest; or the number to add
+        below each bone, by its name: ``{"chest": 2, "hips": 1}``.
     locked_joints : sequence of str
-        Joints whose rotation relative to their parent stays as in the skeleton: frame by frame if
-        it has as many frames as the sequence, otherwise as in its only pose.
+        Joints whose rotation relative to their parent is kept as in the skeleton: frame by frame if
+        the skeleton has as many frames as the sequence, otherwise that of its only pose.
 
     Examples
     --------

@@ -25,7 +25,7 @@ class Material:
     metallic, roughness : float
     double_sided : bool
     texture : bytes or None
-        The encoded base colour image, carried untouched.
+        The encoded base colour image, which is never decoded or changed.
     texture_type : str
         MIME type of the texture, ``image/png`` or ``image/jpeg``.
 

@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        Those of the process by default.
+        Arguments of the command; by default those of the process.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     with safe_streams(), interrupt_on_signals():

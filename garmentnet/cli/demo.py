@@ -1,4 +1,4 @@
-"""The demo: the dress that ships on a dance; or every step that leads to a dress, all small."""
+"""The demo: the dress that ships, on a dance; or every step from simulation to a small dress."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ def made_dance(
     seconds: float = _SECONDS,
     classes: Sequence[str] | None = _DANCE,
 ) -> Motion:
-    """A generated dance for a body with the joints of the one that ships.
+    """Generated dance for a body with the same joints as the one that ships.
 
     Raises
     ------
     InputError
-        If it has others.
+        If the body has other joints.
     """
     names = default_body().skeleton.names
     if subject.skeleton.names != names:
@@ -61,7 +61,7 @@ def run_demo(folder: Path | str, *, progress: Show | None = None) -> dict[str, A
     Parameters
     ----------
     folder : path
-        For pictures and meshes.
+        Folder for pictures and meshes.
     progress : callable, optional
         Called with the current step and the fraction of it that is done.
 
@@ -101,7 +101,7 @@ def run_pipeline(folder: Path | str, *, progress: Show | None = None) -> dict[st
     Parameters
     ----------
     folder : path
-        For clips, networks and pictures.
+        Folder for clips, networks and pictures.
     progress : callable, optional
         Called with the current step and the fraction of it that is done.
 

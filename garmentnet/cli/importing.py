@@ -83,7 +83,10 @@ def import_clips(
 
 
 def _files(option: str, words: list[str]) -> list[Path]:
-    """Files by name or, in quotes, by pattern, sorted; numbered meshes are one cloth."""
+    """Files with the given names, or that match the given patterns, sorted.
+
+    A pattern of numbered meshes stays one entry, since they are the frames of one cloth.
+    """
     found: list[Path] = []
     for word in words:
         numbered = Path(word).suffix.lower() in (".obj", ".ply", ".off", ".stl")

@@ -28,7 +28,7 @@ __all__ = [
 def entered_parameters(
     bending: float | None, density: float | None, time_scale: float | None
 ) -> dict[str, float]:
-    """Simulation parameters by name, of those options that were given."""
+    """Simulation parameters that were given as options, by name."""
     options = {"bending": bending, "density": density, "time_scale": time_scale}
     return {name: value for name, value in options.items() if value is not None}
 
@@ -116,7 +116,7 @@ def evaluate(
         str | None, typer.Option(metavar="NAME", help="Method that the others are divided by.")
     ] = None,
 ) -> None:
-    """The paper's table on unseen motions and unseen parameters, beside baselines and floors."""
+    """Score networks on unseen motions and parameters as the paper does, beside baselines."""
     from ..data.store import ClipStore
     from ..evaluation.reporting import report
 
@@ -260,7 +260,7 @@ def demo(
         bool, typer.Option("--train", help="Simulate, decompose and train first, all small.")
     ] = False,
 ) -> None:
-    """The dress that ships on a dance, as pictures, film and meshes, within a minute."""
+    """Dress a dance with the garment that ships: pictures, film and meshes within a minute."""
     from .demo import run_demo, run_pipeline
 
     folder, run = output or output_folder() / "demo", run_pipeline if train else run_demo

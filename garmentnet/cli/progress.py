@@ -11,7 +11,7 @@ from ssdr.cli import progress
 
 __all__ = ["Show", "aligned", "progress_bar"]
 
-# Called with what is being done and the fraction of it that is done.
+# Function called with a text that says what is being done, and the fraction that is done.
 Show = Callable[[str, float], None]
 _EVERY = 5.0  # seconds between lines
 
@@ -25,7 +25,7 @@ def aligned(rows: Sequence[Sequence[str]]) -> str:
 
 @contextlib.contextmanager
 def progress_bar() -> Iterator[Show]:
-    """A bar on a terminal, a line every few seconds elsewhere; yields what updates it."""
+    """Context with a function that shows progress: as a bar on a terminal, otherwise as lines."""
     if not sys.stderr.isatty():
         yield _seldom()
         return
@@ -34,9 +34,10 @@ def progress_bar() -> Iterator[Show]:
 
 
 def _seldom() -> Show:
-    """Print a line, but not more often than every few seconds.
+    """Function that prints a line of progress, at most every few seconds.
 
-    The seconds left follow from the pace since the fraction last fell, as it does with new work.
+    The remaining time is estimated from the rate since the fraction last fell, which it does when a
+    new step begins.
     """
     began = time.monotonic()
     last, since, first, before = began - _EVERY, began, 0.0, 1.0

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["view"]
 
-# Name, seed and classes of motion of the dances that a page has of itself, and their length.
+# Name, seed and classes of motion of the dances that a page shows by default, and their length.
 _DANCES = (
     ("dance", 1, None),
     ("walk and spin", 2, ("walk", "spin")),
@@ -109,7 +109,10 @@ def _dances(subject: Subject) -> list[Take]:
 def _read(
     model: Path, motions: list[Path], entered: dict[str, float], truth: bool, reads: bool
 ) -> tuple[list[Take], SimulationParameters]:
-    """Motions of some files, and the parameters entered or, where none are, of the first clip."""
+    """Motions of some files, and the simulation parameters.
+
+    Parameters that are not entered are those of the first clip, if the garment reads them.
+    """
     import dataclasses
 
     from ..networks.checkpoint import load_checkpoint

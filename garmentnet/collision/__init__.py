@@ -1,1 +1,1 @@
-"""Cloth against the body: distances to the skin, and vertices moved out of it."""
+"""Collision of cloth with the body: distances to the skin, and vertices moved out of the body."""

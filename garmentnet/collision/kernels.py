@@ -10,7 +10,7 @@ corners  (T, 9)                   float64  of the triangles, in the tree's order
 depth                             int      levels of the tree
 boxes    (2**(depth + 1) - 1, 6)  float64  of its nodes
 
-Numbers are passed and indexed one by one: views of rows cost more than the arithmetic.
+Numbers are passed and indexed one by one, since views of rows cost more than the arithmetic.
 """
 
 from __future__ import annotations
@@ -21,12 +21,13 @@ import numpy as np
 
 from ssdr.kernels.policy import inline, kernel
 
-# Metres; what a point must gain for a step to count, and how far within the margin it may be.
+# Least gain of distance, metres, by which a step counts, and tolerance of the margin.
 _GAIN = 1e-6
-# Metres above a point of the skin where it is asked whether the skin is free there.
+# Height above a point of the skin, metres, at which it is tested whether another part covers it.
 _ABOVE = 1e-5
 _STEPS = 24
-# Metres; how far the skin is searched, so that the vertices about a distant one need no search.
+# Distance within which the skin is searched, metres: if a vertex is farther away, its neighbours
+# need no search.
 _LOOK = 0.06
 
 
@@ -78,7 +79,7 @@ def _gap(px, py, pz, boxes, i):
 
 @inline
 def _crossing(px, py, ax, ay, bx, by):
-    """±1 if the edge passes the ray from the point to +x, upwards or downwards; else 0.
+    """Sign of an edge that crosses the ray from the point to +x: 1 upwards, −1 downwards, else 0.
 
     It is computed from the lower end to the upper one, so that the two triangles of an edge agree
     to the last bit and no ray slips between them.
@@ -92,7 +93,7 @@ def _crossing(px, py, ax, ay, bx, by):
 
 @inline
 def _side(px, py, pz, corners, i):
-    """±1 if the ray to +z passes the triangle, out of or into the body; else 0."""
+    """Sign of a triangle that the ray to +z crosses: 1 out of the body, −1 into it, else 0."""
     ax, ay, az = corners[i, 0], corners[i, 1], corners[i, 2]
     bx, by, bz = corners[i, 3], corners[i, 4], corners[i, 5]
     cx, cy, cz = corners[i, 6], corners[i, 7], corners[i, 8]
@@ -193,7 +194,10 @@ def _nearest(px, py, pz, limit, hint, free, scene, nodes, gaps):
 
 @inline
 def _signed(px, py, pz, margin, hint, scene, nodes, gaps):
-    """Signed distance (inf: outside and farther than the margin), triangle, closest point."""
+    """Signed distance of a point to the skin, the nearest triangle and the closest point on it.
+
+    The distance is inf if the point is outside and farther away than the margin.
+    """
     inside = _winding(px, py, pz, scene) > 0
     limit = np.inf if inside else margin * margin
     d, which, x, y, z = _nearest(px, py, pz, limit, hint, False, scene, nodes, gaps)
@@ -217,7 +221,7 @@ def _normal(corners, i):
 
 @inline
 def _move_out(px, py, pz, margin, farthest, hint, scene, nodes, gaps):
-    """The point moved out to the margin, or as far as it goes; with its signed distance."""
+    """Position of a point moved out to the margin, or as far as possible; and its distance."""
     s, which, x, y, z = _signed(px, py, pz, margin, hint, scene, nodes, gaps)
     for _ in range(_STEPS):
         if s >= margin - _GAIN:
@@ -240,7 +244,7 @@ def _move_out(px, py, pz, margin, farthest, hint, scene, nodes, gaps):
             ux, uy, uz = _normal(scene[0], which)
             if ux == 0.0 and uy == 0.0 and uz == 0.0:
                 break
-        # The full margin does not fit between two parts of the body that nearly touch.
+        # Between two parts of the body that nearly touch, the full margin does not fit.
         step, better = margin, False
         for _ in range(5):
             qx, qy, qz = x + step * ux, y + step * uy, z + step * uz

@@ -1,9 +1,10 @@
 """Vertices of a predicted garment moved out of the body.
 
-A network that was trained not to enter the body still does now and then.  Each vertex inside the
-posed body, or nearer to the skin than a margin, gets the shortest displacement that takes it out.
-Jacobi sweeps spread these displacements over the cloth around, so that no edge is torn, and a last
-step takes out what the spreading left inside.  A vertex ends no deeper than it was.
+A network that was trained to keep vertices outside the body fails to do so now and then.  Each
+vertex inside the posed body, or nearer to the skin than a margin, gets the shortest displacement
+out of it.  Jacobi sweeps spread these displacements over the cloth around, so that edges are not
+stretched, and a last step moves out the vertices that are inside after that.  No vertex ends deeper
+inside than it was.
 
 Where two parts of the body overlap, the shortest way out is to skin that no other part covers; if
 there is none within reach, the vertex stays.
@@ -30,17 +31,17 @@ __all__ = ["INSIDE", "MARGIN", "PushOut", "PushedOut", "is_closed"]
 
 # Metres below the skin from which a vertex counts as inside, as for simulated clips.
 INSIDE = 5e-4
-# Metres; the simulated cloth of the data sets comes no nearer to the skin than 4 mm.
+# Distance from the skin, metres, which the simulated cloth of the data sets keeps, too.
 MARGIN = 4e-3
-# Metres that a vertex is moved where the skin that is nearest to it is covered by another limb.
+# Farthest that a vertex is moved, metres, if the skin nearest to it is covered by another limb.
 _FARTHEST = 0.02
-_FRAMES = 8  # of one chunk: the search starts from the triangles found in the frame before
-_LEAF = 4  # triangles, about
+_FRAMES = 8  # frames of a chunk; its searches start from the triangles of the frame before
+_LEAF = 4  # approximate number of triangles in a leaf of the tree
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PushedOut:
-    """A garment outside the body.
+    """Garment whose vertices were moved out of the body.
 
     Attributes
     ----------
@@ -60,28 +61,28 @@ class PushedOut:
 
     @property
     def farthest(self) -> float:
-        """The longest way that a vertex was moved, metres."""
+        """Largest displacement of a vertex, metres."""
         return float(self.distance.max(initial=0.0))
 
 
 class PushOut:
-    """Moves vertices of one garment out of one body.
+    """Push-out of one garment from one body.
 
     Parameters
     ----------
     body : Skinning
-        Its mesh is closed and its triangles face outwards.
+        A body whose mesh is closed, with triangles that face outwards.
     faces : (T, 3) int array
         Triangles of the garment.
     margin : float
-        Metres above the skin that the vertices get; those farther away have no reason to move.
+        Height above the skin, metres, to which vertices are moved; those above it need not move.
     pinned : (V,) bool array, optional
         Vertices that stay where they are; none by default.
     sweeps : int
-        Edges of the cloth that a displacement reaches.  0 moves single vertices, which makes
-        spikes.
+        Number of edges over which a displacement spreads.  With 0 single vertices are moved, which
+        makes spikes.
     n_vertices : int, optional
-        Vertices of the garment, if some of the last are in no triangle.
+        Number of vertices of the garment, needed if the last ones are in no triangle.
 
     Raises
     ------
@@ -137,14 +138,14 @@ class PushOut:
         )
 
     def __call__(self, vertices: ArrayLike, joints: ArrayLike) -> PushedOut:
-        """Move what is inside out.
+        """Move the vertices that are inside the body out of it.
 
         Parameters
         ----------
         vertices : (F, V, 3) array
-            Of the garment, metres.
+            Positions of the garment, metres.
         joints : (F, J, 3, 4) array
-            World transforms of the body from its rest pose.
+            World transforms of the body's joints from its rest pose.
 
         Raises
         ------
@@ -189,8 +190,8 @@ class PushOut:
     ) -> NDArray[np.float64]:
         """Signed distance ``(F, V)`` to the skin, metres, negative inside.
 
-        Infinite where a vertex is outside and farther than `limit`.  Arguments as for a call; the
-        vertices may be any points, and pinned ones are measured too.
+        It is infinite where a vertex is outside and farther than `limit`.  The arguments are those
+        of a call, but the vertices may be any points, and pinned ones are measured, too.
         """
         v, m = self._checked(vertices, joints, any_count=True)
         out = np.empty(v.shape[:2])
@@ -247,7 +248,7 @@ def _neighbours(
 def is_closed(faces: ArrayLike) -> bool:
     """Whether triangles ``(T, 3)`` close a body, as :class:`PushOut` needs.
 
-    Each edge then runs once in each direction for every triangle at it: a ray counts the winding.
+    In a closed mesh, as many triangles use an edge in one direction as in the other.
 
     Examples
     --------

@@ -34,7 +34,7 @@ __all__ = [
 
 @dataclasses.dataclass(frozen=True)
 class DataOptions:
-    """Which clips a network learns from."""
+    """Choice of the clips on which a network is trained."""
 
     store: str = ""
     parameters: str = ""
@@ -47,7 +47,7 @@ class DataOptions:
 
 @dataclasses.dataclass(frozen=True)
 class BoneOptions:
-    """Virtual bones and the split into low and high frequencies; `length` in metres."""
+    """Settings of the virtual bones and of the split by frequency; `length` is in metres."""
 
     length: float = 0.02
     count: int = 80
@@ -60,7 +60,7 @@ class BoneOptions:
 
 @dataclasses.dataclass(frozen=True)
 class FeatureOptions:
-    """Pose features, a network's input, and the moving frame of its output."""
+    """Settings of the pose features, a network's input, and of the moving frame of its output."""
 
     rotation: Literal["vector", "sixd"] = "vector"
     joints: tuple[str, ...] = ()
@@ -75,7 +75,7 @@ class FeatureOptions:
 
 @dataclasses.dataclass(frozen=True)
 class LowOptions:
-    """The low-frequency module."""
+    """Settings of the low-frequency module."""
 
     hidden: int = 600
     rotation: Literal["euler", "sixd"] = "euler"
@@ -86,7 +86,7 @@ class LowOptions:
 
 @dataclasses.dataclass(frozen=True)
 class HighOptions:
-    """The high-frequency module."""
+    """Settings of the high-frequency module."""
 
     kind: Literal["vertices", "basis"] = "vertices"
     hidden: int = 600
@@ -107,7 +107,7 @@ class HighOptions:
 
 @dataclasses.dataclass(frozen=True)
 class TrainOptions:
-    """The training loop."""
+    """Settings of the training loop."""
 
     seed: int = 0
     batch: int = 8
@@ -128,7 +128,7 @@ class TrainOptions:
 
 @dataclasses.dataclass(frozen=True)
 class EnsembleOptions:
-    """Pivots and the kernel that mixes them."""
+    """Settings of the pivots and of the kernel that mixes them."""
 
     pivots: int = 0
     start_from_base: bool = True
@@ -200,7 +200,7 @@ def preset_names() -> list[str]:
 
 
 def load_config(path: Path | str) -> Config:
-    """Read a TOML file, or a preset by its name.
+    """Read a configuration from a TOML file, or a preset by its name.
 
     Raises
     ------
@@ -226,7 +226,7 @@ def load_config(path: Path | str) -> Config:
 
 
 def override(config: Config, changes: Sequence[str]) -> Config:
-    """A configuration with settings changed as ``section.name=value``, values as in TOML.
+    """Copy of a configuration with changes such as ``section.name=value``, with values as in TOML.
 
     Raises
     ------

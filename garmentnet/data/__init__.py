@@ -1,1 +1,1 @@
-"""Clips of a simulated garment, body motion, skeletons and virtual bones; no torch here."""
+"""Clips of a simulated garment, body motion, skeletons and virtual bones, without torch."""

@@ -21,7 +21,7 @@ Float = NDArray[np.float64]
 # Limits against hostile files, far above what a motion of a body needs.
 _MAX_BYTES = 1 << 28
 _MAX_JOINTS = 1000
-_MAX_DEPTH = 200  # joints, one inside the other
+_MAX_DEPTH = 200  # levels of joints
 _FRAME_TIMES = (1e-4, 10.0)  # seconds, shortest and longest
 
 
@@ -35,11 +35,11 @@ class Bvh:
     parents : (J,) int array
         -1 for the root.
     offsets : (J, 3) float array
-        From the parent, in the file's units.
+        Rest position of each joint relative to its parent, in the file's units.
     root : (F, 3) float array
         Translation of the root.
     rotations : (F, J, 3, 3) float array
-        Relative to the parent.
+        Rotation of each joint relative to its parent.
     fps : float
     """
 
@@ -56,7 +56,7 @@ class Bvh:
 
 
 def find_bvh(folder: str | os.PathLike[str]) -> tuple[Path, ...]:
-    """The BVH files (``.bvh``, ``.bvh.gz``) of a folder, sorted by name.
+    """Paths of the BVH files (``.bvh``, ``.bvh.gz``) in a folder, sorted by name.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def read_bvh(path: str | os.PathLike[str]) -> Bvh:
     Raises
     ------
     FormatError
-        If it is damaged or is not one.
+        If the file is damaged or not BVH.
 
     Examples
     --------

@@ -35,7 +35,7 @@ class Clip:
     Attributes
     ----------
     outfit : Outfit
-        Garment and body; those of the store.
+        Garment and body, those of the store.
     name : str
     split : {"train", "validation", "test"}
     motion : str
@@ -43,17 +43,17 @@ class Clip:
     parameters : SimulationParameters
     seed : int
     perturbation : float
-        Metres (RMS) by which the first frame was perturbed; 0 except for the second clip of a
-        pair that measures chaos.
+        RMS displacement, metres, with which the first frame was perturbed; 0 except for the second
+        clip of a pair that measures chaos.
     quality : dict
         ``accepted``, ``reason`` and the measurements of the quality gate.
     provenance : dict
         Scene and versions of the simulator, from which the clip can be made again.
     n_frames : int
     step : float
-        Metres to whose multiples the stored vertices are rounded; 0: they are float32.
+        Step, metres, to whose multiples the stored vertices are rounded; 0: they are float32.
     is_mirrored : bool
-        Reflected in x as it is read; only the original is stored.
+        Whether the clip is reflected in x as it is read; only the original is stored.
     """
 
     outfit: Outfit
@@ -80,7 +80,7 @@ class Clip:
 
     @functools.cached_property
     def sequence(self) -> MeshSequence:
-        """The garment; frames are read from disk when they are used."""
+        """Animation of the garment; frames are read from disk when they are used."""
         vertices = Frames(
             self.path,
             (self.n_frames, self.outfit.n_vertices, 3),
@@ -92,7 +92,7 @@ class Clip:
 
     @functools.cached_property
     def joints(self) -> NDArray[np.float32]:
-        """``(F, J, 3, 4)`` transforms from the body's rest pose to the pose of each frame."""
+        """Transforms ``(F, J, 3, 4)`` from the body's rest pose to the pose of each frame."""
         shape = (self.n_frames, self.outfit.skeleton.n_joints, 3, 4)
         with reading(self.path):
             values = np.asarray(open_array(self.path, "joints", shape)[:])
@@ -103,7 +103,7 @@ class Clip:
 
     @functools.cached_property
     def classes(self) -> NDArray[np.int8]:
-        """``(F,)`` class of motion of each frame, an index into ``CLASSES``."""
+        """Class of motion ``(F,)`` of each frame, an index into ``CLASSES``."""
         with reading(self.path):
             values = np.asarray(open_array(self.path, "classes", (self.n_frames,))[:])
             if values.min() < 0 or values.max() >= len(CLASSES):
@@ -116,7 +116,7 @@ class Clip:
         return np.asarray(skin(rig.rest, rig.indices, rig.weights, self.joints[frames]))
 
     def mirrored(self) -> Clip:
-        """The clip reflected in x; of a mirrored clip, the clip itself.
+        """The clip reflected in x; for a mirrored clip, the original.
 
         Raises
         ------
@@ -130,7 +130,7 @@ class Clip:
 
 
 def spread(lengths: Sequence[int], count: int) -> list[NDArray[np.int64]]:
-    """For clips of these lengths the frames of each, `count` or all together, evenly spread.
+    """Indices of frames of each clip, `count` in total (or all), spread evenly over all clips.
 
     Examples
     --------

@@ -1,7 +1,7 @@
 """Files of one clip: a zarr group of three arrays and its attributes, checked as they are read.
 
-Every chunk carries a checksum, and a missing chunk reads as a value that no clip may hold: damage
-is always found.
+Every chunk has a checksum, and a missing chunk reads as a value that no clip may hold, so that
+damage is always found.
 
 Vertices are float32, or integer multiples of a step of length.  The integers are stored as second
 differences in time, within a chunk, of differences between successive vertices; these are small
@@ -37,7 +37,7 @@ __all__ = [
 ]
 
 Split = Literal["train", "validation", "test"]
-# Frames of vertices that are compressed together: about 1 s, some 100 KiB for 2,000 vertices.
+# Number of frames whose vertices are compressed together: about 1 s, 100 KiB for 2,000 vertices.
 _CHUNK_FRAMES = 32
 # Type of every array, and the value that a missing chunk reads as.
 _ARRAYS: Mapping[str, tuple[str, float]] = {
@@ -64,7 +64,7 @@ def write_clip(
     metadata : dict
         The clip's attributes, plain JSON.
     step : float
-        Metres; coordinates are rounded to its multiples.  0: they are stored as float32.
+        Step, metres, to whose multiples coordinates are rounded; 0: they are stored as float32.
     """
     temporary = free_name(target)
     frames = len(arrays["vertices"])
@@ -83,7 +83,7 @@ def write_clip(
                 dtype=values.dtype,
                 chunks=(chunk, *values.shape[1:]),
                 fill_value=_ARRAYS[key][1],
-                # One file for a chunk, not four folders as well.
+                # A chunk is one file with dots in its name, not a file in nested folders.
                 chunk_key_encoding={"name": "default", "separator": "."},
                 compressors=compressors(
                     values.itemsize, "bitshuffle" if key == "steps" else "shuffle"
@@ -97,7 +97,7 @@ def write_clip(
 
 
 def encode_steps(vertices: NDArray[np.floating], step: float) -> NDArray[np.uint32]:
-    """Vertices ``(F, V, 3)`` as differences ``(F, 3, V)`` of multiples of `step`.
+    """Integer differences ``(F, 3, V)`` that encode vertices ``(F, V, 3)`` as multiples of `step`.
 
     Examples
     --------
@@ -117,7 +117,7 @@ def encode_steps(vertices: NDArray[np.floating], step: float) -> NDArray[np.uint
 
 
 def decode_steps(stored: NDArray[np.uint32], step: float) -> NDArray[np.float32]:
-    """Vertices ``(F, V, 3)`` from :func:`encode_steps`, or from whole chunks of it."""
+    """Vertices ``(F, V, 3)`` that :func:`encode_steps` encoded, all or those of whole chunks."""
     x = (stored >> 1).astype(np.int32) ^ -(stored & 1).astype(np.int32)
     for start in range(0, len(x), _CHUNK_FRAMES):
         chunk = x[start : start + _CHUNK_FRAMES]
@@ -128,12 +128,12 @@ def decode_steps(stored: NDArray[np.uint32], step: float) -> NDArray[np.float32]
 
 
 def open_array(path: Path, name: str, shape: tuple[int, ...]) -> Any:
-    """An array of a clip, still on disk; its type and shape are checked.
+    """Array of a clip, not yet read from disk, after a check of its type and shape.
 
     Raises
     ------
     FormatError
-        If it is missing or another array.
+        If the array is missing, or its type or shape is another.
     """
     with reading(path):
         array = zarr().open_array(str(path / name), mode="r")
@@ -146,18 +146,18 @@ def open_array(path: Path, name: str, shape: tuple[int, ...]) -> Any:
 
 
 class Frames:
-    """Vertices on disk that are read, checked and, if asked, reflected as they are indexed.
+    """Vertices on disk, which are read, checked and possibly reflected when they are indexed.
 
     Parameters
     ----------
     path : Path
-        Of the clip.
+        Path of the clip.
     shape : tuple of int
         F, V, 3.
     step : float
-        Metres of a step of the stored integers; 0: float32 is stored.
+        Step of the stored integers, metres; 0: float32 is stored.
     permutation : (V,) int32 or None
-        The vertex on the other side of each: the clip is reflected in x.
+        Mirror image of each vertex, with which the clip is reflected in x; None: not reflected.
     """
 
     def __init__(
@@ -194,7 +194,7 @@ class Frames:
         return np.asarray(self[:], dtype=dtype)
 
     def _decoded(self, index: Any) -> NDArray[np.float32]:
-        """The frames of an index, from the chunks that hold them."""
+        """Frames selected by an index, decoded from the chunks that hold them."""
         frames = np.arange(len(self))[index]
         chunks, place = np.unique(frames // _CHUNK_FRAMES, return_inverse=True)
         out = np.empty((*np.shape(frames), *self.shape[1:]), np.float32)
@@ -209,12 +209,12 @@ class Frames:
 
 
 def zarr() -> Any:
-    """The package zarr."""
+    """Import the package zarr; a MissingDependencyError if it is not installed."""
     return require("zarr", "garmentnet", "a store of clips")
 
 
 def compressors(itemsize: int = 4, shuffle: str = "shuffle") -> Sequence[Any]:
-    """How the arrays of a store are compressed; `itemsize` in bytes."""
+    """Codecs with which the arrays of a store are compressed; `itemsize` is in bytes."""
     codecs = require("zarr.codecs", "garmentnet", "a store of clips")
     # The checksum comes last: a flipped bit is found before anything is decompressed.
     return (
@@ -237,7 +237,7 @@ def check_finite(values: NDArray[np.floating], what: str, first: int) -> None:
     Raises
     ------
     InputError
-        That names the first frame with NaN or Inf.
+        If a number is not finite; the message names the first frame with NaN or Inf.
 
     Examples
     --------

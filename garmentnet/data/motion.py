@@ -25,7 +25,7 @@ CLASSES = (
     *("stand", "walk", "sway", "spin", "kick", "squat", "jump", "stop"),
     *("recorded", "turn", "shift"),
 )
-# Length of the heading, a unit vector seen from above, below which it says nothing.
+# Horizontal length of the unit vector to the front below which the heading is not determined.
 _NO_HEADING = 1e-3
 
 
@@ -76,7 +76,7 @@ class Motion:
         return self.n_frames
 
     def cut(self, start: int, stop: int) -> Motion:
-        """Frames from `start` up to `stop`."""
+        """Motion with the frames from `start` up to, but not including, `stop`."""
         if not 0 <= start < stop <= self.n_frames:
             raise InputError("start, stop", f"0 to {self.n_frames}", (start, stop))
         return Motion(self.joints[start:stop], self.classes[start:stop], self.fps)
@@ -114,7 +114,7 @@ def interpolate(
 def lead_in(
     skeleton: Skeleton, joints: NDArray[np.float64], moving: int, still: int
 ) -> NDArray[np.float64]:
-    """Transforms ``(moving + still, J, 3, 4)`` that bring the body at rest to the first pose.
+    """Transforms ``(moving + still, J, 3, 4)`` that move the body from rest to its first pose.
 
     The motion starts in the rest pose, at the place and with the heading of the first frame,
     reaches the first pose after `moving` frames and holds it for `still` frames.

@@ -1,4 +1,4 @@
-"""A garment on a body, at rest: what all clips of a store have in common."""
+"""A garment on a body at rest, which all clips of a store share."""
 
 from __future__ import annotations
 
@@ -24,14 +24,15 @@ class Outfit:
         The garment as it was cut, on the body at rest; metres.
     faces : (T, 3) int32
     body : ssdr.Skinning
-        The collider: rest pose, weights and the names of the joints; one frame, at rest.
+        The body as a skinned collider: rest pose, weights and names of the joints; one frame, at
+        rest.
     skeleton : Skeleton
     fps : float
         Frames a second of every clip.
     pinned : (V,) bool
         Vertices that follow the body.
     mirror_vertices : (V,) int32 or None
-        The garment's vertex on the other side of each; None where it is not symmetric.
+        Mirror image of each vertex of the garment; None if it is not symmetric.
     """
 
     rest: NDArray[np.float32]

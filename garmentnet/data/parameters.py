@@ -13,7 +13,7 @@ from ssdr.errors import InputError
 
 __all__ = ["RANGES", "SimulationParameters"]
 
-# Ranges that the data sets cover, [-1, 1] when normalised; the units are those of
+# Ranges that the data sets cover, which normalisation maps to [-1, 1]; units as in
 # SimulationParameters.
 RANGES: Mapping[str, tuple[float, float]] = {
     "bending": (0.2, 2.0),
@@ -38,7 +38,7 @@ class SimulationParameters:
     Raises
     ------
     InputError
-        If one is not a positive, finite number.
+        If a parameter is not a positive, finite number.
 
     Examples
     --------
@@ -62,10 +62,10 @@ class SimulationParameters:
         return f"bending {self.bending:g}, density {self.density:g}, time scale {self.time_scale:g}"
 
     def normalised(self) -> NDArray[np.float64]:
-        """``(3,)`` logarithms of bending, density and time scale, [-1, 1] over :data:`RANGES`.
+        """Logarithms ``(3,)`` of bending, density and time scale, scaled to [-1, 1] on `RANGES`.
 
-        Logarithms, because all three act by their ratio: doubling one is a step of the same
-        length wherever it starts.
+        Logarithms are used because the ratio of two values matters: doubling a parameter is a step
+        of the same length from any value.
 
         Examples
         --------
@@ -84,6 +84,6 @@ class SimulationParameters:
         >>> SimulationParameters(bending=5.0).outside()
         ('bending',)
         """
-        beyond = np.abs(self.normalised()) > 1 + 1e-9  # the ends themselves, with rounding
+        beyond = np.abs(self.normalised()) > 1 + 1e-9  # rounded ends of the range are inside
         names = (f.name for f in dataclasses.fields(self))
         return tuple(n for n, far in zip(names, beyond, strict=True) if far)

@@ -1,4 +1,4 @@
-"""Motion capture carried over to a body of another build."""
+"""Retargeting of motion capture to a body with other proportions."""
 
 from __future__ import annotations
 
@@ -46,29 +46,29 @@ _LIMBS = {"arm": "forearm", "forearm": "hand", "thigh": "shin", "shin": "foot"}
 def retarget(bvh: Bvh, skeleton: Skeleton, *, fps: float = 30.0) -> Motion:
     """Retarget a motion to another skeleton.
 
-    Joints are matched by name.  Every joint takes the world rotation of the joint of that name,
-    relative to the file's zero pose.  Arms and legs may point elsewhere in the body's rest pose
-    (A-pose against T-pose): the shortest rotation from the one direction to the other comes
-    first.  The root's path is scaled by the length of the legs, starts above the origin and is
-    raised so that the feet stand on y = 0.
+    Joints are matched by name.  Every joint takes the world rotation of the matching joint,
+    relative to the file's zero pose.  Arms and legs of the body's rest pose may have other
+    directions (A-pose and T-pose), so the shortest rotation from one direction to the other is
+    applied first.  The root's path is scaled by the length of the legs, starts above the origin and
+    is raised so that the feet stand on y = 0.
 
     Parameters
     ----------
     bvh : Bvh
     skeleton : Skeleton
-        Of :mod:`garmentnet.scenes.body`, or with the same names.
+        Skeleton of :mod:`garmentnet.scenes.body`, or one with the same names.
     fps : float
-        Of the result.
+        Frame rate of the result.
 
     Returns
     -------
     Motion
-        Of the class ``recorded``.
+        Motion whose frames are of the class ``recorded``.
 
     Raises
     ------
     InputError
-        If the file has no joint for one that is needed; the message says which.
+        If the file has no match for a joint that is needed; the message says which.
     """
     if not (math.isfinite(fps) and 1 <= fps <= 1000):
         raise InputError("fps", "1 to 1000", fps)
@@ -86,7 +86,7 @@ def retarget(bvh: Bvh, skeleton: Skeleton, *, fps: float = 30.0) -> Motion:
     left = across - (across @ up) * up
     if np.linalg.norm(left) < 1e-9 or np.linalg.norm(down) < 1e-9:
         raise InputError("bvh", "hips with a left, a right and legs", "a skeleton without")
-    # Snapped to the nearest axes: a zero pose may lean a little, the file's axes do not.
+    # Rounded to the nearest axes of the file, since the figure in a zero pose may lean a little.
     up, left = _axis(up), _axis(left)
     ours = np.stack([left, up, np.cross(left, up)])
     legs = sum(
@@ -123,7 +123,7 @@ def retarget(bvh: Bvh, skeleton: Skeleton, *, fps: float = 30.0) -> Motion:
     soles = skeleton.positions(joints)[:, [skeleton.index(n) for n in ("foot_l", "foot_r")], 1]
     # The second percentile, not the minimum: a few frames of noise may lie below the floor.
     joints[..., 1, 3] -= np.percentile(soles.min(axis=1), 2) - _rest(skeleton, "foot_l")[1]
-    # 1e-3 of a frame: a rate written as 0.0333333 s must not cost the last frame.
+    # 1e-3 of a frame is added, so that a frame time written as 0.0333333 s keeps the last frame.
     frames = max(1, math.floor((count - 1) * fps / bvh.fps + 1e-3) + 1)
     at = np.arange(frames, dtype=np.float64) * (bvh.fps / fps)
     joints = interpolate(skeleton, joints, at)
@@ -132,7 +132,7 @@ def retarget(bvh: Bvh, skeleton: Skeleton, *, fps: float = 30.0) -> Motion:
 
 
 def _match(bvh: Bvh, skeleton: Skeleton) -> dict[str, int]:
-    """The file's joint of each of the skeleton's."""
+    """Index of the file's joint that matches each joint of the skeleton, by name."""
     theirs = {n.split(":")[-1].replace("_", "").lower(): j for j, n in enumerate(bvh.names)}
     matched: dict[str, int] = {}
     taken: set[int] = set()
@@ -163,12 +163,12 @@ def _match(bvh: Bvh, skeleton: Skeleton) -> dict[str, int]:
 
 
 def _first_frame(bvh: Bvh, world: Float) -> int:
-    """First frame of the motion itself.
+    """Index of the first frame of the motion itself.
 
     Some converters put a calibration pose before the motion and jump from it within a few
-    frames.  The start is left out as long as it is much faster than the motion itself.
+    frames.  Frames at the start that move much faster than the rest are left out.
     """
-    # Frames that may be left out: 12 (0.1 s at 120 frames a second), at most a quarter.
+    # Most frames that may be left out: 12 (0.1 s at 120 frames per second), but at most a quarter.
     lead = min(12, bvh.n_frames // 4)
     if lead == 0:
         return 0
@@ -177,7 +177,7 @@ def _first_frame(bvh: Bvh, world: Float) -> int:
         if parent >= 0:
             heads[:, j] = heads[:, parent] + world[:, parent] @ bvh.offsets[j]
     speed = np.linalg.norm(np.diff(heads, axis=0), axis=2).max(axis=1)
-    # By half faster than the 99th percentile: faster than the motion ever is, but for noise.
+    # 1.5 times the 99th percentile of speed: faster than the motion ever is, apart from noise.
     fast = speed[:lead] > 1.5 * np.percentile(speed[lead:], 99)
     return int(fast.argmin()) if not fast.all() else lead
 

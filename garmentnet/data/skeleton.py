@@ -1,4 +1,4 @@
-"""A body's skeleton: its joints' hierarchy and rest positions, poses of them."""
+"""A body's skeleton: hierarchy and rest positions of its joints, and conversion of poses."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _ORTHOGONAL = 1e-3
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Skeleton:
-    """Joints in the rest pose; every joint's axes are the world's there.
+    """Joints in the rest pose, with axes aligned with those of the world.
 
     Parameters
     ----------
     names : tuple of str
-        Left and right joints differ by the ends ``_l`` and ``_r``.
+        Names of the joints; those of left and right ones end in ``_l`` and ``_r``.
     parents : (J,) int array
         The parent of every joint, which comes before it; -1 for the root, the first.
     rest : (J, 3) float array
@@ -70,7 +70,7 @@ class Skeleton:
         return len(self.names)
 
     def index(self, name: str) -> int:
-        """Number of the joint `name`."""
+        """Index of the joint `name`."""
         if name not in self.names:
             raise InputError("name", f"one of {', '.join(self.names)}", repr(name))
         return self.names.index(name)
@@ -92,7 +92,7 @@ class Skeleton:
         return sorted({0, *map(self.names.index, names or self.names)})
 
     def mirror(self) -> NDArray[np.int32]:
-        """The joint ``(J,)`` on the other side of each; where there is none, the joint itself."""
+        """Index ``(J,)`` of the mirror image of each joint; the joint itself if there is none."""
         other, number = {"_l": "_r", "_r": "_l"}, {n: j for j, n in enumerate(self.names)}
         return np.array(
             [number.get(n[:-2] + other.get(n[-2:], n[-2:]), j) for n, j in number.items()],
@@ -181,9 +181,9 @@ class Skeleton:
 
 
 def mirror_transforms(joints: ArrayLike, mirror: ArrayLike) -> NDArray[np.floating]:
-    """Reflect world transforms ``(F, J, 3, 4)`` in x: S M S of the joint on the other side.
+    """World transforms ``(F, J, 3, 4)`` reflected in x: S M S, with M of the mirrored joint.
 
-    They stay rigid: one reflection comes before, one after.
+    They stay rigid, since the reflection S is applied twice.
 
     Examples
     --------

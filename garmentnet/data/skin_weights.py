@@ -1,8 +1,8 @@
-"""Skin weights on the body's joints: dense ones reduced, and those of what the body carries.
+"""Skin weights on the body's joints, and vertices of the garment that are bound to the body.
 
-What is pinned to the body (a bodice, a waistband) moves by the body's joints and by nothing else:
-it is skinned, not predicted.  Weights that reproduce it are found from the clips, so that a store
-needs no other statement.
+Parts of a garment that are pinned to the body (a bodice, a waistband) are moved by its joints
+alone.  Such vertices are called bound to the body; they are skinned, not predicted.  They and their
+weights are found from the clips, so that a store need not state them.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from .store import ClipStore
 
 __all__ = ["BodyBound", "find_body_bound", "strongest"]
 
-# Metres; a vertex that skinning the body misses by less in every frame looked at is bound to it.
+# Largest error, metres, of skinning by the body at which a vertex counts as bound, in all frames.
 _CLOSE = 1e-4
-_INFLUENCES = 8  # joints a vertex, as engines support
-_FRAMES = 240  # looked at, evenly spread over the clips
+_INFLUENCES = 8  # joints per vertex, as many as engines support
+_FRAMES = 240  # number of frames compared, evenly spread over the clips
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class BodyBound:
-    """Vertices that the body's joints carry, and their skin weights.
+    """Vertices of a garment that the body's joints alone move, and their skin weights.
 
     Attributes
     ----------
     index : (b,) int32
-        Ascending.
+        Indices of the vertices, ascending.
     rest, smooth : (b, 3) float64
-        At rest, and at rest after the smoother that splits low from high frequencies; metres.
-    joints, weights : (b, K) int32, float64
-        Of the body.
+        Rest positions in metres, as they are and smoothed (the low frequencies).
+    indices, weights : (b, K) int32, float64
+        Joints of the body that move each vertex, and their weights.
     """
 
     index: NDArray[np.int32]
@@ -49,7 +49,7 @@ class BodyBound:
     weights: NDArray[np.float64]
 
     def place(self, vertices: NDArray[Any], joints: Any) -> NDArray[Any]:
-        """A copy of `vertices` ``(F, V, 3)`` with these where joints ``(F, J, 3, 4)`` put them."""
+        """A copy of `vertices` ``(F, V, 3)`` with the bound ones skinned by joints (F, J, 3, 4)."""
         out = np.array(vertices)
         m = np.asarray(joints, np.float64)
         out[:, self.index] = ssdr.skin(self.rest, self.indices, self.weights, m)
@@ -59,9 +59,9 @@ class BodyBound:
 def find_body_bound(
     store: ClipStore, names: Sequence[str], smoother: LaplacianSmoother
 ) -> BodyBound | None:
-    """The vertices that skinning the body reproduces within 0.1 mm; None if there are none.
+    """Vertices that skinning by the body reproduces within 0.1 mm; None if there are none.
 
-    Where stored vertices are rounded, their rounding is added.
+    If stored vertices are rounded, the rounding error is added to the tolerance.
 
     Parameters
     ----------
@@ -69,11 +69,11 @@ def find_body_bound(
     names : sequence of str
         Training clips.
     smoother : LaplacianSmoother
-        On the store's rest pose.
+        Smoother on the store's rest pose.
     """
     vertices, joints, close = [], [], _CLOSE
     for clip, here in store.sample(names, _FRAMES):
-        # Stored vertices lie in a cube of steps: half of its diagonal is rounding.
+        # Rounding moves a vertex by at most half the diagonal of a cube of side `step`.
         close = max(close, _CLOSE + math.sqrt(3) / 2 * clip.step)
         vertices.append(clip.sequence.frames(here))
         joints.append(clip.joints[here])
@@ -100,19 +100,19 @@ def find_body_bound(
 def strongest(
     weights: NDArray[np.float64], count: int
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """The strongest influences of every vertex, their weights scaled to sum 1.
+    """Strongest influences of every vertex, with weights scaled to sum 1.
 
     Parameters
     ----------
     weights : (V, B) array
-        Dense, >= 0, no row all 0.
+        Dense weights >= 0, of which no row is all 0.
     count : int
-        K, influences a vertex.
+        Number K of influences per vertex.
 
     Returns
     -------
     joints : (V, K) int32
-        Strongest first; 0 where the weight is 0.
+        Joints, strongest first; 0 where the weight is 0.
     weights : (V, K)
 
     Examples

@@ -42,13 +42,13 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.\-]*\Z")
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class ClipStore(Outfit):
-    """A folder of clips of one garment on one body, from :meth:`create` or :meth:`open`.
+    """Folder of clips of one garment on one body; made by :meth:`create` or :meth:`open`.
 
     Attributes
     ----------
     path : Path
 
-    The attributes of :class:`~garmentnet.data.outfit.Outfit` come first.
+    It also has the attributes of :class:`~garmentnet.data.outfit.Outfit`.
 
     Examples
     --------
@@ -103,13 +103,13 @@ class ClipStore(Outfit):
         faces : (T, 3) int array
         body : Skinning
         skeleton : Skeleton
-            With the names of the body's bones.
+            Skeleton whose joints have the names of the body's bones.
         fps : float
         mirror_vertices : (V,) int array, optional
         pinned : (V,) bool array, optional
-            None by default.
+            Mask of the vertices that follow the body; by default none does.
         attributes : mapping, optional
-            Further facts to store, plain JSON.
+            Further information to store, plain JSON.
 
         Raises
         ------
@@ -178,7 +178,7 @@ class ClipStore(Outfit):
         Raises
         ------
         FormatError
-            If it is not a store of clips or a part of it is missing or damaged.
+            If `path` is not a store of clips, or a part of the store is missing or damaged.
         """
         target = Path(path)
         check(target.is_dir(), f"{target}: no such folder")
@@ -244,14 +244,14 @@ class ClipStore(Outfit):
         return tuple(clip.name for clip in self.clips(*args, **kwargs))
 
     def clip(self, name: str) -> Clip:
-        """A clip by its name; reflected if the name ends in ``~mirrored``.
+        """A clip by its name; it is reflected if the name ends in ``~mirrored``.
 
         Raises
         ------
         InputError
-            If there is none of that name.
+            If there is no clip of that name.
         FormatError
-            If it is damaged.
+            If the clip is damaged.
         """
         if name.endswith(MIRRORED):
             return self.clip(name.removesuffix(MIRRORED)).mirrored()
@@ -280,18 +280,18 @@ class ClipStore(Outfit):
             )
 
     def sample(self, names: Sequence[str], count: int) -> Iterator[tuple[Clip, NDArray[np.int64]]]:
-        """Clips and frames of each, `count` or all together, evenly spread."""
+        """Clips and indices of frames of each, `count` in total (or all), evenly spread."""
         clips = [self.clip(n) for n in names]
         chosen = spread([c.n_frames for c in clips], count)
         return ((c, f) for c, f in zip(clips, chosen, strict=True) if len(f))
 
     def parameters(self) -> tuple[SimulationParameters, ...]:
-        """The parameter sets of accepted clips, those with most clips first."""
+        """Parameter sets of accepted clips, those with the most clips first."""
         count = Counter(clip.parameters for clip in self.clips())
         return tuple(sorted(count, key=lambda p: (-count[p], dataclasses.astuple(p))))
 
     def pairs(self) -> tuple[tuple[str, str], ...]:
-        """Names of each accepted clip and of the same clip from a perturbed first frame."""
+        """Names of accepted clips, each with that of the same clip from a perturbed first frame."""
         named = []
         for twin in self.clips(perturbed=True):
             original = str(twin.provenance.get("repeat_of", ""))
@@ -330,14 +330,15 @@ class ClipStore(Outfit):
             Letters, digits, ``_``, ``.`` and ``-``.
         vertices : (F, V, 3) array
         joints : (F, J, 3, 4) array
-            From the body's rest pose to the pose of each frame.
+            Transforms from the body's rest pose to the pose of each frame.
         classes : (F,) int array
         split, motion, parameters, seed, quality, provenance, perturbation
             As in :class:`Clip`.  `quality` must hold a bool ``accepted``; only a clip that is not
             accepted may hold NaN or Inf.
         step : float
-            Metres to whose multiples the vertices are rounded, which takes an eighth of the space;
-            0: they are stored as float32, as those of a clip that is not accepted always are.
+            Step, metres, to whose multiples the vertices are rounded, which takes an eighth of the
+            space.  With 0 they are stored as float32; those of a clip that is not accepted always
+            are.
 
         Raises
         ------
@@ -383,9 +384,9 @@ class ClipStore(Outfit):
         return self.clip(name)
 
     def sweep(self) -> int:
-        """Remove incomplete clips that killed writers left behind; their number.
+        """Remove incomplete clips that killed writers left behind, and return their number.
 
-        Only while nobody writes to the store.
+        It must not be called while another process writes to the store.
         """
         left = list((self.path / "clips").glob(".*"))
         for path in left:

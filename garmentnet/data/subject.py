@@ -1,4 +1,4 @@
-"""Whom a network was trained for: virtual bones, body, skeleton, frame rate."""
+"""Garment and body that a network was trained for: virtual bones, skeleton, frame rate."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Subject:
     garment_id : str
         Hash of the simulated mesh; see :func:`mesh_identity`.
     bound : BodyBound or None
-        Vertices that the body carries; None: all are predicted.
+        Vertices bound to the body; None if all are predicted.
     """
 
     garment: Skinning

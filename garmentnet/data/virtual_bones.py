@@ -2,7 +2,7 @@
 
 `ssdr.decompose` finds one rest pose and one set of skin weights from training frames; every clip's
 transforms are then fitted to its low frequencies.  The results are stored in a folder beside the
-store, one clip at a time, so that an interrupted run continues and nothing is computed twice.
+store, one file per clip, so that an interrupted run continues and nothing is computed twice.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ __all__ = ["VirtualBones", "parameter_roles", "virtual_bones"]
 
 # Refitting ends when a sweep lowers the error by less than this fraction: about 1 µm of 10 mm.
 _TOLERANCE = 1e-4
-_SWEEPS = 30  # at most
+_SWEEPS = 30  # most sweeps of a fit
 
 _logger = logging.getLogger(__name__)
 Progress = Callable[[str, float], None]
@@ -64,7 +64,7 @@ def parameter_roles(store: ClipStore) -> dict[SimulationParameters, str]:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class VirtualBones:
-    """The virtual bones of a garment, and the folder with the parts of its clips.
+    """Virtual bones of a garment, and the folder of what is computed from its clips with them.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class VirtualBones:
     report : dict
         Frames used and error of the decomposition.
     bound : BodyBound or None
-        Vertices that the body carries.
+        Vertices bound to the body.
     """
 
     folder: Path
@@ -88,7 +88,7 @@ class VirtualBones:
 
     @property
     def subject(self) -> Subject:
-        """Garment and body, as a network takes them."""
+        """Garment and body in the form that a network needs."""
         store = self.store
         identity = mesh_identity(store.rest, store.faces)
         return Subject(self.skinning, store.body, store.skeleton, store.fps, identity, self.bound)
@@ -122,9 +122,9 @@ class VirtualBones:
         return np.asarray(found.skinning.transforms, np.float32)
 
     def kept(self, folder: str, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-        """Arrays of a clip in a folder beside the bones, made where they are not there yet.
+        """Arrays of a clip in the subfolder `folder`, which `make` computes if they are missing.
 
-        They are made anew for another clip of the same name.
+        They are computed anew for another clip of the same name.
         """
         return kept(self.folder / folder / f"{name}-{_digest(self.store, [name])}.npz", make)
 
@@ -137,24 +137,24 @@ def virtual_bones(
     folder: Path | str | None = None,
     progress: Progress | None = None,
 ) -> VirtualBones:
-    """The virtual bones of a store; read if they were computed before.
+    """Virtual bones of a store, which are read if they were computed before.
 
     Parameters
     ----------
     store : ClipStore
     options : BoneOptions
     subject : Subject, optional
-        Of a trained network, whose bones are taken.
+        Garment and body of a trained network, whose bones are used.
     folder : path, optional
-        ``<store>.bones`` beside the store by default, with one folder inside for each set of
-        options and training clips.
+        Folder for the results, with a subfolder for each set of options and training clips;
+        ``<store>.bones`` beside the store by default.
     progress : callable, optional
         Called with a description of the current step and the fraction that is done.
 
     Raises
     ------
     InputError
-        If the store has no training clips, or `subject` wears another garment.
+        If the store has no training clips, or `subject` has another garment.
     """
     garment = mesh_identity(store.rest, store.faces)
     if subject is not None and subject.garment_id != garment:

@@ -1,1 +1,1 @@
-"""How a garment on its body is shown."""
+"""Drawing of a garment on its body."""

@@ -1,4 +1,4 @@
-"""Body and cloth as one mesh of two colours, and what stands beside them in pictures."""
+"""Body and cloth as one mesh of two colours, and pictures, camera paths and captions of it."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ __all__ = [
 ]
 
 MILLIMETRES = ("mm", 1000.0)
-# Degrees beside the front of a body: both its front and the depth of a skirt are seen.
+# Azimuth of the camera from the front, degrees: shows both the front and the depth of a skirt.
 _AZIMUTH = 32.0
 _SMOOTH = 0.25  # s, deviation of the Gaussian that smooths the path of the camera
 _HORIZONTAL = np.array([1.0, 0.0, 1.0])
-# Length of the heading, a unit vector seen from above, below which it says nothing.
+# Horizontal length of the unit vector to the front below which the heading is not determined.
 _NO_HEADING = 1e-3
 
 
@@ -74,26 +74,26 @@ def outfit_regions(outfit: Outfit) -> dict[str, NDArray[np.bool_]]:
 
 
 def camera_track(root: ArrayLike, fps: float) -> NDArray[np.float64]:
-    """Path ``(F, 3)`` of a camera that walks along with a root: horizontal and smooth.
+    """Smooth horizontal path ``(F, 3)`` of a camera that follows a root.
 
-    Heights stay, so that jumps are seen.
+    Its height does not change, so that jumps are seen.
     """
     path = np.asarray(root, dtype=np.float64) * _HORIZONTAL
     return np.asarray(gaussian_filter1d(path, _SMOOTH * fps, axis=0, mode="nearest"))
 
 
 def facing_the_camera(vertices: Any, root: ArrayLike, joints: Any) -> NDArray[np.float32]:
-    """Vertices ``(F, V, 3)``, every frame turned and moved on the floor to one heading and place.
+    """Vertices ``(F, V, 3)``, moved and turned on the floor to the same place and heading.
 
-    For pictures of single frames, which then show the front of every pose; errors stay the same.
+    Pictures of single frames then show the front of every pose.  Errors do not change.
 
     Parameters
     ----------
     vertices : (F, V, 3) array
     root : (F, 3) array
-        Places of the root joint.
+        Positions of the root joint.
     joints : (F, J, 3, 4) array
-        The first is the root.
+        World transforms of the joints, of which the first is the root.
     """
     m = np.asarray(joints, dtype=np.float64)
     forward = m[:, 0, :, 2]
@@ -117,22 +117,22 @@ def outfit_sheet(
     truth: Clip | None = None,
     frames: int = 5,
 ) -> Image.Image:
-    """A picture of some frames side by side, each seen from beside the body's front.
+    """Picture of some frames side by side, each seen from a little beside the body's front.
 
-    Rows are truth, prediction and error, or the prediction alone.  The head has the RMSE of all
-    frames over the cloth, a column that of its frame.
+    Rows are truth, prediction and error, or the prediction alone.  The header states the RMSE of
+    the cloth over all frames, each column that of its frame.
 
     Parameters
     ----------
     body, cloth : MeshSequence
-        The cloth is the prediction; its name is the title.
+        Body and predicted cloth; the name of the cloth is the title.
     joints : (F, J, 3, 4) array
     root : (F, 3) array
-        Places of the root joint.
+        Positions of the root joint.
     truth : Clip, optional
         The simulated clip of the same motion.
     frames : int
-        How many, evenly spread.
+        Number of frames, evenly spread.
     """
 
     def facing(vertices: Any) -> MeshSequence:
@@ -182,7 +182,7 @@ def draw_clip(clip: Clip, prediction: NDArray[np.float32], path: Path) -> Path:
 
 
 def spread_frames(count: int, n_frames: int) -> list[int]:
-    """At most `count` frames, evenly over a clip.
+    """Indices of at most `count` frames, spread evenly over a clip.
 
     Examples
     --------
@@ -199,7 +199,7 @@ def caption(
     classes: Sequence[int] | NDArray[np.integer] | None,
     between: str = "  ·  ",
 ) -> str:
-    """Class of motion of a frame, if that is known, and its time.
+    """Caption of a frame: its class of motion, if known, and its time.
 
     Examples
     --------

@@ -1,1 +1,1 @@
-"""Errors on unseen clips, beside baselines and bounds."""
+"""Errors of networks, baselines and bounds on unseen clips."""

@@ -1,4 +1,4 @@
-"""Baselines that learn at once: mean shape, body skinning, ridge regression."""
+"""Baselines that need no iterative training: mean shape, body skinning, ridge regression."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from .methods import Method
 
 __all__ = ["BodySkinned", "MeanShape", "Ridge", "body_skinning"]
 
-_INFLUENCES = 8  # joints a vertex, as engines support
-# Metres; closer body vertices count like this far, so that no weight is infinite.
+_INFLUENCES = 8  # joints per vertex, as many as engines support
+# Least distance, metres, of a body vertex in its weight, so that no weight is infinite.
 _CLOSEST = 1e-4
-# Factors of the number of frames, from hardly a penalty to a dominant one.
+# Penalties per frame that are tried, from a negligible to a dominant one.
 _PENALTIES = 10.0 ** np.arange(-6, 2)
-# Training frames of the ridge, about, of clips that are evenly spread: 200 for each of its inputs.
+# Approximate number of frames to which the ridge is fitted, in evenly spread clips: 200 per input.
 _FRAMES = 24000
-# Training frames of the mean, evenly spread.
+# Number of training frames, evenly spread, of which the mean is taken.
 _MEAN_FRAMES = 4000
 # Pose features of one frame, without memory.
 _STATIC = FeatureOptions(
@@ -43,7 +43,7 @@ _STATIC = FeatureOptions(
 
 
 class MeanShape(Method):
-    """The mean of the training frames, moved with the root's position and heading.
+    """Baseline whose garment is the mean of the training frames, moved with the root and heading.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class MeanShape(Method):
 
 
 def body_skinning(store: ClipStore, *, neighbours: int = 8) -> Skinning:
-    """The garment's rest pose on the body's joints.
+    """Skinning of the garment's rest pose by the body's joints.
 
     Weights are interpolated from the closest body vertices in the rest pose, by inverse squared
     distance, which is how riggers start.
@@ -82,7 +82,7 @@ def body_skinning(store: ClipStore, *, neighbours: int = 8) -> Skinning:
     ----------
     store : ClipStore
     neighbours : int
-        Body vertices.
+        Number of body vertices from which a weight is interpolated.
     """
     body = store.body
     count = min(neighbours, body.n_vertices)
@@ -95,7 +95,7 @@ def body_skinning(store: ClipStore, *, neighbours: int = 8) -> Skinning:
 
 
 class BodySkinned(Method):
-    """The garment's rest pose, skinned by the body's joints."""
+    """Baseline that skins the garment's rest pose by the body's joints."""
 
     name = "body-skinned"
 
@@ -109,11 +109,11 @@ class BodySkinned(Method):
 
 
 class Ridge(Method):
-    """Ridge regression from the pose of a frame to the bones' motion, without memory.
+    """Baseline that predicts the bones from the pose of a single frame by ridge regression.
 
     The input is the pose relative to the root as 6D rotations, the output the rotations and centres
-    of the bones.  The penalty is the best of a grid on the validation clips.  The mean detail of
-    the training clips is added.
+    of the bones.  Of several penalties the one with the least error on the validation clips is
+    taken.  The mean detail of the training clips is added.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ class Ridge(Method):
         self.code = BoneCode(garment.centroids(), "sixd")
         self.lbs = TorchSkinning.of(garment)
         self.high = MeanShape(bones, names).high
-        # Fitting the bones of a clip is what costs.
+        # Fitting the bones of a clip takes most of the time.
         length = sum(bones.store.clip(n).n_frames for n in names)
         every = max(1, round(length / _FRAMES))
         pairs = [self._pair(bones, n) for n in names[::every]]

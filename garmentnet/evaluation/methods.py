@@ -1,4 +1,4 @@
-"""What is evaluated: the interface of a method, networks, the push-out and the bound."""
+"""Methods that are evaluated: their interface, networks, the push-out and the bound."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ class Method(ABC):
     def predict(self, clip: Clip) -> Array:
         """Vertices ``(F, V, 3)`` in the world, metres, float32.
 
-        What may be read of the clip is its motion, ``joints``, and its ``parameters``.
+        Of the clip, a method may read only the motion ``joints`` and the ``parameters``.
         """
 
     def split(self, clip: Clip, bones: VirtualBones) -> tuple[Array, Array]:
-        """The prediction as low and high part, each ``(F, V, 3)``.
+        """Low- and high-frequency part of the prediction, each ``(F, V, 3)``.
 
-        A method without two modules is split like the data: its smoothed vertices are the low
-        part.  Vertices that the body carries are placed by it, since every method knows them.
+        By default the prediction is split like the data: its smoothed vertices are the low part.
+        Vertices bound to the body are placed by the body, since every method knows them.
         """
         vertices = self.predict(clip)
         if bones.bound is not None:
@@ -51,7 +51,10 @@ class Method(ABC):
 
 
 class Network(Method):
-    """A checkpoint; an ensemble, or a network that reads parameters, is given the clip's."""
+    """Prediction by a checkpoint.
+
+    An ensemble, or a network that reads parameters, is given those of the clip.
+    """
 
     def __init__(self, name: str, checkpoint: Checkpoint) -> None:
         self.name, self.checkpoint = name, checkpoint
@@ -67,9 +70,9 @@ class Network(Method):
 
 
 class PushedMethod(Method):
-    """Another method with its vertices moved out of the body; pinned vertices stay.
+    """Prediction of another method with its vertices moved out of the body; pinned ones stay.
 
-    What is moved counts as detail: the low part is the other method's.
+    The displacement counts as detail: the low part is that of the other method.
 
     Parameters
     ----------
@@ -98,7 +101,7 @@ class PushedMethod(Method):
 
 
 class BonesThemselves(Method):
-    """LBS with the fitted transforms, and the simulated detail: the bound for every network."""
+    """The bound for every network: skinning with the fitted bones, plus the simulated detail."""
 
     name = "bones themselves"
 

@@ -1,7 +1,7 @@
-"""The baselines of the paper's tables 2 and 3, as published and strengthened.
+"""The baselines of the paper's tables 2 and 3, as published and in stronger variants.
 
-Where a publication depends on data that is not here (body shapes, styles, images) that part is left
-out: all clips are of one body and one garment.
+Parts of a publication that depend on several body shapes, styles or images are left out, since all
+clips are of one body and one garment.
 """
 
 from __future__ import annotations
@@ -27,11 +27,12 @@ from .regression import FrameMLP, Variant, WindowMLP
 __all__ = ["BASELINES", "SANTESTEBAN", "TransformerDetail", "train_chen"]
 
 # Santesteban, Otaduy & Casas 2019, "Learning-based animation of clothing for virtual try-on": a GRU
-# from the body's pose to offsets of the rest pose.  Here it reads what the network at hand reads.
+# from the body's pose to offsets of the rest pose.  Here it reads the features of the network that
+# it is compared with.
 SANTESTEBAN = Variant("Santesteban 2019")
 BASELINES = (
-    # Patel, Liao & Pons-Moll 2020: layers that see the pose of one frame, for the smoothed garment
-    # and for its detail.  With one body and one style its mixture has one part.
+    # Patel, Liao & Pons-Moll 2020: MLPs that read the pose of one frame, one for the smoothed
+    # garment and one for its detail.  With one body and one style, the mixture has one component.
     Variant(
         "TailorNet",
         parts=("low", "high"),
@@ -39,10 +40,10 @@ BASELINES = (
         features="rooted",
         changes=("features.velocities=false", "features.root_motion=false"),
     ),
-    # Zhang, Wang, Ceylan & Mitra 2021, "Dynamic Neural Garments", its coarse garment alone, in its
-    # spirit: layers that see the last frames of the body's motion, without skinning.
+    # After the coarse garment of Zhang, Wang, Ceylan & Mitra 2021, "Dynamic Neural Garments": an
+    # MLP that reads the last frames of the body's motion, without skinning.
     Variant("DNG, coarse", parts=("low",), network=WindowMLP, unposed=False, features="rooted"),
-    # As published it reads rotations alone, not where the body goes.
+    # The published version reads rotations alone, not the translation of the body.
     Variant(
         "Santesteban 2019, as published",
         parts=("low",),
@@ -63,9 +64,9 @@ class TransformerDetail(DetailBasis):
     Parameters
     ----------
     inputs, n_vertices, hidden, rank
-        As of :class:`~garmentnet.networks.detail_basis.DetailBasis`.
+        As for :class:`~garmentnet.networks.detail_basis.DetailBasis`.
     frames : int
-        Of a window; the last one of a motion may be shorter.
+        Length of a window; the last one of a motion may be shorter.
     """
 
     def __init__(
@@ -104,9 +105,10 @@ def train_chen(
     model : Checkpoint
         A trained network with detail in a basis.
     tracks, validation : list of Track
-        With the inputs of that network.
+        Tracks with the inputs of that network.
     folder : Path
-        For the state: an interrupted training continues, a finished one is read.
+        Folder of the training's state, from which an interrupted training continues and a finished
+        one is read.
     hidden : int
         Width of the transformer, a multiple of 4.
     callback : callable, optional
@@ -125,7 +127,7 @@ def train_chen(
         o.train,
         name="high",
         epochs=o.train.high_epochs,
-        # A transformer does not bear a GRU's.
+        # A transformer does not converge at the rate of a GRU.
         learning_rate=o.train.high_learning_rate / 10,
         folder=folder,
         callback=callback,

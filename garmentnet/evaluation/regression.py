@@ -1,8 +1,8 @@
 """Baselines of the paper's table 2 that regress offsets or positions of the vertices.
 
-They differ in three things: what the network reads, which network it is, and relative to what it
-predicts.  The last layer gives coefficients of principal components of the training frames, some
-two hundred numbers in place of 3 V, which changes no figure but the time of training.
+They differ in three things: the inputs, the kind of network, and the space in which positions are
+predicted.  The last layer gives coefficients of principal components of the training frames, some
+two hundred numbers instead of 3 V.  This changes the time of training, but no error.
 """
 
 from __future__ import annotations
@@ -45,16 +45,16 @@ __all__ = [
 ]
 
 Part = Literal["whole", "low", "high"]
-# Components, and training frames from which they are found.
+# Number of components, and of training frames from which they are found.
 _RANK, _FRAMES = 192, 1500
-# Against blends of rotations that are close to singular; the rotations' own AᵀA is the identity.
+# Added to the diagonal of AᵀA, since a blend A of rotations may be nearly singular.
 _RIDGE = 1e-3
 
 
 class Unposed:
-    """Offsets o of the rest pose, which the body's joints skin: v = Σ_j w_ij M_j (p_i + o_i).
+    """Space of offsets o from the rest pose before the body skins it: v = Σ_j w_ij M_j (p_i + o_i).
 
-    Detail is unposed by the blended rotations alone.
+    Detail is only rotated back, by the blended rotations.
     """
 
     def __init__(self, bones: VirtualBones) -> None:
@@ -83,7 +83,7 @@ class Unposed:
 
 
 class FrameMLP(nn.Module):
-    """Three layers that read one frame, as TailorNet's."""
+    """Three-layer MLP that reads one frame, as in TailorNet."""
 
     def __init__(self, inputs: int, hidden: int, outputs: int) -> None:
         super().__init__()
@@ -98,7 +98,7 @@ class FrameMLP(nn.Module):
 
 
 class WindowMLP(FrameMLP):
-    """The same for a frame and those before it, which are the state."""
+    """Three-layer MLP that reads a frame and those before it, which are kept as the state."""
 
     def __init__(self, inputs: int, hidden: int, outputs: int, frames: int = 8) -> None:
         super().__init__(inputs * frames, hidden, outputs)
@@ -117,22 +117,23 @@ class WindowMLP(FrameMLP):
 
 @dataclasses.dataclass(frozen=True)
 class Variant:
-    """A baseline.
+    """Description of a baseline.
 
     Attributes
     ----------
     name : str
     parts : tuple of {"whole", "low", "high"}
-        What is predicted: by one network for each.
+        Parts of the garment that are predicted, each by a network of its own.
     network : callable
         Makes a network from the numbers of inputs, hidden units and outputs.
     unposed : bool
         Whether it predicts offsets of the rest pose, which the body skins, or positions in the
         moving frame.
     features : str
-        Configuration whose pose features the networks read; "": those of the configuration at hand.
+        Name of the configuration whose pose features the networks read; "" for the one given to
+        :func:`train_regression`.
     changes : tuple of str
-        Settings that differ, as ``features.root_motion=false``.
+        Further changes of settings, such as ``features.root_motion=false``.
     """
 
     name: str
@@ -161,7 +162,7 @@ class _Scaled(nn.Module):
 
 
 class Regression(Method):
-    """A trained baseline."""
+    """Prediction by a trained baseline."""
 
     def __init__(
         self,
@@ -192,7 +193,7 @@ class Regression(Method):
         return np.asarray(sum(self._parts(clip).values()), np.float32)
 
     def split(self, clip: Clip, bones: VirtualBones) -> tuple[Array, Array]:
-        """The parts that are predicted; one network for the whole is split like the data."""
+        """Low and high part as predicted; the prediction of a single network is split like data."""
         parts = self._parts(clip)
         if "whole" in parts:
             return super().split(clip, bones)
@@ -210,7 +211,7 @@ def train_regression(
     *,
     callback: Callable[[Progress], bool | None] | None = None,
 ) -> Regression:
-    """Train a baseline with the loop, width and limits of a configuration.
+    """Train a baseline with the training options and layer width of a configuration.
 
     Parameters
     ----------
@@ -218,9 +219,10 @@ def train_regression(
     bones : VirtualBones
     config : Config
     names, validation : sequence of str
-        Clips; mirrored ones too.
+        Names of the clips, mirrored ones included.
     folder : Path
-        For the state: an interrupted training continues, a finished one is read.
+        Folder of the training's state, from which an interrupted training continues and a finished
+        one is read.
     callback : callable, optional
         Called with a :class:`~garmentnet.training.loop.Progress` after every epoch.
     """
@@ -228,7 +230,7 @@ def train_regression(
     features = config.features
     if variant.features:
         features = load_config(variant.features).features
-        # A preset that reads some joints names those of our own body.
+        # A preset names joints of the body that ships; another body has those of `config`.
         joints = config.features.joints if features.joints else ()
         features = dataclasses.replace(features, joints=joints)
     data = dataclasses.replace(config.data, condition=False)
@@ -269,7 +271,7 @@ def train_regression(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Target:
-    """What a network of a baseline shall predict."""
+    """Targets of one network of a baseline."""
 
     bones: VirtualBones
     reader: PoseReader

@@ -1,4 +1,4 @@
-"""The evaluation of checkpoints on a store, as a report in a folder."""
+"""Evaluation of checkpoints on a store, as a report in a folder."""
 
 from __future__ import annotations
 
@@ -57,17 +57,18 @@ def report(
         Checkpoints on one set of virtual bones.
     store : ClipStore
     folder : path
-        For ``report.md``, ``report.json``, pictures, and in ``baselines`` the trained baseline.
+        Folder for ``report.md``, ``report.json`` and pictures, with a subfolder ``baselines`` for
+        the trained baseline.
     baselines : bool
-        Whether to fit and score them.
+        Whether to fit and score baselines, too.
     pictures : int
         Test clips to draw for every checkpoint.
     clips : sequence of str
-        Patterns of clip names as in a shell, ``base-small-*``; all test clips by default.  Clips
-        of other splits may be named, too.
+        Patterns of clip names as in a shell, such as ``base-small-*``; all test clips by default.
+        Clips of other splits may be named, too.
     against : str, optional
-        Method whose errors the others' are divided by; the baseline of Santesteban et al. 2019 by
-        default where it is scored, else the first checkpoint.
+        Method by whose errors those of the others are divided; by default the baseline of
+        Santesteban et al. 2019 if it is scored, otherwise the first checkpoint.
 
     Returns
     -------
@@ -152,10 +153,11 @@ def fit_baselines(
     ----------
     bones : VirtualBones
     config : Config
-        Whose features, width and limits the recurrent baseline has.
+        Configuration with the features and training options of the recurrent baseline.
     base : SimulationParameters
+        The parameter set.
     folder : Path
-        For the recurrent baseline's training, which is not repeated if it is there.
+        Folder for the training of the recurrent baseline, which is not repeated if it is there.
     progress : callable, optional
 
     Raises
@@ -202,7 +204,7 @@ def group_of(clip: Clip) -> str:
 def _test_clips(
     store: ClipStore, base: SimulationParameters, unseen_parameters: bool, patterns: Sequence[str]
 ) -> dict[str, list[str]]:
-    """Names of the clips of each part of the report; of other splits only what is named."""
+    """Names of the clips of each section of the report; of other splits only those asked for."""
 
     def named(clip: Clip) -> bool:
         return any(fnmatchcase(clip.name, p) for p in patterns)
@@ -229,9 +231,9 @@ def _test_clips(
 def _section(
     title: str, rows: Sequence[Scores], against: str, document: dict[str, Any]
 ) -> list[str]:
-    """The tables of some clips; their figures go to the document."""
+    """Lines of a section with the tables of `rows`; their figures are added to `document`."""
     names = [r.name for r in rows]
-    # Where it is not scored, the first checkpoint takes its place.
+    # If `against` is not scored here, errors are divided by those of the first checkpoint.
     found = intervals(rows, against if against in names else names[1])
     left = [{k: v for k, v in r.as_dict().items() if k != "clips"} for r in rows]
     clips = [c.name for c in rows[0].clips]

@@ -1,7 +1,7 @@
-"""The paper's tables (Pan et al. 2022, section 6) on data sets of our own.
+"""The paper's tables (Pan et al. 2022, section 6) on simulated data sets.
 
-Every training has a folder of its own and every table a file; what is there is not done again, so
-that a run that was stopped goes on.
+Every training has a folder of its own and every table a file.  Those that exist are not made again,
+so that a run that was stopped continues.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ __all__ = ["TABLES", "Reproduction"]
 Progress = Callable[[str, float], None]
 # Weights (K,) of pivots (K, P) at parameters (P,), all normalised.
 Rule = Callable[[Any, Any], NDArray[np.float64]]
-# One dance is like another for the bones, and so they stay while a data set grows.
+# A few dances are enough to find the bones, so that these stay the same while a data set grows.
 _FEW = "bones.motions=dance-20[01]*"
 _DRESSES = ("dress", "gown", "a_line")
 _TIGHT = ("t_shirt", "skirt", "trousers")
@@ -51,7 +51,7 @@ _TIGHT = ("t_shirt", "skirt", "trousers")
 _SLEEVES = {"gown": ["features.joints=[]"], "t_shirt": ["features.joints=[]"]}
 _SIZES = (8000, 16000, 32000, 64000, 128000, 256000, 512000, 1024000)
 _BONES = (20, 40, 80, 160, 320, 500)
-# Motions of the test clips.
+# Beginning of the names of the motions on which methods are tested.
 _TESTED = "dance-"
 # Equal data for all methods of a table: the paper's 40,000 frames.
 _EQUAL = "data.frames=40000"
@@ -60,18 +60,18 @@ _TUNED = ("train.learning_rate=3e-4", "train.epochs=12", "train.high_epochs=4")
 
 
 class Reproduction:
-    """Data sets, trainings and tables in two folders.
+    """Reproduction of the paper's tables, with data sets, trainings and results in two folders.
 
     Parameters
     ----------
     data : path
-        Where the stores lie, or are simulated: ``<data>/<preset>.clips``.
+        Folder of the stores ``<preset>.clips``, in which missing ones are simulated.
     folder : path
-        For trainings, tables and ``hours.json``.
+        Folder for trainings, tables and ``hours.json``.
     simulate : callable, optional
         Makes the store of a preset, from its name and path.
     settings : sequence of str
-        Changes of every configuration, as ``train.epochs=2``.
+        Changes of every configuration, such as ``train.epochs=2``.
     progress : callable, optional
         Called with a description and the fraction that is done.
     """
@@ -91,7 +91,7 @@ class Reproduction:
         self.folder.mkdir(parents=True, exist_ok=True)
 
     def table(self, name: str) -> str:
-        """A table as Markdown, trained and scored where it is not there yet.
+        """A table as Markdown, after the trainings and evaluations that are still missing.
 
         Raises
         ------
@@ -106,7 +106,7 @@ class Reproduction:
         return file.read_text("utf-8")
 
     def store(self, name: str) -> ClipStore:
-        """The store of a preset, simulated first where it is not there."""
+        """The store of a preset, which is simulated first if it does not exist."""
         path = self.data / f"{name}.clips"
         if not path.exists():
             self.timed(f"{name}/simulation", lambda: self.simulate(name, path))
@@ -121,7 +121,7 @@ class Reproduction:
     def network(
         self, store: str, label: str, config: Config, start: Checkpoint | None = None
     ) -> Checkpoint:
-        """A trained network; one that is there is read."""
+        """A trained network; it is only read if its training is finished."""
         folder = self.folder / store / label
         if not (folder / "history.json").is_file():
             self.timed(
@@ -138,11 +138,11 @@ class Reproduction:
         return load_checkpoint(folder / "checkpoint.safetensors")
 
     def method(self, store: str, name: str, config: Config) -> Callable[[], Method]:
-        """A network, trained when it is called."""
+        """Function that returns a network as a method, and trains it first if necessary."""
         return lambda: Network(name, self.network(store, name, config))
 
     def bound(self, store: str, config: Config) -> Callable[[], Method]:
-        """LBS with fitted transforms."""
+        """Function that returns the bound: clips skinned with their fitted bones."""
         return lambda: BonesThemselves(self.bones(store, config))
 
     def clips(self, store: str, config: Config) -> tuple[list[str], list[str], list[str]]:
@@ -161,7 +161,7 @@ class Reproduction:
         methods: Iterable[Callable[[], Method]],
         test: Sequence[str] | None = None,
     ) -> dict[str, Any]:
-        """Scores of methods on the test dances or named clips, with intervals against the first."""
+        """Scores of methods on the test dances or named clips, with ratios to the first method."""
         file = self.folder / store / f"{key}.json"
         if not file.is_file():
             bones = self.bones(store, config)
@@ -179,7 +179,7 @@ class Reproduction:
         variants: Sequence[Variant] = BASELINES,
         suffix: str = "",
     ) -> list[Callable[[], Method]]:
-        """The published baselines, trained when they are called."""
+        """Functions that return the published baselines, and train them first if necessary."""
         learned, held, _ = self.clips(store, config)
 
         def made(variant: Variant) -> Callable[[], Method]:
@@ -208,7 +208,7 @@ class Reproduction:
         return show
 
     def timed(self, name: str, work: Callable[[], Any]) -> Any:
-        """Run work and add its time to ``hours.json``."""
+        """Call `work`, add its time to ``hours.json``, and return its result."""
         began, cpu = time.perf_counter(), time.process_time()
         try:
             return work()
@@ -228,7 +228,7 @@ def _row(scores: Scores) -> dict[str, Any]:
 
 
 def _text(record: dict[str, Any], part: str) -> str:
-    """RMSE, Hausdorff and STED of a part, beside the ratio of RMSE to the first method's."""
+    """Table of RMSE, Hausdorff distance and STED of a part, and RMSE relative to the first row."""
     lines = []
     for row in record["rows"]:
         s = row["all"][part]
@@ -285,7 +285,7 @@ def _tight(run: Reproduction, store: str) -> str:
 
 
 def _table4(run: Reproduction) -> str:
-    """Unseen simulation parameters (the paper's table 4), pivots with equal data."""
+    """Unseen simulation parameters (the paper's table 4), with equal data for all pivots."""
     store, folder = run.store("parameters"), run.folder / "parameters" / "ensemble"
     config = run.config("rooted", "ensemble.start_from_base=false", "ensemble.kernel=exponential")
     config = override(config, ["ensemble.pivots=8", "ensemble.sigmas=[1.0]"])
@@ -326,7 +326,7 @@ class _Ruled(Kernel):
 
 
 def _curve(run: Reproduction) -> str:
-    """Error by number of training frames, with the exponent of the law that fits it."""
+    """Error by number of training frames, with the exponent of the power law fitted to it."""
     everything = run.clips("large", run.config("rooted"))[0]
     total = sum(run.store("large").clip(n).n_frames for n in everything) / 2
     rows = []
@@ -361,7 +361,7 @@ def _bones(run: Reproduction) -> str:
 
 
 def _capture(run: Reproduction) -> str:
-    """Motion capture: every recording in turn is left out of training and tested on."""
+    """Motion capture: each recording in turn is left out of training and used for the test."""
     clips = [c for c in run.store("dress").clips() if group_of(c) == RECORDED]
     recordings = sorted({c.motion[:-3] for c in clips})
     if len(recordings) < 2:

@@ -1,11 +1,11 @@
-"""Errors of methods on clips: the paper's table, by class of motion, and vertices inside the body.
+"""Errors of methods on clips, overall and by class of motion, and vertices inside the body.
 
 Low is G_LF against Ĝ_LF; high is Ĝ_LF + G_HF against Ĝ, the error of the detail alone; overall is
 G against Ĝ.
 
 Pinned vertices follow the body exactly, which flatters every method that skins them.  So each
-figure is taken over all vertices and over the free ones, which are not pinned.  Hausdorff distance
-and STED of the free ones are those of the mesh of the triangles whose corners are all free.
+figure is computed over all vertices and over the free ones, which are not pinned.  Hausdorff
+distance and STED of the free ones are those of the triangles whose corners are all free.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ Array = NDArray[np.float32]
 
 @dataclasses.dataclass(frozen=True)
 class Score:
-    """RMSE over vertices and frames and mean Hausdorff distance of vertices, mm, and STED."""
+    """RMSE over vertices and frames (mm), mean Hausdorff distance of vertices (mm), and STED."""
 
     rmse: float
     hausdorff: float
@@ -56,7 +56,7 @@ class Score:
 
 @dataclasses.dataclass(frozen=True)
 class Parts:
-    """Errors of the low part, of the detail alone and overall."""
+    """Errors of the low part, of the detail alone, and of the whole garment."""
 
     low: Score
     high: Score
@@ -76,20 +76,21 @@ class ClassError:
 class Scores:
     """Errors of a method on one clip, or pooled over clips.
 
-    Over clips, RMSE is pooled in squares; the other figures are means.  Clips weigh by their
-    frames.
+    A pooled RMSE is the root of the mean square over clips; the other figures are means.  Clips are
+    weighted by their numbers of frames.
 
     Attributes
     ----------
     name : str
-        The clip's, or of pooled errors the method's.
+        Name of the clip or, for pooled errors, of the method.
     frames : int
     all, free : Parts
         Over all vertices, and over those that are not pinned.
     per_class : dict of ClassError
         By class of motion.
     inside, inside_free : float
-        Fraction of the vertices inside the body, over all frames; NaN if its mesh is not closed.
+        Fraction of the vertices inside the body, over all frames; NaN if the body's mesh is not
+        closed.
     clips : tuple of Scores
         The clips that were pooled.
     """
@@ -149,7 +150,7 @@ def evaluate(
 
 
 def pool(name: str, clips: Sequence[Scores]) -> Scores:
-    """The errors of a method from those of each clip, at least one."""
+    """Errors of a method pooled over one or more clips."""
     frames = [c.frames for c in clips]
 
     def mean(values: Sequence[float]) -> float:
@@ -231,7 +232,7 @@ def _root_mean(values: Sequence[float], weights: Sequence[int]) -> float:
 
 
 class _Scorer:
-    """Compares predictions with the clips of a store."""
+    """Comparison of predictions with the clips of a store."""
 
     def __init__(self, bones: VirtualBones) -> None:
         store = bones.store

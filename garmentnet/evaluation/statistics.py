@@ -1,7 +1,7 @@
-"""Intervals of errors and of their ratios, by bootstrap over clips.
+"""Confidence intervals of errors and of their ratios, by bootstrap over clips.
 
-Frames of one clip are alike, so clips are what is drawn, not frames.  Two methods are scored on the
-same clips, and a hard clip is hard for both: their ratio is known better than either error.
+Frames of one clip are alike, so clips are drawn, not frames.  Two methods are scored on the same
+clips, and a hard clip is hard for both: their ratio is known better than either error.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _LEVEL = 0.95
 
 
 class Interval(NamedTuple):
-    """A figure with its 95 % interval, which is NaN for a single clip."""
+    """A figure with its 95 % confidence interval, which is NaN for a single clip."""
 
     value: float
     low: float
@@ -38,10 +38,10 @@ def paired_ratio(
 ) -> Interval:
     """The pooled error of method `a` divided by that of `b`; below 1 the first is better.
 
-    The pooled error of clips is (Σ frames · figure^power / Σ frames)^(1/power): where `b` is 1,
-    the ratio is that of `a`.  Clips are drawn with replacement, each with its number of frames, and
-    the same clips for both methods.  The interval runs between two percentiles of the resampled
-    ratios, which are taken farther out for few clips (the expanded percentile interval).  On
+    The pooled error of clips is (Σ frames · figure^power / Σ frames)^(1/power); with `b` = 1, the
+    result is the pooled error of `a` itself.  Clips are drawn with replacement, the same ones for
+    both methods.  The interval lies between two percentiles of the resampled ratios, which are
+    taken farther out for few clips (the expanded percentile interval).  On
     synthetic clips whose ratios scatter by 5 to 15%, the 95% interval of 6 to 24 clips holds the
     true ratio in 91 to 94% of the cases; plain percentiles do in 82 to 92%, and BCa intervals (at
     15%) in 80 to 87%.
@@ -76,8 +76,8 @@ def paired_ratio(
         return Interval(value, math.nan, math.nan)
     drawn = np.random.default_rng(rng).multinomial(n, np.full(n, 1 / n), size=resamples)
     found = (drawn @ above / (drawn @ below)) ** (1 / power)
-    # Plain percentiles are too narrow for few clips, as if a normal quantile stood for Student's t
-    # and n for n - 1.
+    # Plain percentiles are too narrow for few clips, like a normal quantile in place of Student's t
+    # and n in place of n - 1.
     wide = math.sqrt(n / (n - 1)) * student.ppf((1 + _LEVEL) / 2, n - 1)
     tail = norm.cdf(-wide)
     low, high = np.quantile(found, [tail, 1 - tail])

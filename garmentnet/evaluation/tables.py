@@ -12,9 +12,9 @@ from .statistics import Interval, paired_ratio
 
 __all__ = ["class_table", "interval_cell", "interval_table", "intervals", "markdown", "score_table"]
 
-# Of the figures of a score; RMSE is pooled in squares.
+# Power with which each figure of a score is pooled over clips: 2 for RMSE, 1 for means.
 _POWERS = {"rmse": 2.0, "hausdorff": 1.0, "sted": 1.0}
-# Below this many mm or units of STED nothing is left to divide by: a method that is exact.
+# An error below this many mm or units of STED counts as 0, and no ratio to it is given.
 _NOTHING = 1e-6
 
 
@@ -31,7 +31,7 @@ def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def score_table(rows: Sequence[Scores], vertices: str = "all") -> str:
-    """The paper's table: RMSE and Hausdorff distance in mm, STED; vertices inside the body.
+    """Table of RMSE and Hausdorff distance in mm, STED, and the share of vertices inside the body.
 
     Parameters
     ----------
@@ -65,16 +65,17 @@ def intervals(rows: Sequence[Scores], reference: str) -> dict[str, Any]:
     Parameters
     ----------
     rows : sequence of Scores
-        Of the same clips.
+        Scores of the methods on the same clips.
     reference : str
-        Name of one of them.
+        Name of one of the methods.
 
     Returns
     -------
     dict
-        ``reference`` and ``methods``: for each name, "all" or "free" and part the value, low and
-        high end of ``error`` (RMSE, mm) and of the ratios ``rmse``, ``hausdorff`` and ``sted``.
-        None where there is no number: the interval of one clip, ratios to a method without error.
+        The ``reference``, and ``methods[name][vertices][part]`` with `vertices` "all" or "free".
+        Each entry holds the value, lower and upper end of ``error`` (RMSE, mm) and of the ratios
+        ``rmse``, ``hausdorff`` and ``sted``.  None stands for the interval of a single clip and for
+        ratios to a method without error.
     """
     (against,) = (r for r in rows if r.name == reference)
     frames = [c.frames for c in against.clips]
@@ -98,7 +99,7 @@ def intervals(rows: Sequence[Scores], reference: str) -> dict[str, Any]:
 
 
 def interval_table(document: dict[str, Any], vertices: str) -> str:
-    """The overall part of :func:`intervals` over "all" or "free" vertices, as text."""
+    """Table of the whole garment's intervals over "all" or "free" `vertices`, in Markdown."""
     head = ["RMSE, mm", "RMSE ratio", "Hausdorff ratio", "STED ratio"]
     lines = []
     for name, found in document["methods"].items():

@@ -1,1 +1,1 @@
-"""A user's own cloth simulations and the skeletons that drove them, as a store of clips."""
+"""Import of a user's own cloth simulations and skeletons as a store of clips."""

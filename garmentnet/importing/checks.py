@@ -1,4 +1,4 @@
-"""Whether a cloth belongs to a rig: place, unit, axes and time."""
+"""Checks that a cloth belongs to a rig: its place, unit, axes and time."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from .rig import Rig
 
 __all__ = ["check_place", "doubt"]
 
-_LOOKED_AT = 8  # frames in which the cloth must be at the body
-_FAR = 0.25  # largest median distance from the body, of the larger size of the two
-_SMALLEST, _LARGEST = 0.05, 5.0  # size of a cloth, of the body's
-_HUGE = 20.0  # metres; a skeleton that large is not in metres
-_LAGS = 60  # frames that are tried
-_MOVES = 0.03  # deviation of the root's place, of the body's size, that a cloth must follow
+_LOOKED_AT = 8  # number of frames in which the cloth must be at the body
+_FAR = 0.25  # largest median distance from the body, relative to the larger size of the two
+_SMALLEST, _LARGEST = 0.05, 5.0  # bounds of a cloth's size, relative to the body's
+_HUGE = 20.0  # size from which a skeleton's unit cannot be the metre
+_LAGS = 60  # most frames of delay that are tried
+_MOVES = 0.03  # deviation of the root, relative to the body's size, that a cloth must follow
 
 
 def check_place(vertices: NDArray[np.float32], rig: Rig) -> None:
@@ -28,7 +28,7 @@ def check_place(vertices: NDArray[np.float32], rig: Rig) -> None:
     Raises
     ------
     InputError
-        If it is far away or of another size; the message says what unit or axis would mend it.
+        If the cloth is far away or of another size; the message says which unit or axis would fit.
     """
     body, size = rig.body, rest_diagonal(rig.body.rest)
     chosen = np.unique(np.linspace(0, len(rig.joints) - 1, _LOOKED_AT).astype(int))
@@ -65,7 +65,7 @@ def check_place(vertices: NDArray[np.float32], rig: Rig) -> None:
 
 
 def doubt(vertices: NDArray[np.float32], rig: Rig) -> str:
-    """A sentence on a cloth ``(F, V, 3)`` that does not move with the rig's root; mostly empty."""
+    """Warning about a cloth ``(F, V, 3)`` that does not move with the rig's root, or ""."""
     root, middle = rig.skeleton.positions(rig.joints)[:, 0], vertices.mean(axis=1, dtype=np.float64)
     count = len(middle)
 

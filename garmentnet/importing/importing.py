@@ -1,4 +1,4 @@
-"""Clips of a user's own simulations: an animated cloth and the rig that drove it, file by file."""
+"""Import of a user's own simulations: files of animated cloth and of the rigs that drove it."""
 
 from __future__ import annotations
 
@@ -28,29 +28,29 @@ from .scene_files import Say, Source, read_cloth, read_rig
 
 __all__ = ["ImportOptions", "import_clips"]
 
-_SHORTEST = 20  # frames of a clip that is cut
+_SHORTEST = 20  # fewest frames of a clip that is cut
 _BIND_POSE = 2e-3  # radians, mean over joints, up to which a pose is the bind pose
 PathLike = str | os.PathLike[str]
 
 
 @dataclasses.dataclass(frozen=True)
 class ImportOptions:
-    """How files are read and to which split clips go.
+    """Options of an import: how files are read, and to which split clips belong.
 
     Parameters
     ----------
     fps : float, optional
-        Frames a second of a new store; by default those of the first cloth or, as Alembic states
+        Frame rate of a new store; by default that of the first cloth or, for Alembic, which states
         none, of its rig.
     offset : float
         Seconds from the first frame of a rig to the first of its cloth.
     cloth, rig : Source, optional
         Mesh, unit and axes of the cloths' and the rigs' files.
     parameters : SimulationParameters, optional
-        With which the cloths were simulated; the usual ones by default.
+        Parameters with which the cloths were simulated, or the defaults.
     test, validation : sequence of str
-        Names of the clips of these splits.  Without any for testing, the last tenth of every clip
-        is; without any for validation, the last tenth but that.
+        Names of the clips of these splits.  If none is named for testing, the last tenth of every
+        clip is used; if none is named for validation, the tenth before that, or else the last.
     """
 
     fps: float | None = None
@@ -78,15 +78,15 @@ def import_clips(
     Parameters
     ----------
     pairs : sequence of (path, path)
-        Of a cloth, as :func:`ssdr.load` reads it, and of its rig, as :func:`ssdr.load_skinning`
-        does.
+        File of each cloth, which :func:`ssdr.load` can read, and file of its rig, which
+        :func:`ssdr.load_skinning` can read.
     path : path
-        Of the store.
+        Path of the store.
     options : ImportOptions, optional
     rest : path, optional
-        Of a new store, the garment as it was cut, on the body in its bind pose.  By default it is
-        the cloth of the first clip in the frame whose pose is closest to the bind pose, carried
-        along by the root.
+        File of the garment as it was cut, on the body in its bind pose, for a new store.  By
+        default it is the cloth of the first clip in the frame whose pose is closest to the bind
+        pose, moved to the bind pose by the root.
     say : callable, optional
         Called with a sentence for whatever the user should know.
 
@@ -196,7 +196,7 @@ def _create(
 
 
 def _parts(name: str, count: int, o: ImportOptions) -> list[tuple[str, Split, slice]]:
-    """Name, split and frames of the parts into which a clip of `count` frames is cut."""
+    """Parts into which a clip of `count` frames is cut, each with name, split and frames."""
     named: dict[Split, Sequence[str]] = {"test": o.test, "validation": o.validation}
     for split, names in named.items():
         if name in names:

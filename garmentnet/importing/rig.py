@@ -1,4 +1,4 @@
-"""A rig as a store knows it: skeleton, body at rest and joint transforms of every frame."""
+"""Rigs in the form that a store needs: skeleton, body at rest, and transforms of the joints."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ __all__ = ["Rig", "rig_of"]
 
 # Largest difference of an entry from the nearest rotation's that counts as rounding.
 _ROUNDING = 0.02
-# Of the skeleton's size: joints at rest that are closer are in one place.
+# Distance, relative to the skeleton's size, below which two joints at rest coincide.
 _SAME_PLACE = 2e-3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Rig:
-    """A skeleton that moves, and the body that it carries.
+    """A moving skeleton, and the body that it moves.
 
     Attributes
     ----------
     skeleton : Skeleton
     body : Skinning
-        One frame, at rest, with the skeleton's joints as bones.  Without a mesh in the file it has
-        a vertex at every joint and no faces.
+        Skinning of one frame, at rest, with the skeleton's joints as bones.  If the file has no
+        mesh, it has a vertex at every joint and no faces.
     joints : (F, J, 3, 4) float64
         World transforms from the rest pose.
     fps : float
@@ -43,14 +43,14 @@ class Rig:
     fps: float
 
     def is_lying(self) -> bool:
-        """Whether the skeleton at rest is longest along z, as if that were up."""
+        """Whether the skeleton at rest is longest along z, so that z is probably up."""
         x, y, z = np.ptp(self.skeleton.rest, axis=0)
         return bool(z > 1.2 * max(x, y))
 
     def matched(self, skeleton: Skeleton, body: Skinning) -> Rig:
-        """The motion carried over to a skeleton with the same joints in any order, and its body.
+        """Rig with this motion for a skeleton with the same joints in any order, and its body.
 
-        The rest poses may stand in different places and face different ways.
+        The rest poses may differ by a rigid motion.
 
         Raises
         ------
@@ -80,8 +80,8 @@ class Rig:
 def rig_of(model: Skinning) -> Rig:
     """Skeleton, body and motion of a skinning.
 
-    The skeleton is the largest tree of bones; other trees hang from its root.  A mesh without a
-    skin and a bone that is alone and carries nothing are left out.
+    The skeleton is the largest tree of bones; roots of other trees become children of its root.
+    Meshes without a skin are left out, and so are bones without relatives that move nothing.
 
     Raises
     ------
@@ -124,7 +124,10 @@ def _body(
     joints: NDArray[np.float64],
     names: tuple[str, ...],
 ) -> Skinning:
-    """All but the dropped vertices, those merged that lie in one place and move alike."""
+    """Body at rest, without the faces that use `dropped` vertices.
+
+    Vertices that lie in the same place and have the same weights are merged.
+    """
     still = np.eye(3, 4)[None, None].repeat(len(names), axis=1)
     faces = model.faces[~np.isin(model.faces, dropped).any(axis=1)]
     if not len(faces):
@@ -155,7 +158,7 @@ def _body(
 def _rigid(
     transforms: NDArray[np.float64], rest: NDArray[np.float64], names: tuple[str, ...]
 ) -> NDArray[np.float64]:
-    """Transforms whose rounded rotations are exact, with the joints where they were."""
+    """Transforms with exact rotations in place of rounded ones; no joint moves."""
     linear = transforms[..., :3]
     rotation = nearest_rotation(linear)
     off = np.abs(rotation - linear).max(axis=(2, 3))

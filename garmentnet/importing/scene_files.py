@@ -1,4 +1,4 @@
-"""Cloth and rigs from the files of other programs, in metres, with y up, at one frame rate."""
+"""Reading of cloth and rigs from other programs' files, in metres, y up, at a given frame rate."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ _SAMPLED = (*_USD, *_GLTF, ".abc", ".fbx")
 
 @dataclasses.dataclass(frozen=True)
 class Source:
-    """What to read of files of one kind, and how.
+    """Options for reading files of one kind, cloths or rigs.
 
     Parameters
     ----------
     mesh : str
-        Name of the mesh, or of what is above it in the scene; empty: all meshes.
+        Name of the mesh, or of a node above it in the scene; empty: all meshes.
     scale : float
-        By what lengths are multiplied, after what a file states is applied.
+        Factor of lengths, applied after the unit that a file states.
     up : {"y", "z"}, optional
         Axis that points up, instead of what the file states.
     """
@@ -62,7 +62,7 @@ def read_cloth(path: Path, source: Source, rate: float | None, say: Say) -> Mesh
     source : Source
     rate : float, optional
     say : callable
-        Called with what is to be known.
+        Called with a sentence for whatever the user should know.
 
     Raises
     ------
@@ -82,8 +82,8 @@ def read_cloth(path: Path, source: Source, rate: float | None, say: Say) -> Mesh
 def read_rig(path: Path, source: Source, rate: float | None, take: str, say: Say) -> Skinning:
     """A skinned body at `rate` frames a second, or at the file's own rate.
 
-    Of several clips it has that of the name `take` or, without one, the first.  Other arguments and
-    errors are those of :func:`read_cloth`.
+    If the file has several clips, the one with the name `take` is read, or the first without such a
+    name.  Other arguments and errors are those of :func:`read_cloth`.
     """
     alone: dict[str, Any] = {"joints_alone": True} if path.suffix.lower() in _SAMPLED else {}
 

@@ -1,4 +1,4 @@
-"""Errors of writing that name the file, and arrays that are kept on disk."""
+"""Writing of files with errors that name them, and a cache of arrays on disk."""
 
 from __future__ import annotations
 
@@ -20,14 +20,15 @@ __all__ = ["kept", "write_file", "writing"]
 
 @contextlib.contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Turn what a full or protected disk raises inside the block into an error that names the file.
+    """Context that turns errors of a full or protected disk into an error that names the file.
 
-    Libraries raise different errors for it: safetensors has a class of its own.
+    Libraries raise different errors in that case; safetensors has a class of its own.
 
     Raises
     ------
     SsdrError
-        With the reason and the free space; other errors pass.
+        If the file could not be written; the message has the reason and the free space.  Errors of
+        other kinds are not changed.
     """
     try:
         yield
@@ -47,12 +48,12 @@ def write_file(path: Path, data: bytes) -> None:
 
 
 def kept(path: Path, make: Callable[[], dict[str, Any]]) -> dict[str, NDArray[Any]]:
-    """Arrays of an ``.npz`` file, which is made and written first where it is missing.
+    """Arrays of an ``.npz`` file; if it does not exist, `make` computes them and they are written.
 
     Raises
     ------
     FormatError
-        If the file is damaged; without it, it is made again.
+        If the file is damaged; it is made again once it has been removed.
     """
     if not path.is_file():
         made = make()

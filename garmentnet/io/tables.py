@@ -1,6 +1,6 @@
-"""Frozen dataclasses read from tables, as TOML and JSON give them; every key and type is checked.
+"""Reading of TOML and JSON tables into frozen dataclasses, with checks of every key and type.
 
-The only reader of its kind here: configurations of training and scene files both use it.
+Configurations of training and scene files use it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     Raises
     ------
     FormatError
-        If it cannot be read or is not TOML; the message names the file.
+        If the file cannot be read or is not TOML; the message names it.
     """
     try:
         return parse_toml(path.read_text("utf-8"), str(path))
@@ -39,7 +39,7 @@ def parse_toml(text: str, file: str) -> dict[str, Any]:
     Raises
     ------
     FormatError
-        If it is not TOML; the message names `file`.
+        If the text is not TOML; the message names `file`.
 
     Examples
     --------
@@ -53,7 +53,7 @@ def parse_toml(text: str, file: str) -> dict[str, Any]:
 
 
 def from_table(kind: type[T], table: Any, *, file: str, name: str = "") -> T:
-    """A dataclass from a table; keys that are left out have the dataclass's defaults.
+    """Instance of a dataclass, read from a table; keys that are left out get the defaults.
 
     Fields may be bool, int, float (an integer will do), str, a ``Literal``, ``dict[str, Any]``
     (any table), another dataclass (a table of its own), a tuple of one of these (a list), and
@@ -64,9 +64,9 @@ def from_table(kind: type[T], table: Any, *, file: str, name: str = "") -> T:
     kind : dataclass
     table : dict
     file : str
-        Where the table comes from.
+        Name of the file that the table comes from.
     name : str
-        Of the table; empty at the top of a file.
+        Name of the table; empty for that of the whole file.
 
     Raises
     ------

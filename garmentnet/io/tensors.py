@@ -1,4 +1,4 @@
-"""Arrays and JSON documents of a safetensors file; nothing in it is executed, no torch here."""
+"""Reading of arrays and JSON documents from a safetensors file, without torch or running code."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ SHIPPED = Path(__file__).parents[1] / "models"
 
 
 def load_arrays(path: Path, wanted: Sequence[str]) -> tuple[dict[str, NDArray[Any]], Any]:
-    """Arrays and JSON documents of a safetensors file, or by its name of one that ships.
+    """Arrays and JSON documents of a safetensors file, or of one that ships, by its name.
 
-    Numbers in half precision come in single.
+    Numbers in half precision are converted to single precision.
 
     Raises
     ------

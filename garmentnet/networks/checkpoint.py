@@ -36,7 +36,7 @@ __all__ = [
     "save_checkpoint",
 ]
 
-# Numbers of a tensor from which on half precision saves anything.
+# Tensors with fewer numbers stay in single precision, since halving them saves almost nothing.
 _MANY = 10_000
 
 
@@ -48,12 +48,13 @@ class Checkpoint(Predictor):
     ----------
     networks : tuple of MotionNetwork
     parameters : tuple of SimulationParameters or None
-        Simulation parameters that each network was trained on; None: all training sets, for a
-        network that reads them.
+        Simulation parameters that each network was trained on; None for a network that reads the
+        parameters and was trained on all training sets.
     kernel : Kernel or None
-        Of an ensemble.
+        Kernel that mixes the networks of an ensemble.
     errors : mapping of str to float
-        RMSE by what it is of, metres; what ``garmentnet models`` shows.
+        RMSE in metres by module and split, such as "low, validation"; ``garmentnet models`` shows
+        them.
 
     Raises
     ------
@@ -106,8 +107,8 @@ class Checkpoint(Predictor):
         Parameters
         ----------
         parameters : SimulationParameters, optional
-            For an ensemble and a network that reads them; other networks have parameters of
-            their own.
+            Needed by an ensemble and by a network that reads them; other networks were trained for
+            fixed parameters.
 
         Raises
         ------
@@ -158,7 +159,7 @@ class Checkpoint(Predictor):
 def save_checkpoint(checkpoint: Checkpoint, path: Path | str, *, half: bool = False) -> Path:
     """Write a checkpoint under a temporary name; the file is renamed when it is complete.
 
-    With `half` the weights of the networks are in half precision, for half the file.
+    With `half`, the weights of the networks are stored in half precision, which halves the file.
     """
     subject, kernel = checkpoint.subject, checkpoint.kernel
     arrays: dict[str, Any] = {
@@ -199,7 +200,7 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path | str, *, half: bool = Fa
 
 
 def load_checkpoint(path: Path | str) -> Checkpoint:
-    """Read a checkpoint: a file, or by its name one that ships with the package, ``dress``.
+    """Read a checkpoint from a file, or one that ships with the package by its name, ``dress``.
 
     Raises
     ------
@@ -230,13 +231,13 @@ def load_weights(network: MotionNetwork, start: Checkpoint, part: str) -> None:
     ----------
     network : MotionNetwork
     start : Checkpoint
-        Of a single network with the same sizes and virtual bones.
+        Checkpoint of a single network with the same sizes and virtual bones.
     part : {"low", "high"}
 
     Raises
     ------
     InputError
-        If it does not fit.
+        If `start` does not fit the network.
     """
     source = start.networks[0]
     if not np.array_equal(source.subject.garment.rest, network.subject.garment.rest):
@@ -251,8 +252,8 @@ def load_weights(network: MotionNetwork, start: Checkpoint, part: str) -> None:
 
 def _network(subject: Subject, record: NetworkRecord, part: dict[str, Tensor]) -> MotionNetwork:
     mean, deviation = part.pop("features.mean").numpy(), part.pop("features.deviation").numpy()
-    # Weights have no memory before their sizes are found to be those of the tensors: a hostile
-    # configuration cannot fill it.
+    # Memory for the weights is allocated only once their sizes agree with the tensors, so that a
+    # hostile configuration cannot fill it.
     with torch.device("meta"):
         normaliser = Normaliser(mean, deviation, record.clamp)
         network = MotionNetwork(record.config, subject, normaliser)

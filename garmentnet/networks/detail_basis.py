@@ -1,9 +1,10 @@
-"""The high-frequency module in few numbers: a basis of detail that turns with the cloth.
+"""The high-frequency module with few outputs: weights of a basis that turns with the cloth.
 
-Detail is written in the frame of the skinned surface: a pleat that swings round with the hem is
-the same detail there, in the moving frame of the body it is not.  Its principal components, found
-once from the training frames, are weighted by a GRU that reads the bones' motion.  In place of the
-10 V outputs of the paper's global features there are as many as components.
+Detail is expressed in local frames of the skinned surface.  There, a pleat that swings round with
+the hem stays the same detail; in the moving frame of the body it does not.  Principal components of
+the detail are found once from the training frames, and a GRU that reads the motion of the bones
+predicts their weights.  It has one output per component, instead of the 10 V outputs of the paper's
+global features.
 """
 
 from __future__ import annotations
@@ -22,14 +23,15 @@ __all__ = ["DetailBasis", "SurfaceTurns"]
 
 
 class SurfaceTurns(nn.Module):
-    """How far skinning turns the surface at some vertices: blended rotations, made orthonormal.
+    """Rotations of the skinned surface at some vertices: blended rotations, made orthonormal.
 
     Parameters
     ----------
     indices, weights : (V, K) arrays
-        Of the virtual bones.
+        Skin weights on the virtual bones.
     n_bones : int
     vertices : (n,) int array
+        Vertices whose rotations are computed.
 
     Examples
     --------
@@ -48,7 +50,7 @@ class SurfaceTurns(nn.Module):
         self.register_buffer("blend", torch.from_numpy(dense).float(), persistent=False)
 
     def forward(self, transforms: Tensor) -> Tensor:
-        """Rotations ``(F, n, 3, 3)`` of transforms ``(F, B, 3, 4)``."""
+        """Rotations ``(F, n, 3, 3)`` under transforms ``(F, B, 3, 4)`` of the bones."""
         # Two columns are enough: the third follows.
         columns = transforms[..., :2].transpose(-1, -2).flatten(-2)
         flat = columns.transpose(0, 1).flatten(1)
@@ -67,7 +69,7 @@ class DetailBasis(GRULinear):
         Vertices whose detail is predicted.
     hidden : int
     rank : int
-        Components.
+        Number of components.
 
     Examples
     --------
@@ -95,20 +97,20 @@ class DetailBasis(GRULinear):
         return out * self.deviation, state
 
     def local(self, numbers: Tensor) -> Tensor:
-        """Detail ``(F, n, 3)`` in the surface's frame, metres, of weights ``(F, rank)``."""
+        """Detail ``(F, n, 3)`` in the surface's frame, metres, from weights ``(F, rank)``."""
         return (numbers @ self.basis).unflatten(-1, self.mean.shape) + self.mean
 
     def code(self, local: Tensor) -> tuple[Tensor, Tensor]:
-        """Weights ``(F, rank)`` of detail ``(F, n, 3)``, and the squared rest ``(F,)``."""
+        """Weights ``(F, rank)`` of detail ``(F, n, 3)``, and the squared residual ``(F,)``."""
         flat = (local - self.mean).flatten(1)
         numbers = flat @ self.basis.T
         return numbers, (flat - numbers @ self.basis).square().sum(1)
 
     @torch.no_grad()
     def fit(self, local: Tensor) -> None:
-        """Mean, components and their deviations from frames ``(F, n, 3)``.
+        """Set the mean, the components and their deviations from detail ``(F, n, 3)``.
 
-        Components that the frames do not have are 0.
+        Components beyond the rank of the detail are 0.
         """
         self.mean.copy_(local.mean(0))
         flat = (local - self.mean).flatten(1).double()

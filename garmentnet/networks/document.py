@@ -1,4 +1,4 @@
-"""What a checkpoint says of garment and body, read without torch."""
+"""Reading of a checkpoint's garment and body, without torch."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ..io.tables import from_table
 __all__ = ["BOUND", "MESH", "Document", "KernelRecord", "NetworkRecord", "read_document"]
 
 FORMAT, VERSION = "garmentnet checkpoint", 4
-# Arrays of a mesh, and of what the body carries.
+# Arrays of a mesh, and of the vertices bound to the body.
 MESH = ("rest", "indices", "weights", "faces")
 BOUND = tuple(f.name for f in dataclasses.fields(BodyBound))
 # Bytes of the dense skinning matrix beyond which a file counts as hostile: 3 million vertices and
@@ -69,18 +69,19 @@ class Document:
 
 
 def read_document(arrays: dict[str, Any], documents: dict[str, Any]) -> tuple[Document, Subject]:
-    """The checkpoint's document, and whom its networks were trained for.
+    """JSON document of a checkpoint, and the garment and body that its networks are for.
 
     Parameters
     ----------
     arrays : dict of array
-        All of the file.
+        All arrays of the file.
     documents : dict
+        JSON documents of the file.
 
     Raises
     ------
     FormatError
-        If it is no checkpoint, of another version, or contradicts itself.
+        If the file is no checkpoint, of another version, or contradicts itself.
     """
     table = documents["checkpoint"]
     ours = isinstance(table, dict) and table.get("format") == FORMAT

@@ -55,7 +55,7 @@ class Kernel(nn.Module):
         ).double()
 
     def forward(self, pivots: Tensor, theta: Tensor) -> Tensor:
-        """Weights ``(..., K)``, summing to 1, of pivots ``(..., K, P)`` at ``(..., P)``."""
+        """Weights ``(..., K)`` of pivots with parameters ``(..., K, P)`` at ``(..., P)``; sum 1."""
         gap = (self.g(pivots) - self.g(theta)[..., None, :]).square().sum(-1)
         # The normalised kernel is a softmax, which does not divide by 0 where every Ψ underflows.
         if self.shape == "exponential":
@@ -63,7 +63,7 @@ class Kernel(nn.Module):
         return torch.softmax(-gap / (2 * self.sigma**2), dim=-1)
 
     def weights(self, pivots: Any, theta: Any) -> Array:
-        """As :meth:`forward`, for arrays."""
+        """Result of :meth:`forward` as an array, for arrays."""
         with torch.no_grad():
             out = self(
                 torch.as_tensor(np.asarray(pivots, float)),

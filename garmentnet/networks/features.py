@@ -1,7 +1,7 @@
 """Pose features: a network's input, and the moving frame of its output.
 
-Features depend on past frames only, through a state that is handed on: a motion gives the same
-numbers all at once, in parts and frame by frame.
+Features depend only on past frames, through a state that each call returns for the next.  So a
+motion has the same features whether it is read at once, in parts or frame by frame.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ _UPSIDE_DOWN = 1e-12
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PoseState:
-    """What the features of the next frame need of earlier frames; positions in metres."""
+    """State of earlier frames from which the next features are computed; positions in metres."""
 
     first: Array
     position: Array
     velocity: Array
     rotation: Array  # of the root, in the world
-    pose: Array  # the rotations' features, for their speed
+    pose: Array  # features of the rotations, for their velocities
 
 
 class PoseFeatures:
@@ -52,7 +52,7 @@ class PoseFeatures:
     Raises
     ------
     InputError
-        If the options name a joint that the skeleton has not.
+        If the options name a joint that the skeleton does not have.
 
     Examples
     --------
@@ -85,14 +85,15 @@ class PoseFeatures:
         joints : (F, J, 3, 4) array
             World transforms from the body's rest pose.
         state : PoseState, optional
-            Of the frame before; None: the motion starts here, from rest.
+            State after the frame before; None if the motion starts here, from rest.
 
         Returns
         -------
         features : (F, D) float64
         frame : (F, 3, 4) float64
-            From the moving frame to the world.
+            Transforms from the moving frame to the world.
         state : PoseState
+            State after the last frame.
 
         Raises
         ------
@@ -134,13 +135,13 @@ class PoseFeatures:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Normaliser:
-    """Features scaled to zero mean and unit deviation.
+    """Scaling of features to zero mean and unit deviation.
 
     Attributes
     ----------
     mean, deviation : (D,) float64
     clamp : float
-        Largest absolute value on return; 0: none.
+        Bound of the absolute value of a scaled feature; 0: no bound.
 
     Examples
     --------
@@ -155,7 +156,7 @@ class Normaliser:
 
     @classmethod
     def fit(cls, features: Iterable[Array], *, floor: float, clamp: float) -> Normaliser:
-        """Mean and deviation over all frames; a deviation below `floor` counts as `floor`.
+        """Scaling by the mean and deviation over all frames; deviations are at least `floor`.
 
         A feature that hardly changes in training would otherwise become huge on a motion where
         it does.
@@ -181,14 +182,14 @@ class Normaliser:
 
 
 class PoseReader:
-    """The input of a network: pose features, normalised, with the simulation's parameters if asked.
+    """Input of a network: normalised pose features and, if it reads them, simulation parameters.
 
     Parameters
     ----------
     features : PoseFeatures
     normaliser : Normaliser
     condition : int
-        Simulation parameters that the network reads; 0: none.
+        Number of simulation parameters that the network reads, which may be 0.
     """
 
     def __init__(self, features: PoseFeatures, normaliser: Normaliser, condition: int = 0) -> None:
@@ -196,7 +197,7 @@ class PoseReader:
 
     @property
     def size(self) -> int:
-        """Numbers in a frame."""
+        """Number of inputs per frame."""
         return self.features.size + self.condition
 
     def inputs(self, features: Array, parameters: Any = None) -> Tensor:

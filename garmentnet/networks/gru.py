@@ -1,6 +1,6 @@
-"""A GRU with a linear layer behind it, with which both modules begin (paper, section 5).
+"""A GRU followed by a linear layer, with which both modules begin (paper, section 5).
 
-Its training on a processor takes half the time of ``torch.nn.GRU``.
+Its training on a CPU takes half the time of ``torch.nn.GRU``.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ __all__ = ["GRU", "GRULinear", "dropout_mask"]
 
 
 class GRU(nn.GRU):
-    """A layer of ``torch.nn.GRU`` with its own backward pass where a processor computes gradients.
+    """A layer of ``torch.nn.GRU`` with its own backward pass for gradients on a CPU.
 
     torch adds up the gradient of the recurrent weights frame by frame, a matrix of the weights'
     size each time.  Here one product over all frames gives it.  Under autocast to bfloat16 the
@@ -34,7 +34,7 @@ class GRU(nn.GRU):
         super().__init__(inputs, hidden, batch_first=True)
 
     def forward(self, x: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:  # type: ignore[override]
-        """Outputs ``(N, T, H)`` and the last state ``(1, N, H)`` of inputs ``(N, T, D)``."""
+        """Outputs ``(N, T, H)`` and the last state ``(1, N, H)``, given inputs ``(N, T, D)``."""
         if x.device.type != "cpu" or not torch.is_grad_enabled():
             out, state = super().forward(x, state)
             return out, state
@@ -65,7 +65,7 @@ class GRULinear(nn.Module):
     ) -> tuple[Tensor, Tensor]:
         """Outputs ``(N, T, outputs)`` and the GRU's last state ``(1, N, H)``.
 
-        `mask` ``(N, T, H)`` multiplies what the linear layer reads; see :func:`dropout_mask`.
+        `mask` ``(N, T, H)`` multiplies the input of the linear layer; see :func:`dropout_mask`.
         """
         h, state = self.gru(x, state)
         return self.out(h if mask is None else h * mask), state
@@ -74,9 +74,10 @@ class GRULinear(nn.Module):
 def dropout_mask(
     rng: np.random.Generator, shape: tuple[int, ...], share: float, device: torch.device
 ) -> Tensor | None:
-    """Factors 0 and 1 / (1 − share); None where nothing is left out.
+    """Dropout factors, each 0 or 1 / (1 − share); None if `share` is 0.
 
-    Drawn from the training loop's generator, whose state is saved: a resumed run draws the same.
+    They are drawn from the generator of the training loop, whose state is saved, so that a resumed
+    run draws the same factors.
     """
     if not share:
         return None
@@ -84,7 +85,7 @@ def dropout_mask(
 
 
 class _Layer(torch.autograd.Function):
-    """One layer over T frames; z and r are the update and reset gates, n the new state's part.
+    """One layer over T frames; z and r are the update and reset gates, n is the candidate state.
 
     r = σ(W_r x + U_r h), z = σ(W_z x + U_z h), n = tanh(W_n x + r ∘ (U_n h + b)),
     h' = n + z ∘ (h − n)  (Cho et al. 2014, in the order of torch's rows: r, z, n).
@@ -126,7 +127,7 @@ class _Layer(torch.autograd.Function):
         flat, w_in, w_state, h, rounded, rz, n, hidden = ctx.saved_tensors
         steps, lanes, size = n.shape
         r, z = rz.split(size, dim=2)
-        # How the gates' sums answer the state, for all frames at once.
+        # Derivatives of the state by the gates' arguments, for all frames at once.
         to_n, to_z = (1 - z) * (1 - n * n), (h[:-1] - n) * z * (1 - z)
         to_r = hidden * r * (1 - r)
         of_in = n.new_empty(steps, lanes, 3 * size)

@@ -20,7 +20,7 @@ def neighbour_table(faces: Any, n_vertices: int) -> Tensor:
     """Neighbours ``(V, D)`` of every vertex by the mesh's edges.
 
     Short rows repeat their last neighbour, which does not change a maximum; a vertex without
-    neighbours is its own.
+    neighbours is its own neighbour.
 
     Examples
     --------
@@ -42,7 +42,7 @@ def neighbour_table(faces: Any, n_vertices: int) -> Tensor:
 
 
 class _Highest(torch.autograd.Function):
-    """Maximum over the neighbours; its gradient goes to the first that attains it.
+    """Maximum over the neighbours, whose gradient goes to the first neighbour that attains it.
 
     Written out because autograd would store two tensors for every neighbour.
     """
@@ -87,7 +87,7 @@ class EdgeConv(nn.Module):
         Divides x_j − x_i: the mean edge length where x are positions, so that differences are
         of the size of the positions.
     activation : {"relu", "prelu"}
-        PReLU with one slope a channel, kept at 0 or above: below 0 it is not monotone.
+        PReLU has one slope per channel, kept at 0 or above: below 0 it is not monotone.
 
     Examples
     --------
@@ -105,9 +105,10 @@ class EdgeConv(nn.Module):
         self.act = _activation(activation, outputs)
 
     def forward(self, x: Tensor, neighbours: Tensor, dropped: Tensor | None = None) -> Tensor:
-        """``(V, N, outputs)`` of ``(V, N, inputs)``; with vertices first a gather copies rows.
+        """Features ``(V, N, outputs)`` of features ``(V, N, inputs)``.
 
-        `dropped` ``(V, D)`` names neighbours to be left out; a vertex without any other answers 0.
+        Vertices come first, so that a gather copies whole rows.  `dropped` ``(V, D)`` is a mask of
+        neighbours to leave out; a vertex that has no others gets 0.
         """
         w_a, w_b = self.linear.weight.chunk(2, dim=1)
         candidates, alone = x @ (w_b / self.scale).T, None
@@ -140,9 +141,10 @@ def _activation(name: str, channels: int) -> nn.Module:
 
 
 class HighFrequency(nn.Module):
-    """D_HF: detail from global features (GRU on M_v) and local ones (EdgeConv on G_LF).
+    """D_HF, the network of the detail (section 4.3).
 
-    One MLP for all vertices reads both (section 4.3).
+    An MLP, the same for all vertices, reads global features from a GRU on the bone motion M_v and
+    local ones from EdgeConv layers on the low-frequency mesh G_LF.
 
     Parameters
     ----------
@@ -152,7 +154,7 @@ class HighFrequency(nn.Module):
     n_vertices : int
     hidden : int
     global_features : int
-        Of each vertex.
+        Number of global features of each vertex.
     edge_features : sequence of int
         Widths of the EdgeConv layers; empty: no local features.
     mlp : sequence of int
@@ -163,7 +165,7 @@ class HighFrequency(nn.Module):
     batch_norm : bool
         Normalise the global features over the batch, as the published code does.
     vertices : (n,) int array, optional
-        Vertices whose detail is predicted, all by default; the others' is 0.
+        Vertices whose detail is predicted, all by default; the detail of the others is 0.
 
     Examples
     --------
@@ -204,7 +206,7 @@ class HighFrequency(nn.Module):
         wide = len(chosen) * global_features
         self.spread = nn.Linear(hidden, wide)
         self.spread_act = _activation(activation, wide)
-        # The published code's momentum.
+        # The momentum is that of the published code.
         self.norm = nn.BatchNorm1d(wide, momentum=1e-3) if batch_norm else nn.Identity()
         widths = [3, *edge_features] if edge_features else []
         self.edges = nn.ModuleList(
@@ -224,9 +226,9 @@ class HighFrequency(nn.Module):
         self.register_buffer("centre", torch.zeros(3))
 
     def draw_edges(self, rng: np.random.Generator, share: float) -> list[Tensor] | None:
-        """For each EdgeConv layer the neighbours ``(V, D)`` that a training step leaves out.
+        """Masks ``(V, D)``, one per EdgeConv layer, of neighbours that a training step leaves out.
 
-        Edges are left out with probability `share`, in both directions; None: no edges.
+        An edge is left out with probability `share`, in both directions.  None if no edges are.
         """
         if not (share and len(self.edges)):
             return None
@@ -248,7 +250,7 @@ class HighFrequency(nn.Module):
         mask: Tensor | None = None,
         dropped: list[Tensor] | None = None,
     ) -> tuple[Tensor, Tensor]:
-        """Detail and new state.
+        """Detail of the chosen frames, and the GRU's new state.
 
         Parameters
         ----------
@@ -261,7 +263,7 @@ class HighFrequency(nn.Module):
         mask : (N, S, H), optional
             Factors of the GRU's outputs; see :func:`~garmentnet.networks.gru.dropout_mask`.
         dropped : list of (V, D) bool, optional
-            Of :meth:`draw_edges`.
+            Result of :meth:`draw_edges`.
 
         Returns
         -------

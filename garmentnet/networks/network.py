@@ -1,4 +1,4 @@
-"""The motion network: garment G = G_LF + G_HF from body motion, all at once or frame by frame."""
+"""The motion network: the garment G = G_LF + G_HF from body motion, at once or frame by frame."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from .skinning import TorchSkinning, apply_frame
 
 __all__ = ["FRAMES_AT_ONCE", "Motion", "MotionNetwork", "NetworkState", "Predictor"]
 
-# Frames that are predicted at once: bounds the memory, results do not depend on it.
+# Frames that are predicted at once, which bounds the memory; results do not depend on it.
 FRAMES_AT_ONCE = 128
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class NetworkState:
-    """What a network remembers between frames; the hidden states are ``(1, 1, H)``."""
+    """State of a network between two frames; the hidden states are ``(1, 1, H)``."""
 
     pose: PoseState | None = None
     low: Tensor | None = None
@@ -40,13 +40,13 @@ class Motion:
     Attributes
     ----------
     transforms : (F, B, 3, 4)
-        Of the virtual bones.
+        Transforms of the virtual bones.
     low : (F, V, 3)
         Low-frequency mesh, metres.
     high : (F, V, 3) or None
         Detail, metres; None without the high-frequency module.
     frame : (F, 3, 4) float64
-        From the moving frame to the world.
+        Transforms from the moving frame to the world.
     """
 
     transforms: Tensor
@@ -84,7 +84,7 @@ class Predictor:
         detail: bool = True,
         frames: Any = None,
     ) -> tuple[Motion, Any]:
-        """Consecutive frames from a state on, and the state after them."""
+        """Prediction of consecutive frames that follow `state`, and the state after them."""
         raise NotImplementedError
 
     def motions(
@@ -111,23 +111,23 @@ class Predictor:
     def step(
         self, state: Any, pose: Any, *, parameters: Any = None
     ) -> tuple[Any, NDArray[np.float32]]:
-        """One frame: joints ``(J, 3, 4)`` to the new state and world positions ``(V, 3)``.
+        """New state and world positions ``(V, 3)`` for the next frame, with joints ``(J, 3, 4)``.
 
-        Equal to :meth:`predict`, except for rounding.
+        Positions are equal to those of :meth:`predict`, except for rounding.
         """
         motion, state = self.run(np.asarray(pose)[None], state, parameters=parameters)
         return state, motion.vertices()[0]
 
 
 class MotionNetwork(nn.Module, PoseReader, Predictor):
-    """D: low- and high-frequency module on one set of virtual bones, G = G_LF + G_HF.
+    """Motion network D: a low- and a high-frequency module on one set of virtual bones.
 
     Parameters
     ----------
     config : Config
     subject : Subject
     normaliser : Normaliser
-        Of the pose features.
+        Scaling of the pose features.
 
     Examples
     --------
@@ -166,7 +166,7 @@ class MotionNetwork(nn.Module, PoseReader, Predictor):
         self.turns = SurfaceTurns(garment.indices, garment.weights, garment.n_bones, self.free)
         self.carried: TorchSkinning | None = None
         if bound is not None:
-            # Smooth and true positions of the same vertices, one below the other.
+            # Smoothed and true rest positions of the bound vertices, stacked.
             self.carried = TorchSkinning(
                 np.concatenate([bound.smooth, bound.rest]),
                 np.tile(bound.indices, (2, 1)),
@@ -177,7 +177,7 @@ class MotionNetwork(nn.Module, PoseReader, Predictor):
             self.register_buffer("bound", index, persistent=False)
 
     def add_high(self) -> HighFrequency | DetailBasis:
-        """Add the high-frequency module with random weights, in the memory of the processor."""
+        """Add the high-frequency module with random weights, on the CPU, and return it."""
         o, garment = self.config.high, self.subject.garment
         inputs = self.low.code.mean.numel() if o.source == "bones" else self.features.size
         inputs += self.condition
@@ -209,19 +209,21 @@ class MotionNetwork(nn.Module, PoseReader, Predictor):
     def mesh(self, z: Tensor) -> Tensor:
         """Skinned mesh ``(..., V, 3)`` of normalised bone motion, in the moving frame.
 
-        Vertices that the body carries are where the bones put them; see :meth:`carry`.
+        Vertices bound to the body are skinned by the virtual bones, too; see :meth:`carry`.
         """
         return torch.as_tensor(self.lbs(self.low.code(z)))
 
     def carry(self, mesh: Tensor, joints: Tensor, part: str = "low") -> Tensor:
-        """The low- or high-frequency part with what the body carries where its joints put it.
+        """Copy of `mesh` in which the vertices bound to the body are placed by its joints.
 
         Parameters
         ----------
         mesh : (F, V, 3)
+            The low- or high-frequency part of the garment.
         joints : (F, J, 3, 4)
-            In the moving frame.
+            Transforms of the body's joints in the moving frame.
         part : {"low", "high"}
+            Which of the two parts `mesh` is.
         """
         if self.carried is None:
             return mesh
@@ -229,13 +231,14 @@ class MotionNetwork(nn.Module, PoseReader, Predictor):
         return mesh.index_copy(1, self.bound, smooth if part == "low" else true - smooth)
 
     def turned(self, numbers: Tensor, transforms: Tensor) -> Tensor:
-        """Detail ``(F, V, 3)`` of the basis in the moving frame; 0 where the body carries.
+        """Detail ``(F, V, 3)`` in the moving frame; 0 at vertices bound to the body.
 
         Parameters
         ----------
         numbers : (F, rank)
+            Weights of the basis.
         transforms : (F, B, 3, 4)
-            Of the virtual bones.
+            Transforms of the virtual bones.
         """
         assert isinstance(self.high, DetailBasis)
         local = self.high.local(numbers)
@@ -263,16 +266,16 @@ class MotionNetwork(nn.Module, PoseReader, Predictor):
         detail: bool = True,
         frames: Any = None,
     ) -> tuple[Motion, NetworkState]:
-        """Predict consecutive frames, from a state on.
+        """Predict consecutive frames; return them and the state after the last.
 
         Parameters
         ----------
         joints : (F, J, 3, 4) array
             World transforms of the body's joints from its rest pose.
         state : NetworkState, optional
-            None: the motion starts here, from rest.
+            State after the frame before; None if the motion starts here, from rest.
         parameters : (3,) array, optional
-            Normalised; for a network that reads them.
+            Normalised simulation parameters, for a network that reads them.
         detail : bool
             Whether to run the high-frequency module.
         frames : (f,) int array, optional

@@ -28,7 +28,7 @@ class TorchSkinning(nn.Module):
 
     v = A M with A = w ⊗ (p, 1), dense ``(V, 4B)``, and M the transposed
     transforms ``(4B, 3 F)`` of all frames side by side.  For about 80 bones this is
-    faster than gathering K transforms a vertex, and its gradient is one product too.
+    faster than gathering K transforms per vertex, and its gradient is one product, too.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class TorchSkinning(nn.Module):
 
     @classmethod
     def of(cls, skinning: Skinning) -> TorchSkinning:
-        """From an :class:`ssdr.Skinning`; its transforms are not used."""
+        """Module with the rest pose and weights of a skinning; its transforms are not used."""
         return cls(skinning.rest, skinning.indices, skinning.weights, skinning.n_bones)
 
     def forward(self, transforms: Tensor) -> Tensor:
@@ -102,7 +102,7 @@ def matrix_from_euler(degrees: Tensor) -> Tensor:
 
 
 def matrix_from_sixd(sixd: Tensor) -> Tensor:
-    """Rotation matrices ``(..., 3, 3)`` of two columns ``(..., 6)`` (Zhou et al. 2019).
+    """Rotation matrices ``(..., 3, 3)`` from two columns ``(..., 6)`` (Zhou et al. 2019).
 
     The columns are made orthonormal by Gram–Schmidt.
 

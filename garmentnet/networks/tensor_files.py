@@ -22,7 +22,7 @@ __all__ = ["load_tensors", "part_of", "save_tensors"]
 def save_tensors(path: Path, tensors: dict[str, Tensor], documents: dict[str, Any]) -> Path:
     """Write tensors and JSON documents to one safetensors file, complete or not at all."""
     safetensors = require("safetensors.torch", "garmentnet", "a checkpoint")
-    # One entry, because several are written in an order that changes from run to run.
+    # A single metadata entry, because several would be written in an order that varies.
     text = json.dumps(documents, sort_keys=True)
     # Tensors may share memory, which the format cannot express.
     plain = {k: v.detach().cpu().contiguous().clone() for k, v in tensors.items()}
@@ -43,5 +43,5 @@ def part_of(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
 def load_tensors(path: Path, wanted: Sequence[str]) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """Tensors and JSON documents of a safetensors file; errors as :func:`load_arrays`."""
     arrays, documents = load_arrays(path, wanted)
-    # Copies lie at aligned addresses; products of others differ in their last bits.
+    # Copied to aligned addresses; products of unaligned tensors differ in their last bits.
     return {k: torch.from_numpy(v).clone() for k, v in arrays.items()}, documents

@@ -1,1 +1,1 @@
-"""A trained network's garment for a motion, and files of it."""
+"""Prediction of a garment for a motion by a trained network, and files of the result."""

@@ -22,12 +22,13 @@ __all__ = ["read_clip", "read_joints"]
 
 
 def read_clip(path: Path | str, checkpoint: Checkpoint) -> Clip | None:
-    """The simulated clip that a path names, or None if it is another kind of motion.
+    """The simulated clip at a path, or None if the path is another kind of motion.
 
     Raises
     ------
     InputError
-        If the clip is of another garment, body or frame rate, or its store has none of that name.
+        If the clip has another garment, body or frame rate than the checkpoint, or the store has no
+        clip of that name.
     FormatError
         If the store is damaged.
     """
@@ -53,7 +54,7 @@ def read_joints(path: Path | str, checkpoint: Checkpoint) -> NDArray[np.float64]
     InputError
         If there is no such file.
     FormatError
-        If it is damaged, of an unknown kind or of another body.
+        If the file is damaged, of an unknown kind, or has the joints of another body.
     """
     file, subject = Path(path), checkpoint.subject
     suffix = file.suffix.lower()

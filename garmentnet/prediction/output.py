@@ -103,19 +103,20 @@ def save_prediction(
     error : bool
         Whether a film with the truth has the error as a third panel.
     every : int
-        A film shows every frame, every second and so on; its speed stays.
+        Step between the frames that a film shows; its speed does not change.
     progress : callable, optional
         Called with the fraction of a film that is drawn.
 
     Returns
     -------
     str
-        What was written, for the user.
+        Text for the user that says what was written.
 
     Raises
     ------
     InputError
-        If the clip is not of the prediction's frames and vertices, or `every` is below 1.
+        If the clip has other numbers of frames or vertices than the prediction, or `every` is below
+        1.
     SsdrError
         If the file cannot be written.
     """
@@ -162,7 +163,7 @@ def _write_page(p: Prediction, file: Path, truth: Clip | None) -> str:
 
 
 def _film(p: Prediction, truth: Clip | None, size: int, error: bool, every: int) -> Film:
-    """The camera walks along; the body turns before it."""
+    """Film of a prediction, in which the camera follows the body but does not turn with it."""
 
     def scene(cloth: Any) -> MeshSequence:
         return dressed(
@@ -208,10 +209,10 @@ def _save(prediction: Prediction, file: Path) -> str:
 
 
 def rigid(skinning: Skinning) -> Skinning:
-    """A copy that engines can play: an ensemble mixes rotations to affine transforms.
+    """Copy with rigid bones, for engines; an ensemble blends rotations into affine transforms.
 
-    They are replaced by the closest rotations about the centroids of the vertices that each bone
-    moves.
+    Such a transform is replaced by the closest rotation about the centroid of the vertices that the
+    bone moves.
     """
     if skinning.bone_model == "rigid":
         return skinning

@@ -1,4 +1,4 @@
-"""The garment that a checkpoint predicts for a motion, with torch or without."""
+"""Prediction of the garment for a motion by a checkpoint, with torch or without."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:  # torch takes seconds to import, and a live garment needs non
 
 __all__ = ["Prediction", "chosen_parameters", "predict", "predict_live"]
 
-# Relative; parameters that are read from a file may be rounded.
+# Relative tolerance of parameters, since those read from a file may be rounded.
 _ROUNDING = 1e-9
 
 
@@ -37,8 +37,8 @@ class Prediction:
     ----------
     cloth, body : MeshSequence
     skinning : Skinning
-        The low-frequency part: the virtual bones with their transforms in the world, and behind
-        them the joints of the body that carry vertices.
+        The low-frequency part: the virtual bones with their world transforms, followed by the
+        joints of the body to which vertices are bound.
     joints : (F, J, 3, 4) array
     root : (F, 3) array
         Positions of the root joint, metres.
@@ -46,7 +46,7 @@ class Prediction:
         Fraction of the cloth's vertices that were moved out of the body or along with those that
         were, over all frames.
     farthest : float
-        The longest way that one was moved, metres.
+        Largest displacement of a vertex by the push-out, metres.
 
     The push-out changes `cloth` alone, not `skinning`.
     """
@@ -63,9 +63,10 @@ class Prediction:
 def chosen_parameters(
     checkpoint: Checkpoint, entered: Mapping[str, float]
 ) -> SimulationParameters | None:
-    """Parameters for :func:`predict`: those entered, the others as trained or as usual.
+    """Parameters for :func:`predict`; None if none is entered and the checkpoint needs none.
 
-    None if none is entered and the checkpoint needs none.
+    Parameters that are not entered are those of the training, or the defaults for a checkpoint that
+    reads parameters.
     """
     reads = checkpoint.reads_parameters
     if not entered and not reads:
@@ -83,7 +84,7 @@ def predict(
     push_out: bool = True,
     name: str = "prediction",
 ) -> Prediction:
-    """The garment that a checkpoint predicts for a motion of its body.
+    """Prediction of the garment by a checkpoint, for a motion of its body.
 
     Parameters
     ----------
@@ -91,8 +92,8 @@ def predict(
     joints : (F, J, 3, 4) array
         World transforms from the body's rest pose, at the checkpoint's frame rate.
     parameters : SimulationParameters, optional
-        Needed by an ensemble and by a network that reads them; any other network has its own
-        and accepts no others.
+        Needed by an ensemble and by a network that reads them; any other network accepts only those
+        of its training.
     detail : bool
         Whether to run the high-frequency module.
     push_out : bool
@@ -135,7 +136,7 @@ def predict_live(
     push_out: bool = True,
     name: str = "prediction",
 ) -> Prediction:
-    """The same of a live garment, frame by frame, without torch.
+    """Prediction by a live garment, frame by frame, without torch.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A predicted garment as a skinned model of body joints, virtual bones and morph targets."""
+"""Conversion of a prediction to a skinned model of body joints, virtual bones and morph targets."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from .prediction import Prediction
 
 __all__ = ["Rigged", "rigged", "save_rigged"]
 
-# Singular values of a blended transform below this part of its largest are not inverted: a vertex
-# whose bones turn against each other is then moved less.
+# Singular values of a blended transform below this fraction of the largest are not inverted, so
+# that morph targets do not move vertices far whose bones turn against each other.
 _FLAT = 0.1
 
 
@@ -32,12 +32,13 @@ class Rigged:
     Attributes
     ----------
     skinning : Skinning
-        Its first bones are the body's joints, with their hierarchy; the virtual bones hang on the
-        first of them.
+        The body's joints with their hierarchy, followed by the virtual bones as children of the
+        first joint.
     shapes : Shapes
-        Principal components of what skinning leaves of the prediction; each goes from 0 to 1.
+        Morph targets: principal components of the difference between the prediction and the
+        skinned mesh, with amounts from 0 to 1.
     error, still : float
-        RMSE of the vertices, metres, and where the morph targets keep their mean.
+        RMSE of the vertices, metres; and the same if the morph targets keep their mean amounts.
     """
 
     skinning: Skinning
@@ -47,18 +48,18 @@ class Rigged:
 
 
 def rigged(prediction: Prediction, skeleton: Skeleton, *, shapes: int = 8) -> Rigged:
-    """A prediction as skin weights, joints and a few morph targets.
+    """Skinned model of a prediction with a few morph targets.
 
-    What the virtual bones leave of each frame is taken back through the blended transform of each
-    vertex, so that adding it before skinning gives the prediction; its mean goes into the rest
-    pose, and its principal components over the frames become the targets, whose least amounts are
-    in the rest pose, too.
+    In each frame, the difference between the prediction and the skinned mesh is transformed back
+    through the blended transform of each vertex, so that adding it to the rest pose before skinning
+    gives the prediction.  Its mean over the frames is added to the rest pose.  Its principal
+    components become the morph targets, with amounts shifted so that the smallest is 0.
 
     Parameters
     ----------
     prediction : Prediction
     skeleton : Skeleton
-        Of the body.
+        Skeleton of the body.
     shapes : int
         Largest number of morph targets.
 
@@ -90,7 +91,7 @@ def rigged(prediction: Prediction, skeleton: Skeleton, *, shapes: int = 8) -> Ri
 
 
 def save_rigged(model: Rigged, path: Path | str) -> str:
-    """Write a ``.glb`` or ``.gltf`` and return what was written, for the user.
+    """Write a ``.glb`` or ``.gltf``, and return a text for the user that says what was written.
 
     Raises
     ------
@@ -108,7 +109,7 @@ def save_rigged(model: Rigged, path: Path | str) -> str:
 
 
 def _on_skeleton(model: Skinning, joints: NDArray[np.float64], skeleton: Skeleton) -> Skinning:
-    # Before: virtual bones and those joints that carry vertices.  After: all joints first.
+    # Given: virtual bones, then joints with bound vertices; result: all joints, then virtual bones
     names = model.names()
     virtual = [k for k, name in enumerate(names) if name not in skeleton.names]
     order = {name: k for k, name in enumerate((*skeleton.names, *(names[k] for k in virtual)))}
@@ -126,8 +127,8 @@ def _on_skeleton(model: Skinning, joints: NDArray[np.float64], skeleton: Skeleto
 def _components(
     rows: NDArray[np.float32], count: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    # Principal components (M, N) of rows (F, N) whose mean is 0, and amounts (F, M).  By the rows'
-    # products, since they are longer than many.
+    # Principal components (M, N) of rows (F, N) whose mean is 0, and amounts (F, M).  They come
+    # from the Gram matrix of the rows, since F is much smaller than N.
     vectors = np.linalg.eigh((rows @ rows.T).astype(np.float64))[1][:, ::-1]
     amounts = vectors[:, :count].astype(np.float32)
     return amounts.T @ rows, amounts

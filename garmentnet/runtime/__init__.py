@@ -1,4 +1,4 @@
-"""A garment predicted frame by frame with NumPy and Numba alone; no torch here."""
+"""Prediction of a garment frame by frame with NumPy and Numba alone, without torch."""
 
 from .garment import LiveGarment, LiveState, load_live
 from .player import Player

@@ -1,7 +1,7 @@
-"""A trained garment that is run frame by frame, without torch.
+"""Prediction of a trained garment frame by frame, without torch.
 
-The same numbers as :class:`~garmentnet.networks.network.MotionNetwork` frame by frame, but what a
-vertex needs is done in one pass: at most K bones are blended, and the blend turns the detail too.
+The result is that of :class:`~garmentnet.networks.network.MotionNetwork`, but each vertex is
+computed in one pass: at most eight transforms are blended, and the blend also rotates the detail.
 """
 
 from __future__ import annotations
@@ -30,25 +30,28 @@ __all__ = ["LiveGarment", "LiveState", "load_live"]
 
 Single = NDArray[np.float32]
 _FRAMES = ("world", "root", "heading")
-# Pivots of less weight are not run: even where they are 0.1 m apart it is 0.01 mm.
+# Pivots of less weight are not run: where predictions differ by 0.1 m, that is an error of 0.01 mm.
 _NO_WEIGHT = 1e-4
 _INFLUENCES = 8  # bones a vertex that the kernel blends
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class LiveState:
-    """What a garment remembers of a frame.  It is not changed: one may go back to it.
+    """State of a garment after a frame, from which the next frame is computed.
+
+    No step changes it, so a caller may go back to an earlier state.
 
     Attributes
     ----------
     pose : (18 + P,) float64
-        See :mod:`garmentnet.runtime.kernels`.
+        Pose state, as :mod:`garmentnet.runtime.kernels` describes it.
     hidden : tuple of (low (H,), high (H,)) float32
-        The GRUs' states, of every pivot.
+        Hidden states of the two GRUs of each pivot.
     bones : (B, 12) float32
-        Rows of the bones' transforms in the moving frame.
+        Transforms of the bones in the moving frame, flattened row by row.
     detail : tuple of (1 + rank,) float32
-        Weights of mean detail and components, of every pivot; empty: none.
+        Weights of the mean detail and the components, for each pivot; arrays are empty without
+        detail.
     """
 
     pose: NDArray[np.float64]
@@ -58,21 +61,21 @@ class LiveState:
 
 
 class LiveGarment:
-    """A garment's networks, ready to run.
+    """Garment that predicts its vertices frame by frame.
 
     Parameters
     ----------
     subject : Subject
     features : FeatureOptions
     pivots : sequence of Pivot
-        One, or those of an ensemble.
+        The single network, or those of an ensemble.
     mixture : Mixture or None
-        Of an ensemble.
+        Kernel that mixes the networks of an ensemble.
 
     Raises
     ------
     InputError
-        If the features name a joint that the body has not.
+        If the features name a joint that the body does not have.
     """
 
     def __init__(
@@ -107,35 +110,35 @@ class LiveGarment:
         pose: Any,
         parameters: SimulationParameters | None = None,
     ) -> tuple[LiveState, Single]:
-        """The next frame, at the garment's frame rate.
+        """State and vertices of the next frame, at the garment's frame rate.
 
         Parameters
         ----------
         state : LiveState or None
-            Of the frame before; None: the motion starts here, from rest.
+            State after the frame before; None if the motion starts here, from rest.
         pose : (J, 3, 4) array
             World transforms of the body's joints from its rest pose, metres.
         parameters : SimulationParameters, optional
-            For a garment that reads them.
+            Simulation parameters, for a garment that reads them.
 
         Returns
         -------
         state : LiveState
         vertices : (V, 3) float32
-            In the world, metres.
+            World positions in metres.
 
         Raises
         ------
         InputError
-            If the pose is not one of this body, not finite or not rigid, the state is another
-            garment's, or parameters are missing.
+            If the pose does not fit the body, is not finite or not rigid, the state is that of
+            another garment, or parameters are missing.
         """
         m = self.checked(pose)
         state = self.advance(state, m, parameters)
         return state, self.vertices(state, m)
 
     def checked(self, pose: Any) -> NDArray[np.float64]:
-        """A pose as float64; InputError if it is not one of this body, finite and rigid."""
+        """A pose as float64; InputError unless it fits the body and is finite and rigid."""
         try:
             m = np.ascontiguousarray(pose, np.float64)
         except (TypeError, ValueError) as error:
@@ -153,7 +156,7 @@ class LiveGarment:
         pose: NDArray[np.float64],
         parameters: SimulationParameters | None = None,
     ) -> LiveState:
-        """The state after the next frame, without its vertices; arguments as :meth:`step`."""
+        """The state after the next frame, without its vertices; arguments as for :meth:`step`."""
         if parameters is not None and not isinstance(parameters, SimulationParameters):
             raise InputError("parameters", "SimulationParameters", type(parameters).__name__)
         if state is not None and not self._owns(state):
@@ -183,7 +186,7 @@ class LiveGarment:
         return len(state.pose) == 18 + self._code and sizes == self._sizes
 
     def vertices(self, state: LiveState, pose: NDArray[np.float64]) -> Single:
-        """World positions ``(V, 3)`` of a state's garment on a pose of the body."""
+        """World positions ``(V, 3)`` of the garment in a state, on the body in a pose; metres."""
         frame, s = np.empty((3, 4)), self.subject
         moving_frame(pose, s.skeleton.rest, self._frame, frame)
         transforms = np.empty((s.garment.n_bones + len(pose), 12), np.float32)
@@ -197,7 +200,7 @@ class LiveGarment:
         return out
 
     def transforms(self, state: LiveState, pose: NDArray[np.float64]) -> NDArray[np.float64]:
-        """World transforms ``(B, 3, 4)`` of a state's virtual bones."""
+        """World transforms ``(B, 3, 4)`` of the virtual bones in a state, on a body in a pose."""
         frame = np.empty((3, 4))
         moving_frame(pose, self.subject.skeleton.rest, self._frame, frame)
         moved = frame[:, :3] @ state.bones.reshape(-1, 3, 4)
@@ -218,7 +221,7 @@ class LiveGarment:
 
 
 def _parts(subject: Subject, detailed: bool) -> list[tuple[NDArray[Any], ...]]:
-    # What skin reads of the predicted vertices, and of those that the body carries.
+    # Arguments of `skin` for the predicted vertices, and for those bound to the body.
     rest, bones, weights = subject.skin(smooth=not detailed)
     places = [subject.free] + ([] if subject.bound is None else [subject.bound.index])
     return [_part(rest[k], bones[k], weights[k], k) for k in places]
@@ -246,8 +249,8 @@ def load_live(path: Path | str) -> LiveGarment:
     InputError
         If there is no such file.
     FormatError
-        If the file is something else or damaged, or its networks are of a kind that is not run
-        here: bones in Euler angles, or detail that is not a basis.
+        If the file is something else or damaged, or its networks are of a kind that needs torch:
+        with Euler angles of the bones, or with detail that is not a weighted basis.
     """
     file = Path(path)
     arrays, documents = load_arrays(file, ("checkpoint",))

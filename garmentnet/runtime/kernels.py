@@ -1,7 +1,7 @@
 """Kernels of one frame: a pose's features, the bones' transforms, the skinned vertices.
 
-A pose state is one row of float64: of the frame before, the root's place in the first frame (3),
-its place (3), velocity (3) and rotation (9), and the rotations' features.
+A pose state is one row of float64: the root's position in the first frame (3); then of the frame
+before, the root's position (3), velocity (3) and rotation (9), and the features of the rotations.
 
 Numbers are passed and indexed one by one: views of rows cost more than the arithmetic.
 """
@@ -17,8 +17,8 @@ from ssdr.kernels.policy import inline, kernel
 
 # Largest entry of |RRᵀ − I| that still counts as a rotation, as for networks in torch.
 _ORTHOGONAL = 1e-3
-# As the torch side: a twist shorter than the first has no direction, and lengths are at least the
-# second.
+# As in torch: a twist shorter than the first has no direction, and lengths by which vectors are
+# divided are at least the second.
 _UPSIDE_DOWN = 1e-12
 _SHORT = 1e-8
 _BLOCK = 64  # vertices whose blended transforms lie in the fastest cache
@@ -80,7 +80,7 @@ def all_rigid(m):
 
 @kernel
 def moving_frame(m, rest, kind, frame):
-    """Write the frame (3, 4) that the network predicts in: 0 the world, 1 root, 2 heading."""
+    """Write the moving frame (3, 4) of the prediction, by `kind`: 0 world, 1 root, 2 heading."""
     frame[:] = 0.0
     for a in range(3):
         frame[a, a] = 1.0
@@ -103,9 +103,10 @@ def moving_frame(m, rest, kind, frame):
 
 @kernel
 def pose_features(m, rest, parents, read, options, fps, begins, state, new, out):
-    """Write features and the new pose state of joints (J, 3, 4).
+    """Write the features and the new pose state for joints (J, 3, 4).
 
-    `options`: 6D rotations, free of the heading, with translation, velocities, root motion.
+    `options` are five flags: 6D rotations (else rotation vectors), root rotation relative to the
+    heading, and whether translation, velocities and root motion are among the features.
     """
     sixd, free, translation, velocities, motion = options
     heading, root = np.empty((3, 4)), np.empty((3, 4))
@@ -151,7 +152,7 @@ def pose_features(m, rest, parents, read, options, fps, begins, state, new, out)
             out[first + size + i] = 0.0 if begins else (new[18 + i] - state[18 + i]) * fps
     if motion:
         at = first + (2 * size if velocities else size)
-        # The turn since the frame before, R R'ᵀ.
+        # The root's rotation since the frame before, R R'ᵀ.
         for a in range(3):
             for b in range(3):
                 local[a, b] = 1.0 if a == b else 0.0
@@ -188,7 +189,7 @@ def _orthonormal(ax, ay, az, bx, by, bz):
 
 @kernel
 def add_bones(numbers, centres, weight, out):
-    """Add weighted transforms (B, 12) of 6D rotations and moved centres (B, 9)."""
+    """Add weighted transforms (B, 12), given 6D rotations and positions of the centres (B, 9)."""
     for b in range(len(numbers)):
         ax, ay, az, bx, by, bz = _orthonormal(
             numbers[b, 0], numbers[b, 1], numbers[b, 2],
@@ -208,10 +209,10 @@ def add_bones(numbers, centres, weight, out):
 
 @kernel
 def place(bones, joints, frame, out):
-    """Write transforms (B + J, 12) from the rest pose to the world, less the frame's place.
+    """Write transforms (B + J, 12) from the rest pose to the world, relative to the frame's origin.
 
-    Bones (B, 12) are in the moving frame, joints (J, 3, 4) in the world.  Near the frame float32
-    has its digits far from the origin, too.
+    Bones (B, 12) are in the moving frame, joints (J, 3, 4) in the world.  Relative to the frame's
+    origin, float32 keeps its precision far from the world's origin.
     """
     n_bones = len(bones)
     for b in range(n_bones):
@@ -234,8 +235,8 @@ def skin(m, origin, rest, indices, weights, where, detail, out):
     """Write positions v = Σ w_i M_i p + T d, T the blended rotation made orthonormal.
 
     rest and detail are (3, V), indices and weights (V, 8), transforms m (B, 12); row i is vertex
-    ``where[i]``.  Loops are such that all of them are compiled to vector instructions: the one
-    over a transform's numbers, and those over the vertices of a block.
+    ``where[i]`` of `out`.  The loops over the numbers of a transform and over the vertices of a
+    block are written so that the compiler vectorises them.
     """
     one: Any = np.float32(1)
     short: Any = np.float32(_SHORT)

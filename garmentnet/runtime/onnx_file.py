@@ -1,7 +1,8 @@
-"""A trained garment as one ONNX graph of standard operators, its state an input and an output.
+"""Export of a trained garment as one ONNX graph of standard operators.
 
-A frame of :meth:`~garmentnet.runtime.garment.LiveGarment.step` in float32.  Skinning is one product
-with the dense skin weights, as inference engines are fast at.
+The graph computes :meth:`~garmentnet.runtime.garment.LiveGarment.step` in float32; the state is
+among its inputs and outputs.  Skinning is one product with the dense skin weights, which inference
+engines compute fast.
 """
 
 from __future__ import annotations
@@ -23,28 +24,28 @@ from .pivot import Recurrent
 
 __all__ = ["export_onnx"]
 
-_OPSET, _IR = 17, 8  # of 2021, which the engines' importers know
-_FEW = 4096  # numbers of an array that is not worth fewer bits
+_OPSET, _IR = 17, 8  # versions of 2021, which the engines' importers know
+_FEW = 4096  # arrays with fewer numbers keep 32 bits
 _SHORT = 1e-8
 
 
 def export_onnx(garment: LiveGarment, path: Path | str, *, bits: int = 32) -> Path:
     """Write a garment as an ONNX model, complete or not at all.
 
-    Inputs are ``pose`` (J, 3, 4), ``reset`` (1,), which is 1 where a motion starts and else 0,
-    ``parameters`` (3,) if the garment reads them, and ``pose_state``, ``low_state``,
-    ``high_state``, of any numbers where a motion starts.  Outputs are ``vertices`` (V, 3), metres,
-    in the world, and the states for the next frame: their names end in ``_out``.  The metadata
-    ``garmentnet`` is a JSON document of frame rate, skeleton, triangles and parameters.
+    Inputs are ``pose`` (J, 3, 4); ``reset`` (1,), which is 1 where a motion starts and otherwise 0;
+    ``parameters`` (3,) if the garment reads them; and the states ``pose_state``, ``low_state`` and
+    ``high_state``, which are ignored where a motion starts.  Outputs are ``vertices`` (V, 3), in
+    metres in the world, and the states for the next frame, whose names end in ``_out``.  The
+    metadata ``garmentnet`` is a JSON document with frame rate, skeleton, triangles and parameters.
 
     Parameters
     ----------
     garment : LiveGarment
-        Of one network.
+        A garment with a single network.
     path : path
-        ``.onnx``.
+        File that ends in ``.onnx``.
     bits : {32, 16, 8}
-        Of stored weights; the arithmetic is float32.  Skin weights have at least 16.
+        Bits of a stored network weight; the arithmetic is float32.  Skin weights have at least 16.
 
     Raises
     ------
@@ -86,7 +87,7 @@ def _document(garment: LiveGarment) -> dict[str, Any]:
 
 
 class _Graph:
-    """Nodes, and arrays as inputs of them; every method returns a name."""
+    """Builder of an ONNX graph; methods add nodes or arrays and return the names of the results."""
 
     def __init__(self, onnx: Any, bits: int) -> None:
         self.onnx, self.bits, self.count = onnx, bits, 0
@@ -108,7 +109,7 @@ class _Graph:
         return self._store(a)
 
     def weight(self, value: NDArray[np.float32], bits: int = 0) -> str:
-        """An array in fewer bits; 8 are steps of a size of each row's own."""
+        """Add an array stored in `bits` bits; 8 bits count steps of a size chosen for each row."""
         bits = bits or self.bits
         if bits == 32 or value.size < _FEW:
             return self.array(value)
@@ -125,7 +126,7 @@ class _Graph:
         return name
 
     def end(self, side: int, name: str, *shape: int) -> str:
-        """Declare an input, 0, or output, 1, of the model."""
+        """Declare an input (`side` 0) or output (`side` 1) of the model."""
         kind = self.onnx.TensorProto.FLOAT
         self.ends[side].append(self.onnx.helper.make_tensor_value_info(name, kind, shape))
         return name
@@ -144,7 +145,7 @@ class _Graph:
         return self.op("Div", x, self.op("Max", size, np.float32(_SHORT)))
 
     def turn(self, a: str, b: str) -> tuple[str, str, str]:
-        """Columns (N, 3) of rotations of two columns, by Gram–Schmidt."""
+        """Three columns (N, 3) of rotations, from two columns made orthonormal by Gram–Schmidt."""
         a = self.unit(a)
         dot = self.op("ReduceSum", self.op("Mul", a, b), np.array([-1]), keepdims=1)
         b = self.unit(self.op("Sub", b, self.op("Mul", dot, a)))
@@ -179,7 +180,7 @@ def _frame(g: _Graph, garment: LiveGarment) -> None:
     motion = _recurrent(g, pivot.low, x, "low_state", reset)
     frame = {"root": root, "heading": heading, "world": ""}[o.frame]
     near = position if frame else ""
-    # Bones in the moving frame, then in the world, less the frame's place.
+    # Bones in the moving frame, then in the world relative to the frame's origin.
     numbers = g.op("Add", g.op("Mul", g.shaped(motion, bones, 9), pivot.scale), pivot.shift)
     columns = g.turn(g.part(numbers, 0, 3), g.part(numbers, 3, 6))
     matrix = g.op("Concat", *(g.shaped(c, bones, 3, 1) for c in columns), axis=2)
@@ -233,7 +234,7 @@ def _features(
     read, fps = garment.read, np.float32(s.fps)
     first = g.shaped(heading, 1, 3, 3) if o.heading_free else np.eye(3, dtype=np.float32)[None]
     parents = g.op("Concat", first, g.take(rotations, s.skeleton.parents[read[1:]]), axis=0)
-    # A transposed matrix has its columns one behind the other.
+    # A transposed matrix, flattened, lists the columns one after the other.
     local = g.op("MatMul", g.op("Transpose", g.take(rotations, read), perm=[0, 2, 1]), parents)
     size = 6 * len(read)
     code = g.shaped(g.take(local, [0, 1], 1), size)

@@ -1,4 +1,4 @@
-"""One network's weights and its two GRUs, and the kernel that mixes several."""
+"""Evaluation of one network, and the kernel that mixes several (pivots), in NumPy."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SQUARE = 1e-12  # as the torch side adds to a squared distance
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Recurrent:
-    """A GRU of width H and the linear layer behind it, rows of the gates in torch's order r, z, n.
+    """A GRU of width H followed by a linear layer; its gates are in torch's order r, z, n.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Recurrent:
         return self.w_state.shape[1]
 
     def __call__(self, x: Single, h: Single) -> tuple[Single, Single]:
-        """Output and new state of input ``(D,)`` and state ``(H,)``."""
+        """Output ``(O,)`` and new state ``(H,)``, given input ``(D,)`` and state ``(H,)``."""
         # In place: at this size a new array costs as much as the arithmetic in it.
         n = self.size
         given, past = self.w_in @ x, self.w_state @ h
@@ -68,24 +68,28 @@ class Recurrent:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Pivot:
-    """A network for one set of simulation parameters, or for all.
+    """A network for one set of simulation parameters, or one that reads the parameters.
 
     Attributes
     ----------
     mean, deviation : (D,) float64
-        Of the pose features.
+        Statistics by which the pose features are normalised.
     clamp : float
-        Largest normalised feature; 0: none.
+        Bound of the absolute value of a normalised feature; 0: no bound.
     condition : bool
-        Whether it reads the simulation's parameters.
-    low, high : Recurrent
-        Body motion to normalised bone motion; to weights of the detail, None: no detail.
-    scale, shift, centres : (B, 9), (B, 9), (B, 3) float32
-        Of the bone motion.
+        Whether the network reads the simulation parameters.
+    low : Recurrent
+        Maps body motion to normalised bone motion.
+    scale, shift : (B, 9) float32
+        Deviation and mean of the bone motion.
+    centres : (B, 3) float32
+        Points of the rest pose about which the bones rotate.
+    high : Recurrent or None
+        Maps motion to weights of the detail; None without detail.
     reads_body : bool
-        Whether `high` reads the body's motion instead of the bones'.
+        Whether `high` reads the motion of the body instead of that of the bones.
     basis : (1 + rank, 3 n) float32 or None
-        Mean detail and components, metres; first all x.
+        Mean detail and components, in metres; in each row all x come first, then y, then z.
     """
 
     mean: NDArray[np.float64]
@@ -102,13 +106,13 @@ class Pivot:
 
     @property
     def start(self) -> tuple[Single, Single]:
-        """The states at rest."""
+        """Initial states of the two GRUs."""
         high = 0 if self.high is None else self.high.size
         return np.zeros(self.low.size, np.float32), np.zeros(high, np.float32)
 
     @property
     def nothing(self) -> Single:
-        """Weights of no detail."""
+        """Weights of the detail that are all 0."""
         return np.zeros(0 if self.basis is None else len(self.basis), np.float32)
 
     def __call__(
@@ -139,10 +143,11 @@ class Mixture:
     layers : tuple of float64 arrays
         Weight and bias of the MLP's two layers.
     pivots : (K, 3) float64
-        Normalised parameters.
+        Normalised simulation parameters of each pivot.
     sigma : float
+        Bandwidth.
     exponential : bool
-        Else Gaussian.
+        Whether the kernel is exponential; otherwise it is Gaussian.
     """
 
     layers: tuple[NDArray[np.float64], ...]
@@ -183,7 +188,7 @@ def read_pivot(arrays: dict[str, Any], k: int, record: NetworkRecord, subject: S
     Raises
     ------
     FormatError
-        If an array is missing or of another shape, or it is of a kind that is not run here.
+        If an array is missing or of another shape, or the network is of a kind that needs torch.
     """
     config = record.config
     if config.low.rotation != "sixd":
@@ -223,7 +228,7 @@ def read_pivot(arrays: dict[str, Any], k: int, record: NetworkRecord, subject: S
     n = len(subject.free)
     high = recurrent("high", (len(mean) if body else 9 * b) + theta, o.hidden, o.rank)
     deviation = take("high.deviation", o.rank)
-    # What the components are scaled by lies in the layer before them.
+    # The deviations of the weights are multiplied into the last layer.
     high = dataclasses.replace(
         high, w_out=high.w_out * deviation[:, None], b_out=high.b_out * deviation
     )

@@ -1,4 +1,4 @@
-"""A garment played at any frame rate, through teleports and pauses."""
+"""Playback of a garment at any frame rate, with teleports and pauses of the body."""
 
 from __future__ import annotations
 
@@ -16,38 +16,39 @@ from .garment import LiveGarment, LiveState
 
 __all__ = ["Player"]
 
-# Of a network's frame; times that differ by less are the same.
+# Fraction of a network's frame; times that differ by less count as equal.
 _SAME = 1e-6
 
 
 class Player:
-    """Plays a garment at frames of another length than the network's.
+    """Player of a garment at another frame rate than that of its network.
 
-    The rule: the network runs at its own rate, on poses between the two given ones about each of
-    its frames.  Between its frames it also looks ahead, on the pose that the body would have in
-    its next frame if it kept its speed, and bones and detail go evenly from the one to the other;
-    what is looked ahead is forgotten.  Vertices stand on the pose that is given, without delay,
-    and at the network's own rate they are those of :meth:`LiveGarment.step`.
+    The network runs at its own frame rate, on poses interpolated between the given ones.  For a
+    pose between two frames of the network, the next frame is predicted from the pose that the body
+    would have then if it kept its speed.  Bones and detail are interpolated linearly between the
+    last frame and this predicted one, which is then discarded.  Vertices are placed on the given
+    pose, without delay.  At the network's own frame rate they are those of
+    :meth:`LiveGarment.step`.
 
-    The garment starts anew, from rest, where the root is faster than `fastest` or turns faster
-    than `spin` (a teleport), or a frame is longer than `longest` (a pause).
+    The garment starts anew, from rest, if the root moves faster than `fastest` or turns faster than
+    `spin` (a teleport), or if more than `longest` has passed since the last pose (a pause).
 
     Parameters
     ----------
     garment : LiveGarment
     dt : float
-        Seconds from pose to pose, unless a call states its own.
+        Seconds from one pose to the next, unless a call states its own.
     fastest : float
-        m/s.
+        Largest speed of the root, m/s.
     spin : float
-        rad/s.
+        Largest angular speed of the root, rad/s.
     longest : float
-        Seconds.
+        Longest time between two poses, seconds.
 
     Raises
     ------
     InputError
-        If one is not positive and finite.
+        If one of the numbers is not positive and finite.
     """
 
     def __init__(
@@ -66,10 +67,10 @@ class Player:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past: the next pose starts a motion."""
+        """Forget all earlier poses: the next pose starts a motion from rest."""
         self._state: LiveState | None = None
         self._pose: Any = None
-        self._phase = 0.0  # since the network's last frame, in its frames
+        self._phase = 0.0  # time since the network's last frame, in frames of the network
 
     def __call__(
         self, pose: Any, parameters: SimulationParameters | None = None, *, dt: float | None = None
@@ -81,14 +82,14 @@ class Player:
         pose : (J, 3, 4) array
             World transforms of the body's joints from its rest pose, metres.
         parameters : SimulationParameters, optional
-            For a garment that reads them; they may change at any time.
+            Simulation parameters, for a garment that reads them; they may change at any time.
         dt : float, optional
             Seconds since the pose before.
 
         Raises
         ------
         InputError
-            If the pose or dt is not as it should be; the player goes on as if it had not come.
+            If the pose or `dt` is not valid; such a call has no effect on later ones.
         """
         dt = self.dt if dt is None else dt
         _check_positive("dt", dt)
@@ -117,7 +118,7 @@ class Player:
         return bool(np.linalg.norm(way) > self.fastest * dt or turn > self.spin * dt)
 
     def _between(self, m: NDArray[np.float64], u: float) -> NDArray[np.float64]:
-        """The pose at u from the last one, 0, to this one, 1, or beyond it."""
+        """Pose at the fraction u of the way from the last pose to `m`; u > 1 extrapolates."""
         if abs(u - 1) < _SAME:
             return m
         a, rest = self._pose, self.garment.subject.skeleton.rest

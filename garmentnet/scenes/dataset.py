@@ -1,4 +1,4 @@
-"""Data sets: their clips are simulated in parallel; an interrupted run continues."""
+"""Simulation of data sets: clips run in parallel, and an interrupted run continues."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .simulator import simulate
 
 __all__ = ["STEP", "make_data_set", "open_store", "recorded_motions"]
 
-# Metres; stored vertices are rounded to its multiples, so that no vertex moves by more than 0.2 mm.
+# Step of stored coordinates, metres: rounding to its multiples moves no vertex by more than 0.2 mm.
 STEP = 2.3e-4
 _VERTEX = 12  # bytes of a vertex in one frame, float32
 _LOCK = "writing.lock"
@@ -44,7 +44,7 @@ def recorded_motions(
     ----------
     folder : path
     data_set : DataSet
-        For its frame rate and its body.
+        Data set with the frame rate and body of the motions.
     frames : int
         Length of a clip; the rest of a file is a clip too if it is at least half as long.
     """
@@ -72,12 +72,12 @@ def recorded_motions(
 
 
 def open_store(data_set: DataSet, path: str | os.PathLike[str]) -> ClipStore:
-    """The store of a data set, created if it does not exist.
+    """Store of a data set, which is created if it does not exist.
 
     Raises
     ------
     InputError
-        If it exists with another garment or body.
+        If the store exists with another garment or body.
     """
     body = data_set.make_body()
     garment = data_set.make_garment(body)
@@ -110,9 +110,9 @@ def make_data_set(
     ----------
     data_set : DataSet
     path : path
-        Of the store.
+        Path of the store.
     workers : int, optional
-        Threads; as many as :func:`ssdr.parallel.get_threads` by default, all cores.
+        Number of threads; by default that of :func:`ssdr.parallel.get_threads`, all cores.
     progress : callable, optional
         Called after every clip with its name and number, and the fraction of the frames, settling
         included, that is done.
@@ -120,7 +120,7 @@ def make_data_set(
     Returns
     -------
     ClipStore
-        It also has the rejected clips, each with the reason.
+        The store, which also holds the rejected clips, each with the reason.
 
     Raises
     ------
@@ -139,7 +139,7 @@ def make_data_set(
     with _writing(store):
         store.sweep()
         todo = [s for s in scenes if not _is_there(store, s)]
-        # The base parameters first, and of these what training needs: it need not wait.
+        # The base parameters come first, and of their clips those that training needs to begin.
         todo.sort(key=lambda s: (s.parameters != data_set.base, bool(s.repeat_of), _order(s)))
         _check_space(store, todo)
         if todo:
@@ -233,7 +233,7 @@ def _is_there(store: ClipStore, scene: Scene) -> bool:
 
 
 def _check_space(store: ClipStore, todo: list[Scene]) -> None:
-    # Without compression, which roughly halves it: the other half is reserve.
+    # The size without compression, which roughly halves it: the other half is a reserve.
     need = sum(s.motion.frames for s in todo) * store.n_vertices * _VERTEX
     free = shutil.disk_usage(store.path).free
     if need > free:

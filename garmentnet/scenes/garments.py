@@ -1,4 +1,4 @@
-"""A garment on the body at rest: skin weights, mirror permutation, or a mesh from a file."""
+"""A garment on the body at rest, with its skin weights and mirror permutation, or from a file."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from .body import Body
 __all__ = ["Garment", "arm_weight", "follow", "garment_from_mesh", "mirror_permutation"]
 
 _ARMS = ("collar_l", "collar_r", "arm_l", "arm_r", "forearm_l", "forearm_r", "hand_l", "hand_r")
-# Joints that a pinned vertex follows: those of the body vertices around it.
+# Most joints that a pinned vertex follows.
 _INFLUENCES = 6
 # Body vertices from which the skin weights of a vertex are interpolated.
 _NEAREST = 4
-# Metres; added to distances, so that a vertex on the skin has no infinite weight.
+# Added to distances, metres, so that a vertex on the skin has no infinite weight.
 _CLOSEST = 1e-3
-# Twice the area of a triangle, metres², that counts as none.
+# Twice the area of a triangle, metres², below which it counts as 0.
 _NO_AREA = 1e-12
 
 
@@ -36,7 +36,7 @@ class Garment:
     Attributes
     ----------
     rest : (V, 3) float32
-        Metres; also the shape without strain, so that pleats stay.
+        Positions in metres; also the shape without strain, so that pleats stay.
     faces : (T, 3) int32
         Normals point outward.
     pinned : (V,) bool
@@ -44,10 +44,10 @@ class Garment:
     joints, weights : (V, K) int32 and float32
         Skin weights on the body's joints; pinned vertices move by them.
     mirror : (V,) int32 or None
-        The vertex on the other side of each.
+        Mirror image of each vertex; None if the garment is not symmetric.
     sides : (V,) int8 or None
-        1 on a left sleeve or leg, -1 on a right one, 0 elsewhere: the one does not touch the
-        limbs of the other side.  None: 0 everywhere.
+        1 on a left sleeve or leg, -1 on a right one, 0 elsewhere.  Vertices of one side have no
+        contact with limbs of the other.  None stands for 0 everywhere.
     """
 
     rest: NDArray[np.float32]
@@ -80,7 +80,7 @@ class Garment:
 
 
 def garment_from_mesh(body: Body, path: str | os.PathLike[str], *, pinned_above: float) -> Garment:
-    """A garment from a mesh file: its first frame, metres, y up, on the body at rest.
+    """Garment from the first frame of a mesh file, in metres, y up, placed on the body at rest.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def garment_from_mesh(body: Body, path: str | os.PathLike[str], *, pinned_above:
     Raises
     ------
     InputError
-        If it has no triangles or one without area, or nothing or everything is pinned.
+        If the mesh has no triangles or one without area, or no vertex or every vertex is pinned.
     """
     mesh = ssdr.load(path)
     if len(mesh.faces) == 0:
@@ -126,15 +126,15 @@ def garment_from_mesh(body: Body, path: str | os.PathLike[str], *, pinned_above:
 def mirror_permutation(
     rest: ArrayLike, faces: ArrayLike, *, tolerance: float = 1e-5
 ) -> NDArray[np.int32] | None:
-    """The vertex ``(V,)`` on the other side of each, or None where the mesh is not symmetric.
+    """Mirror image ``(V,)`` of each vertex; None if the mesh is not symmetric.
 
     Parameters
     ----------
     rest : (V, 3) array
     faces : (T, 3) int array
     tolerance : float
-        Distance in metres that a vertex may have from the mirror image of its partner in the
-        plane x = 0.
+        Largest distance, metres, of a vertex from the mirror image of its partner in the plane
+        x = 0.
 
     Examples
     --------
@@ -154,7 +154,7 @@ def mirror_permutation(
 
 
 def arm_weight(body: Body) -> NDArray[np.float64]:
-    """Weight ``(V,)`` of the arms' joints on every body vertex."""
+    """Sum ``(V,)`` of the weights of the arms' joints at every body vertex."""
     dense = body.skinning.dense_weights()
     arms = [body.skinning.names().index(n) for n in _ARMS]
     return np.asarray(dense[:, arms].sum(axis=1), dtype=np.float64)
@@ -174,7 +174,10 @@ def follow(
     *,
     shoulders: bool = False,
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """Skin weights from the nearest body vertices, those of the arms only with `shoulders`."""
+    """Joints and weights of points near the body, interpolated from the nearest body vertices.
+
+    Vertices of the arms are used only with `shoulders`.
+    """
     rig = body.skinning
     dense = rig.dense_weights().astype(np.float64)
     usable = np.flatnonzero((arm_weight(body) < 0.5) | shoulders)

@@ -13,7 +13,7 @@ __all__ = ["LEVEL", "Outline", "find_outline", "section"]
 
 Floats = NDArray[np.float64]
 
-# Metres between the sections of the body that an outline is made of.
+# Distance between the sections of an outline, metres.
 LEVEL = 0.01
 # Angles of a section; 0 is the front and a quarter the left side.
 _TURN = np.linspace(0, 2 * np.pi, 129)
@@ -22,18 +22,18 @@ _BACK = 64
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Outline:
-    """Outlines of a part of the body.
+    """Outlines of a part of the body, at several positions along its axis.
 
     Attributes
     ----------
     levels : (n,) float64
-        Places along the axis, metres.
+        Positions along the axis, metres.
     centre : (n, 2) float64
-        x and z.
+        Centre of each outline in x and z.
     radius : (n, 129) float64
-        At angles of a full turn.
+        Radius of each outline at the angles of a full turn.
     frame : (3, 3) float64
-        Its rows are the axes; y is along the part of the body.
+        Axes as rows; y is along the part of the body.
     """
 
     levels: Floats
@@ -42,7 +42,7 @@ class Outline:
     frame: Floats
 
     def at(self, y: float, angles: Floats, wider: float = 0.0) -> Floats:
-        """Points ``(n, 3)`` at a place along the axis, `wider` metres outside the outline."""
+        """Points ``(n, 3)`` at the position `y` of the axis, `wider` metres outside the outline."""
         k = int(np.clip(np.searchsorted(self.levels, y, "right") - 1, 0, len(self.levels) - 2))
         table = np.concatenate([self.centre, self.radius], axis=1)[k : k + 2]
         slope = (table[1] - table[0]) / (self.levels[k + 1] - self.levels[k])
@@ -60,18 +60,18 @@ def find_outline(
     clearance: float,
     frame: Floats | None = None,
 ) -> Outline:
-    """The outline of some triangles of the body, from a place on the y axis to another one.
+    """Outlines of some triangles of the body over a part of the y axis.
 
     Parameters
     ----------
     rest : (V, 3) float64
     faces : (T, 3) int32
     low, high : float
-        It reaches 20 mm below the one and above the other.
+        Ends of that part; the outlines reach 20 mm beyond both.
     clearance : float
-        Distance from the skin, beside the axis, metres.
+        Distance from the skin, perpendicular to the axis, metres.
     frame : (3, 3) float64, optional
-        Axes as rows.  Without them they are those of the body, and the outline is symmetric in x.
+        Axes as rows; by default those of the body, with outlines symmetric in x.
     """
     axes = np.eye(3) if frame is None else frame
     points = rest @ axes.T
@@ -96,14 +96,15 @@ def find_outline(
     even = gaussian_filter1d(even, 2, mode="wrap")
     outer = np.maximum(even, radius[:, :-1])
     if frame is None:
-        # Straight across the spine; the stored clips of the dress depend on it.
+        # At the spine the smoothed radius is used even if it is smaller than the body's: the stored
+        # clips of the dress depend on that.
         outer[:, _BACK] = even[:, _BACK]
     outer = np.concatenate([outer, outer[:, :1]], axis=1) + clearance
     return Outline(levels, centre, outer, axes)
 
 
 def section(rest: Floats, faces: NDArray[np.int32], y: float) -> Floats:
-    """Points ``(n, 2)`` x and z in which the mesh's edges cross a height."""
+    """Points ``(n, 2)``, as x and z, at which edges of the mesh cross the height `y`."""
     pairs = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     a, b = rest[pairs[:, 0]], rest[pairs[:, 1]]
     cut = (a[:, 1] < y) != (b[:, 1] < y)

@@ -1,4 +1,4 @@
-"""Whether a simulated clip is good enough to learn from."""
+"""Quality of simulated clips, and limits beyond which they are not used for training."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .garments import Garment
 __all__ = ["Gate", "Quality", "judge", "outside"]
 
 
-# Metres above the skin that a vertex gets when it is pushed out of the body.
+# Height above the skin, metres, to which a vertex is pushed out of the body.
 _MARGIN = 1e-3
 
 
@@ -74,11 +74,11 @@ def outside(
     *,
     push: bool = True,
 ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """The vertices with those inside the body pushed out of it, and the depth that is left.
+    """Copy of the vertices with those inside the body pushed out, and the depths that remain.
 
-    Depths ``(F, V)`` are metres below the skin, negative outside; pinned vertices are measured too
-    but stay.  Frames with NaN stay as they are, with a depth of 0.  Without `push` the vertices are
-    only measured.
+    Depths ``(F, V)`` are metres below the skin, negative outside.  Pinned vertices are measured but
+    not moved.  Frames with NaN stay as they are, with a depth of 0.  Without `push`, no vertex is
+    moved.
     """
     mover = PushOut(body.skinning, garment.faces, margin=_MARGIN, pinned=garment.pinned)
     depth = np.zeros(vertices.shape[:2])

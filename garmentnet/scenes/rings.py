@@ -1,6 +1,6 @@
 """Rings of vertices around a body, and the triangles between them.
 
-One half of a garment is built of them and reflected, so that the permutation that swaps left and
+One half of a garment is built of rings and reflected, so that the permutation that swaps left and
 right is exact.
 """
 
@@ -18,12 +18,12 @@ Indices = NDArray[np.int64]
 
 # Height of an equilateral triangle of side 1, the distance between rings of vertices.
 ROW = np.sqrt(3) / 2
-# Rings that the surface of a yoke, a sleeve or a leg is made of before it is cut.
+# Number of rings that describe the surface of a yoke, a sleeve or a leg before it is meshed.
 _RINGS = 200
 
 
 class Half:
-    """The half of a garment at x >= 0: rows of points, and strips of rows with triangles between.
+    """The half of a garment at x >= 0: rows of points, to be joined by strips of triangles.
 
     Points at x = 0 belong to both halves.
     """
@@ -34,18 +34,21 @@ class Half:
         self._strips: list[list[Indices]] = []
 
     def add(self, points: Floats, *, limb: bool = False) -> Indices:
-        """Indices ``(n,)`` of new points ``(n, 3)``, of a sleeve or a leg or not."""
+        """Add points ``(n, 3)`` and return their indices; `limb` marks those of a sleeve or leg."""
         first = sum(len(row) for row in self._rows)
         self._rows.append(points)
         self._limbs.append(limb)
         return first + np.arange(len(points))
 
     def join(self, rows: list[Indices]) -> None:
-        """Fill with triangles between rows, each of which lies below the one before."""
+        """Add the triangles between consecutive rows, each of which lies below the one before."""
         self._strips.append(rows)
 
     def hang(self, ring: Indices, tube: Floats, spacing: float) -> None:
-        """Add the rings ``(n, m, 3)`` of a sleeve or a leg; their first is a ring that exists."""
+        """Add the rings ``(n, m, 3)`` of a sleeve or a leg below the existing ring `ring`.
+
+        The first of the new rings coincides with it.
+        """
         rows = [np.append(ring, ring[0])]
         for row in some_of(tube, spacing)[1:]:
             new = self.add(divide(row, spacing)[:-1], limb=True)
@@ -81,7 +84,7 @@ class Half:
 
 
 def evenly(rings: Floats) -> Floats:
-    """Rings at equal distances along the surface instead of those given."""
+    """Rings resampled at equal distances along the surface."""
     way = np.linalg.norm(np.diff(rings, axis=0), axis=2)
     length = np.concatenate([np.zeros((1, way.shape[1])), np.cumsum(way, axis=0)])
     at = np.linspace(0, 1, _RINGS)[:, None] * length[-1]
@@ -93,7 +96,7 @@ def evenly(rings: Floats) -> Floats:
 
 
 def some_of(rings: Floats, spacing: float) -> Floats:
-    """As many of the even `rings` as rows of triangles that are about `spacing` long."""
+    """Evenly chosen `rings`, so many that edges between them are about `spacing` long."""
     length = np.linalg.norm(np.diff(rings, axis=0), axis=2).sum(axis=0).mean()
     count = max(1, round(float(length) / (spacing * ROW)))
     at = np.linspace(0, len(rings) - 1, count + 1)
@@ -116,7 +119,7 @@ def divide(curve: Floats, spacing: float) -> Floats:
 def _zip(
     points: NDArray[np.float64], above: NDArray[np.int64], below: NDArray[np.int64], row: int
 ) -> NDArray[np.int64]:
-    """Triangles between two half rings, the shorter diagonal first."""
+    """Triangles between two half rings, each chosen for the shorter of two diagonals."""
     i, j, faces = 0, 0, []
     while i < len(above) - 1 or j < len(below) - 1:
         if j == len(below) - 1:

@@ -33,7 +33,7 @@ _PERTURBED = "-moved"
 
 
 def check_integers(values: Any, positive: Sequence[str] = ()) -> None:
-    """Refuse integers of a dataclass that are negative or, of those named, 0."""
+    """Raise an InputError for a negative integer of a dataclass, or a 0 if named in `positive`."""
     for field in dataclasses.fields(values):
         value, least = getattr(values, field.name), int(field.name in positive)
         if field.type == "int" and value < least:
@@ -42,15 +42,15 @@ def check_integers(values: Any, positive: Sequence[str] = ()) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class MotionSource:
-    """The source of a motion: the generator or a BVH file.
+    """Source of a motion: the generator of dances or a BVH file.
 
     Parameters
     ----------
     name : str
-        Common to all clips with this motion.
+        Name of the motion, which all clips with this motion share.
     split : {"train", "validation", "test"}
     seed : int
-        Of the generator.
+        Seed of the generator.
     frames : int
     classes : tuple of str
         Classes of motion for the generator; empty: drawn from the seed.
@@ -59,10 +59,10 @@ class MotionSource:
     start : int
         First frame of the file, at the scene's frame rate.
     whole : int
-        Frames that are generated, of which the first `frames` are used; 0: only `frames`.  A
-        shorter dance is not the beginning of a longer one.
+        Number of frames to generate, of which the first `frames` are used; 0 stands for `frames`.
+        It matters because a shorter dance is not the beginning of a longer one.
     repertoire : {"basic", "wide"}
-        Of the generator.
+        Repertoire of the generator.
 
     Raises
     ------
@@ -117,7 +117,7 @@ class ParameterSet:
     ----------
     name : str
     split : {"train", "validation", "test"}
-        Networks learn from "train" only.
+        Split of the parameter set; networks are trained only on "train".
     parameters : SimulationParameters
     """
 
@@ -128,12 +128,12 @@ class ParameterSet:
 
 @dataclasses.dataclass(frozen=True)
 class Scene:
-    """One clip: a garment on a body, a motion, parameters.
+    """Description of one clip: a garment on a body, a motion, and parameters.
 
     Attributes
     ----------
     name : str
-        Of the clip in its store.
+        Name of the clip in its store.
     data_set : DataSet
         Garment, body, solver and gate.
     motion : MotionSource
@@ -141,7 +141,7 @@ class Scene:
     perturbation : float
         RMS displacement of the settled garment before the first frame, metres.
     repeat_of : str
-        For a perturbed clip the name of the same clip without perturbation.
+        For a perturbed clip, the name of the same clip without perturbation.
     """
 
     name: str
@@ -156,13 +156,13 @@ class Scene:
         return self.data_set.seed + self.motion.seed
 
     def provenance(self) -> dict[str, Any]:
-        """Everything from which the clip can be simulated again, plain JSON."""
+        """Plain JSON with everything from which the clip can be simulated again."""
         motion = dataclasses.asdict(self.motion)
-        # The name alone: with the path, the stored bytes would depend on the machine.
+        # Only the file's name: with its path, the stored bytes would depend on the machine.
         motion["file"] = Path(self.motion.file).name
         return {
             "data_set": self.data_set.name,
-            # Without what it does not have, so that older stores stay known.
+            # Fields that have no effect are left out, so that older stores are still recognised.
             "garment": {k: v for k, v in dataclasses.asdict(self.data_set.garment).items() if v},
             "solver": dataclasses.asdict(self.data_set.solver),
             "motion": motion,
@@ -180,7 +180,7 @@ class MeshGarment:
     Parameters
     ----------
     mesh : str
-        Path; in a file, relative to it.
+        Path of the mesh; if it stands in a scene file, relative to that file.
     pinned_above : float
         Height in metres; vertices at or above it follow the body.
     """
@@ -191,7 +191,7 @@ class MeshGarment:
 
 @dataclasses.dataclass(frozen=True)
 class DataSet:
-    """Clips of one garment on one body.
+    """Description of a data set: clips of one garment on one body.
 
     Attributes
     ----------
@@ -204,16 +204,17 @@ class DataSet:
     solver : Solver
     gate : Gate
     base : ParameterSet
-        Simulated with every motion.
+        Parameter set with which every motion is simulated.
     motions : tuple of MotionSource
     sets : tuple of ParameterSet
+        Further parameter sets.
     set_motions : tuple of tuple of MotionSource
-        The motions of each of `sets`.
+        Motions that are simulated with each of `sets`.
     perturbation : float
-        RMS displacement in metres with which test clips are simulated a second time; 0: they are
-        not.
+        RMS displacement, metres, of the perturbed start from which test clips are simulated a
+        second time; with 0 they are not.
     perturb_sets : bool
-        Whether those of `sets` are, too.
+        Whether this is done for test clips of `sets`, too.
 
     Examples
     --------
@@ -261,7 +262,7 @@ class DataSet:
         return Scene(f"{parameters.name}-{motion.name}", self, motion, parameters)
 
     def _with_pairs(self, scenes: list[Scene]) -> list[Scene]:
-        """The scenes, and behind them those of test motions once more, perturbed."""
+        """The scenes, followed by perturbed copies of those with test motions."""
         tests = [s for s in scenes if self.perturbation and s.motion.split == "test"]
         return scenes + [self._perturbed(s) for s in tests]
 

@@ -1,4 +1,4 @@
-"""A scene or a data set read from a TOML file."""
+"""Reading of a scene or a data set from a TOML file."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from .scene import DataSet, MeshGarment, MotionSource, ParameterSet, check_integ
 __all__ = ["load_data_set", "presets"]
 
 _PRESETS = Path(__file__).with_name("presets")
-# Seeds of the splits, and after them those of the other parameter sets, lie this far apart, so
-# that one can grow without changing another's.
+# Distance between the first seeds of the splits, and of the further parameter sets after them, so
+# that one can grow without changing the others.
 _SEEDS_OF_A_SPLIT = 1000
 
 
@@ -37,14 +37,15 @@ def presets() -> tuple[str, ...]:
 
 
 def load_data_set(source: str | Path) -> DataSet:
-    """Read a data set or a scene: the name of a preset or a file.
+    """Read a data set or a scene from a file, or a preset by its name.
 
-    A file that is ``like`` a preset holds what differs from it; a list replaces the preset's.
+    A file that is ``like`` a preset holds only what differs from the preset, and whole lists if one
+    of their items does.
 
     Raises
     ------
     FormatError
-        If the file is not TOML, has a key that nothing reads, or a value that is not usable;
+        If the file is not TOML, has an unknown key or a value that is not usable;
         the message names the file and the key.
 
     Examples
@@ -65,7 +66,7 @@ def load_data_set(source: str | Path) -> DataSet:
 
 
 def _table(path: Path) -> dict[str, Any]:
-    """The tables of a file, with those of the preset that it is like."""
+    """Tables of a file, merged with those of the preset that it is ``like``."""
     table = read_toml(path)
     like = table.pop("like", None)
     if like is None:
@@ -81,7 +82,7 @@ def _table(path: Path) -> dict[str, Any]:
 
 @dataclasses.dataclass(frozen=True)
 class _Motions:
-    """``[motions]``: dances of the generator."""
+    """Table ``[motions]``: dances made by the generator."""
 
     train: int
     validation: int = 0
@@ -89,14 +90,16 @@ class _Motions:
     frames: int = 300
     seed: int = 0
     repertoire: Repertoire = "basic"
-    # Length of the training dances, if another: settling costs as much for a short clip.
+    # Frames of a training dance, which may be longer, since settling takes as long for a short one;
+    # 0 stands for `frames`.
     train_frames: int = 0
-    # For the other parameter sets: how many of each split, the first of them, and how long.
+    # Numbers of the base's dances in each split that further parameter sets repeat, and how many
+    # frames of each.
     set_train: int = 0
     set_validation: int = 0
     set_test: int = 0
     set_frames: int = 0
-    # Training sets get so many dances of their own instead of the first ones of the base.
+    # Number of dances that each further training set has for itself, instead of the base's first.
     set_own: int = 0
 
     def __post_init__(self) -> None:
@@ -109,7 +112,7 @@ class _Motions:
 
 @dataclasses.dataclass(frozen=True)
 class _Further:
-    """``[[further]]``: more dances under the base parameters, of a name of their own."""
+    """Table ``[[further]]``: more dances under the base parameters, with another name."""
 
     name: str
     split: Split = "test"
@@ -130,7 +133,7 @@ class _Further:
 
 @dataclasses.dataclass(frozen=True)
 class _Set(SimulationParameters):
-    """``[[set]]``: one of the further parameter sets."""
+    """Table ``[[set]]``: a further parameter set."""
 
     name: str = ""
     split: Split = "train"
@@ -144,7 +147,7 @@ class _Set(SimulationParameters):
 
 @dataclasses.dataclass(frozen=True)
 class _File:
-    """All that a scene file may hold."""
+    """Everything that a scene file may hold."""
 
     name: str = ""
     fps: float = 30.0
@@ -152,7 +155,7 @@ class _File:
     perturbation: float = 0.0
     perturb_sets: bool = True
     garment: dict[str, Any] = dataclasses.field(default_factory=dict)
-    body: str = ""  # file of a body of one's own; the one that ships by default
+    body: str = ""  # file of another body than the one that ships
     solver: Solver = dataclasses.field(default_factory=Solver)
     gate: Gate = dataclasses.field(default_factory=Gate)
     base: SimulationParameters = dataclasses.field(default_factory=SimulationParameters)
@@ -221,7 +224,7 @@ def _base_motions(content: _File, path: Path) -> list[MotionSource]:
 def _set_motions(
     content: _File, split: Split, k: int, motions: tuple[MotionSource, ...]
 ) -> tuple[MotionSource, ...]:
-    """Motions of the `k`-th of the other parameter sets, given those of the base."""
+    """Motions of the `k`-th further parameter set, given those of the base."""
     g = content.motions
     if g is None:
         return ()

@@ -1,4 +1,4 @@
-"""A clip simulated and judged: the cloth on a moving body, pushed out of it, and its quality.
+"""Simulation of a clip: cloth on a moving body, pushed out of it, with its quality measured.
 
 A clip runs on one core and gives the same bits every time.
 """
@@ -21,9 +21,9 @@ from .quality import Gate, Quality, judge, outside
 
 __all__ = ["VERSION", "Simulated", "perturbation_field", "simulate"]
 
-# Raised when the same scene gives another clip; part of a clip's provenance.
+# Version of the simulator, raised when a scene gives another clip; part of a clip's provenance.
 VERSION = 1
-# Averages with the neighbours, after which a perturbation is smooth over a few edges.
+# Number of averages with the neighbours that make a perturbation smooth over a few edges.
 _SMOOTHINGS = 20
 
 
@@ -53,8 +53,8 @@ def simulate(
 ) -> Simulated:
     """Simulate a garment on a moving body.
 
-    The body moves from rest to its first pose and waits there before the first frame.  What is
-    inside the body in a finished frame is pushed out of it.
+    The body moves from rest to its first pose and waits there before the first frame.  Vertices
+    that are inside the body in a finished frame are pushed out.
 
     Parameters
     ----------
@@ -63,10 +63,10 @@ def simulate(
     parameters : SimulationParameters
     gate : Gate, optional
     seed : int
-        Of the perturbation.
+        Seed of the perturbation.
     perturbation : float
-        RMS displacement in metres, smooth and random, of the settled garment before the first
-        frame; the difference that results measures chaos.
+        RMS length, metres, of smooth random displacements of the settled garment before the first
+        frame; the difference of the resulting clip from the unperturbed one measures chaos.
 
     Returns
     -------
@@ -75,7 +75,7 @@ def simulate(
     Raises
     ------
     InputError
-        If the motion is of another skeleton or a number is not usable.
+        If the motion is that of another skeleton or a number is not usable.
     """
     body, garment, solver = cloth.body, cloth.garment, cloth.solver
     if motion.joints.shape[1] != body.skeleton.n_joints:

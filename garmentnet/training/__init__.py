@@ -1,1 +1,1 @@
-"""From a store of clips to trained networks."""
+"""Training of networks on a store of clips."""

@@ -18,7 +18,7 @@ from ..networks.skinning import remove_frame
 
 __all__ = ["Batch", "Track", "Window", "batches", "load_tracks"]
 
-# Frames of vertices in memory at once.
+# Number of frames whose vertices are in memory at once.
 _FRAMES_AT_ONCE = 64
 
 
@@ -32,9 +32,9 @@ class Track:
     bones : VirtualBones
     inputs : (F, D) float32 tensor
     frame : (F, 3, 4) float64
-        From the moving frame, in which the network predicts, to the world.
+        Transforms from the moving frame, in which the network predicts, to the world.
     extra : (F, ...) tensor
-        What an objective computed beforehand for every frame.
+        Further data of every frame that an objective computed beforehand.
     """
 
     name: str
@@ -52,17 +52,17 @@ class Track:
         return self.bones.store.clip(self.name)
 
     def parts(self) -> list[slice]:
-        """All frames, 64 at a time."""
+        """Slices of at most 64 frames that cover the track."""
         starts = range(0, self.n_frames, _FRAMES_AT_ONCE)
         return [slice(i, min(i + _FRAMES_AT_ONCE, self.n_frames)) for i in starts]
 
     def mesh(self, frames: Any = slice(None)) -> Tensor:
-        """The garment in the moving frame, ``(f, V, 3)`` float32."""
+        """Vertices of the garment in the moving frame, ``(f, V, 3)`` float32."""
         local = remove_frame(self.frame[frames], self.clip.sequence.frames(frames))
         return torch.from_numpy(local.astype(np.float32))
 
     def detail(self, frames: Any = slice(None)) -> Tensor:
-        """Its high frequencies in the moving frame, ``(f, V, 3)`` float32."""
+        """High frequencies of the garment in the moving frame, ``(f, V, 3)`` float32."""
         # A difference of positions is only rotated.
         high = self.bones.split(self.name, frames)[1]
         return torch.from_numpy((high @ self.frame[frames][..., :3]).astype(np.float32))
@@ -98,16 +98,16 @@ class Window(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Batch:
-    """One window of every lane; a lane is a queue of clips.
+    """One window of each lane, where a lane is a sequence of clips processed one after another.
 
     Attributes
     ----------
     windows : list of Window or None
-        One for each of the N lanes; None: the lane is finished.
+        Window of each of the N lanes; None if the lane is finished.
     mask : (N, T) bool tensor
-        Which frames exist; shorter windows are padded.
+        Mask of the frames that exist; shorter windows are padded.
     fresh : (N,) bool tensor
-        Lanes in which a clip begins: the GRU's state is reset.
+        Mask of the lanes in which a clip begins, so that the GRU's state is reset.
     """
 
     windows: list[Window | None]
@@ -115,43 +115,43 @@ class Batch:
     fresh: Tensor
 
     def inputs(self) -> Tensor:
-        """``(N, T, D)``, zero where there is no frame."""
+        """Inputs ``(N, T, D)`` of the network, zero where there is no frame."""
         return self.stack([w and w.track.inputs[w.frames] for w in self.windows])
 
     def extra(self, every: slice = slice(None)) -> Tensor:
-        """What the objective computed for the frames that exist, one lane after the other.
+        """Rows of `Track.extra` for the frames that exist, one lane after the other.
 
-        `every` chooses frames of each window.
+        The slice `every` selects frames of each window.
         """
         return torch.cat([w.track.extra[w.frames][every] for w in self.windows if w])
 
     def some_frames(
         self, count: int, rng: np.random.Generator
     ) -> tuple[list[int], list[tuple[Track, NDArray[np.int64]]], NDArray[np.int64]]:
-        """Frames for the terms of a loss that are too expensive for all.
+        """`count` random frames of each window, for loss terms that are too expensive for all.
 
         Returns
         -------
         lanes : list of int
-            Those that hold a window.
+            Indices of the lanes that have a window.
         frames : list of (Track, (S,) int array)
-            For each of them its track, and the chosen frames of that track.
+            Track of each of these lanes, and the chosen frames of the track.
         chosen : (N, S) int array
-            The same for every lane, counted from the window's start.
+            The chosen frames of every lane, counted from the start of the window.
         """
         lanes, frames = [], []
         chosen = np.zeros((len(self.windows), count), np.int64)
         for k, w in enumerate(self.windows):
             if w is not None:
                 length = w.stop - w.start
-                # Some twice where a window is shorter.
+                # Some frames occur twice if the window has fewer than `count`.
                 chosen[k] = np.sort(rng.choice(length, count, replace=length < count))
                 lanes.append(k)
                 frames.append((w.track, w.start + chosen[k]))
         return lanes, frames, chosen
 
     def stack(self, parts: Sequence[Tensor | None]) -> Tensor:
-        """One tensor of every lane, padded with zeros to ``(N, T, ...)``."""
+        """Tensor of all lanes' parts, padded with zeros to ``(N, T, ...)``."""
         shape = next(p.shape[1:] for p in parts if p is not None)
         out = torch.zeros(*self.mask.shape, *shape)
         for lane, part in enumerate(parts):
@@ -169,7 +169,7 @@ class Batch:
 def batches(
     tracks: Sequence[Track], lanes: int, window: int, rng: np.random.Generator | None
 ) -> Iterator[Batch]:
-    """One epoch: every frame of every track once, each track in order.
+    """Batches of one epoch, which has every frame of every track once, each track in order.
 
     Tracks are shuffled, assigned to the lane with the fewest frames and cut into windows.  The
     first window of a track has a random length, so that the cuts change from epoch to epoch.
@@ -178,11 +178,11 @@ def batches(
     ----------
     tracks : sequence of Track
     lanes : int
-        Clips in parallel.
+        Number of clips in parallel.
     window : int
-        Frames of a window, at most.
+        Largest number of frames of a window.
     rng : numpy.random.Generator or None
-        None: no shuffling, and every window has full length.
+        If None, tracks are not shuffled, and the first window of a track has full length.
     """
     order = np.arange(len(tracks)) if rng is None else rng.permutation(len(tracks))
     queues: list[list[Window]] = [[] for _ in range(lanes)]

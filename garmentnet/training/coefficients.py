@@ -1,8 +1,7 @@
 """Loss of a network whose output is coefficients of principal components.
 
-    ‖ĉ − c‖ = ‖Ĝ − G‖
-
-for orthonormal components, plus what the components leave of G, over √V: the RMSE of a frame.
+For orthonormal components, ‖Ĝ − G‖² = ‖ĉ − c‖² plus the squared norm of what the components leave
+of G.  The loss is ‖Ĝ − G‖ / √V, the RMSE of a frame.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ __all__ = ["CoefficientObjective"]
 
 
 class CoefficientObjective(Objective):
-    """The mean over frames of ‖Ĝ − G‖, from coefficients.
+    """Mean over frames of ‖Ĝ − G‖ / √V, computed from coefficients.
 
     Parameters
     ----------
@@ -30,12 +29,13 @@ class CoefficientObjective(Objective):
         coefficients ``(N, T, r)`` and the state.
     options : TrainOptions
     n_vertices : int
-        V, by whose root the norm is divided.
+        Number of vertices V.
     hidden : int
-        H.
+        Width H of the dropout mask.
     dropout : float
     tracks, validation : list of Track
-        Their `extra` ``(F, r + 1)`` are the coefficients and the squared norm of what these leave.
+        Tracks whose `extra` ``(F, r + 1)`` are the coefficients and the squared norm of what the
+        components leave.
     """
 
     def __init__(

@@ -41,7 +41,7 @@ __all__ = ["compare_networks", "sweep_pivots", "train_ensemble"]
 Array = NDArray[np.float64]
 # Gram matrix of the networks' residuals on a parameter set, and its normalised parameters (P,).
 Compared = tuple[Array, Array]
-# Clips of a parameter set on which networks are compared, at most: predicting is the cost.
+# Most clips of a parameter set on which networks are compared, since prediction takes long.
 _CLIPS = 4
 
 
@@ -54,18 +54,18 @@ def train_ensemble(
     callback: Callable[[str, Progress], bool | None] | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Path:
-    """Train a network for every training set, and the kernel.
+    """Train a network for every training set, and the kernel that mixes them.
 
     The first is the base network, from which the others start if the configuration says so.
-    Called again, it continues.
+    If training was interrupted, another call continues it.
 
     Parameters
     ----------
     store : ClipStore
     config : Config
     folder : path
-        For one folder a network, ``ensemble.safetensors`` and ``ensemble.json``, which holds the
-        sweep over K.
+        Folder with a subfolder for each network, ``ensemble.safetensors``, and ``ensemble.json``,
+        which holds the results for each K.
     base : Checkpoint, optional
         The network from which the others start, if it is trained already.
     progress
@@ -76,7 +76,7 @@ def train_ensemble(
     Returns
     -------
     Path
-        Of the ensemble's checkpoint.
+        Path of the ensemble's checkpoint.
 
     Raises
     ------
@@ -139,7 +139,7 @@ def train_ensemble(
         settings = dataclasses.replace(config, data=own)
         if start is not None:
             settings = dataclasses.replace(settings, train=shorter)
-        # Sets beside the base have few clips, all to learn from.
+        # Sets other than the base have few clips, all of which are needed for training.
         checkpoints.append(run(name, settings, start, validated=first))
 
     networks = tuple(c.networks[0] for c in checkpoints)
@@ -167,7 +167,7 @@ def sweep_pivots(
     *,
     progress: Callable[[str, float], None] | None = None,
 ) -> list[tuple[Kernel, dict[str, Any]]]:
-    """Pivots and kernel for K from 1 to all training sets, and their errors.
+    """Pivots, kernel and errors for every K, from 1 to the number of training sets.
 
     Bandwidth and training step are chosen on the validation sets, never on the test sets.
 

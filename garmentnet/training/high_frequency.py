@@ -2,8 +2,8 @@
 
     L_HF = ‖Ĝ_HF − G_HF‖ + λ_collision mean max(−n_B·(v − v_B), 0)
 
-for the paper's module, and the first term alone for principal components of detail.  The module
-learns on the low-frequency mesh that the trained low-frequency module predicts.
+for the paper's module, and the first term alone for principal components of detail.  The module is
+trained on the low-frequency mesh that the trained low-frequency module predicts.
 """
 
 from __future__ import annotations
@@ -28,9 +28,10 @@ from .loop import Objective, mixed_precision
 
 __all__ = ["LEAST_DEVIATION", "DetailObjective", "HighFrequencyObjective"]
 
-# Metres; the smallest deviation by which the output of a module is scaled.
+# Smallest deviation, metres, by which the output of a module is scaled.
 LEAST_DEVIATION = 1e-4
-# Frames from which mean and components are found: enough for a hundred, and a small Gram matrix.
+# Number of frames from which mean and components are found: enough for a hundred components, and
+# the Gram matrix stays small.
 _FRAMES = 1500
 
 
@@ -42,9 +43,10 @@ def _bone_motion(network: MotionNetwork, track: Track) -> Tensor:
 
 @torch.no_grad()
 def _target(network: MotionNetwork, track: Track, z: Tensor, frames: Any = slice(None)) -> Tensor:
-    """Ĝ_HF ``(f, V, 3)`` of frames whose predicted bone motion is `z` ``(f, B, C)``.
+    """Target detail Ĝ_HF ``(f, V, 3)`` of frames with predicted bone motion `z` ``(f, B, C)``.
 
-    The split's high frequencies, or what the predicted low-frequency mesh leaves.
+    It is the high-frequency part of the clip or, if the configuration asks for it, the difference
+    of the clip from the predicted low-frequency mesh.
     """
     if network.config.high.target == "detail":
         return track.detail(frames)
@@ -52,7 +54,7 @@ def _target(network: MotionNetwork, track: Track, z: Tensor, frames: Any = slice
 
 
 class HighFrequencyObjective(Objective):
-    """L_HF of the paper's module, over the vertices that it predicts.
+    """Loss L_HF of the paper's module, over the vertices that it predicts.
 
     The GRU reads every frame of a window; the loss is computed on a few frames, because the layers
     after the GRU are the expensive ones.
@@ -87,7 +89,7 @@ class HighFrequencyObjective(Objective):
     def loss(
         self, batch: Batch, state: Tensor | None, rng: np.random.Generator
     ) -> tuple[Tensor, Tensor]:
-        """L_HF of a batch, the mean over the chosen frames, and the GRU's new state."""
+        """Loss L_HF of a batch, averaged over the chosen frames, and the GRU's new state."""
         device, options = self.network.device, self.network.config.high
         lanes, frames, chosen = batch.some_frames(options.frames, rng)
         z = batch.stack([w and w.track.extra[w.frames] for w in batch.windows]).to(device)
@@ -113,14 +115,15 @@ class HighFrequencyObjective(Objective):
         return loss, state
 
     def _low(self, z: Tensor, joints: Tensor) -> Tensor:
-        """Low-frequency mesh ``(N, S, V, 3)``, with what the body carries in its place."""
+        """Low-frequency mesh ``(N, S, V, 3)``, with bound vertices placed by the body."""
         mesh = self.network.carry(self.network.mesh(z).flatten(0, 1), joints.flatten(0, 1))
         return mesh.unflatten(0, z.shape[:2])
 
     def squared_error(self, track: Track) -> Tensor:
         """Mean squared distance ``(F,)`` of the detail, metres².
 
-        Not of the garment: the low frequencies' error, ten times as large, would hide it.
+        The garment is not compared, since the error of the low frequencies is ten times as large
+        and would hide that of the detail.
         """
         state, found, device = None, [], self.network.device
         for part in track.parts():
@@ -133,7 +136,7 @@ class HighFrequencyObjective(Objective):
         return torch.cat(found)
 
     def fit_statistics(self) -> None:
-        """Set the mean detail of every vertex and one deviation, over the training clips."""
+        """Set each vertex's mean detail and one common deviation, from the training clips."""
         total, square, frames = torch.zeros(()), 0.0, 0
         for track in self.tracks:
             high = self._read(track)[0].double()
@@ -149,18 +152,18 @@ class HighFrequencyObjective(Objective):
 
 
 class DetailObjective(CoefficientObjective):
-    """‖Ĝ_HF − G_HF‖ of principal components, without the mesh.
+    """Loss ‖Ĝ_HF − G_HF‖ for detail in principal components, computed without the mesh.
 
-    The components are orthonormal and the surface's frames are rotations, so that the norm over
-    the mesh is that of the components' weights, plus what no weights can reach.
+    The components are orthonormal and the surface's frames are rotations, so that the squared norm
+    over the mesh is that of the components' weights, plus the squared residual of the components.
 
     Parameters
     ----------
     network : MotionNetwork
-        Its low-frequency module is trained.
+        A network whose low-frequency module is trained.
     tracks, validation : list of Track
     start : bool
-        Whether the module holds a basis already, which is kept.
+        Whether to keep the basis that the module already has.
     """
 
     def __init__(
@@ -193,7 +196,7 @@ class DetailObjective(CoefficientObjective):
 
     @torch.no_grad()
     def _local(self, track: Track, z: Tensor, frames: object) -> Tensor:
-        """True detail ``(f, n, 3)`` in the predicted surface's frame."""
+        """True detail ``(f, n, 3)`` in the local frames of the predicted surface."""
         detail = _target(self.network, track, z, frames)[:, self.network.free].to(z.device)
         turns = self.network.turns(self.network.low.code(z))
         return (turns.transpose(-1, -2) @ detail[..., None])[..., 0]

@@ -28,26 +28,26 @@ __all__ = ["Objective", "Progress", "fit", "mixed_precision"]
 _logger = logging.getLogger(__name__)
 # What makes bfloat16 products of a processor faster than those of float32, not slower.
 _INSTRUCTIONS = ("avx512_bf16", "amx_bf16")
-# Training clips, about, on which the error is stated.
+# Approximate number of training clips on which the error is measured.
 _TRAINED = 8
 
 
 @dataclasses.dataclass(frozen=True)
 class Progress:
-    """What a callback is called with after every epoch.
+    """State of a training after an epoch, given to the callback.
 
     Attributes
     ----------
     phase : str
         Name of the module that is trained.
     epoch : int
-        From 1.
+        Number of the epoch, from 1.
     loss : float
-        Mean of the epoch.
+        Mean loss of the epoch.
     rmse : float
         Best validation error so far, metres; inf before there is one.
     fraction : float
-        Part of the epochs that is over.
+        Fraction of the epochs that is done.
     """
 
     phase: str
@@ -58,7 +58,7 @@ class Progress:
 
 
 class Objective(Protocol):
-    """What the loop minimises, and on what.
+    """Loss that the training loop minimises, with the module and the clips.
 
     Attributes
     ----------
@@ -112,22 +112,22 @@ def fit(
     objective : Objective
     options : TrainOptions
     name : str
-        Of the module; the state is ``<name>.state.safetensors`` in `folder`.
+        Name of the module; the state is ``<name>.state.safetensors`` in `folder`.
     epochs : int
-        At most.
+        Largest number of epochs.
     learning_rate : float
-        At the first epoch; it falls along half a cosine to 0 after the last.
+        Learning rate at the first epoch; it falls along half a cosine to 0 after the last.
     folder : Path
-        For the state and the curves; a run that was stopped continues from there.
+        Folder for the state and the curves; a run that was stopped continues from there.
     callback : callable, optional
         Called with a :class:`Progress` after every epoch; returning True stops.
 
     Returns
     -------
     list of dict
-        For every epoch its number ``epoch``, from 1, the mean ``loss``, the validation error
-        ``rmse`` and that of some training clips ``trained``, without dropout, in metres (None where
-        there was no validation), ``learning_rate`` and ``seconds``.
+        An entry for every epoch: its number ``epoch``, from 1; the mean ``loss``; the validation
+        error ``rmse`` and the error ``trained`` on some training clips without dropout, both in
+        metres (None where there was no validation); ``learning_rate``; and ``seconds``.
 
     Raises
     ------

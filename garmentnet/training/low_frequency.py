@@ -2,8 +2,8 @@
 
     L_LF = ‖Ĝ_LF − LBS(M_v)‖ + λ_Lap ‖Δ(Ĝ_LF) − Δ(LBS(M_v))‖
 
-LBS is linear in the transforms, LBS(M_v) = A M, so both terms are ‖A M − G‖ with another matrix
-and another target; :class:`_SkinnedNorm` computes them without the vertices.
+LBS is linear in the transforms, LBS(M_v) = A M, so both terms are norms ‖A M − G‖, each with its
+own matrix and target.  :class:`_SkinnedNorm` computes them without the vertices.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from .targets import LowTargets
 
 __all__ = ["LowFrequencyObjective"]
 
-# The loss looks at every third frame, which takes a third of its time.
+# The loss is computed on every third frame, which takes a third of the time.
 _EVERY = 3
 
 
 class _SkinnedNorm(nn.Module):
-    """‖A M − G‖² of many frames for G = m + Σ c_k P_k, without the vertices.
+    """Squared norms ‖A M − G‖² of many frames for G = m + Σ c_k P_k, without the vertices.
 
     With the thin QR factorisation A = Q R it is ‖R M − Qᵀ G‖² + ‖G − Q Qᵀ G‖².  R has 4B rows, A
     has V.  Both terms are quadratic in (1, c), whose matrices are computed once.
@@ -37,9 +37,9 @@ class _SkinnedNorm(nn.Module):
     Parameters
     ----------
     matrix : (V, 4B) array
-        Rest pose and weights as one matrix, or an operator on vertices times that.
+        Matrix A of rest pose and weights, or the product of an operator on vertices and A.
     shapes : (1 + r, V, 3) array
-        m and P_k, or the operator times these.
+        Shapes m and P_k, or the products of the operator and these.
     """
 
     r: Tensor
@@ -66,10 +66,10 @@ class _SkinnedNorm(nn.Module):
 
 
 class LowFrequencyObjective(Objective):
-    """L_LF over the vertices that the module predicts.
+    """Loss L_LF over the vertices that the module predicts.
 
-    Those that the body carries are exact, and so is their part of Δ.  Targets are coefficients of
-    principal components; the norms of what these leave are added.
+    Vertices bound to the body are exact, and so is their part of Δ.  Targets are coefficients of
+    principal components; the norms of what the components leave are added.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ class LowFrequencyObjective(Objective):
         self.validation = [prepared(t) for t in validation]
 
     def _squares(self, z: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean squared distance of vertices, and of their Laplacians, for each frame."""
+        """Mean squared distance of the vertices, and of their Laplacians, in each frame."""
         transforms = self.network.low.code(z)
         rows = rows.to(self.network.device).float()
         shape = torch.cat([torch.ones_like(rows[:, :1]), rows[:, :-2]], dim=1)
@@ -113,14 +113,14 @@ class LowFrequencyObjective(Objective):
     def loss(
         self, batch: Batch, state: Tensor | None, rng: np.random.Generator
     ) -> tuple[Tensor, Tensor]:
-        """L_LF of a batch, the mean over its frames, and the GRU's new state."""
+        """Loss L_LF of a batch, averaged over frames, and the GRU's new state."""
         device, config = self.network.device, self.network.config
         x = batch.inputs().to(device)
         mask = dropout_mask(rng, (*x.shape[:2], config.low.hidden), config.low.dropout, device)
         with mixed_precision(config.train, device):
             z, state = self.module(x, state, mask)
         z = z.float()
-        # Frames that follow each other are alike; the GRU reads all of them.
+        # Consecutive frames are alike, so some of them suffice; the GRU reads all.
         longest = int(batch.mask.sum(1).max())
         every = slice(int(rng.integers(min(_EVERY, longest))), None, _EVERY)
         chosen = z[:, every][batch.mask[:, every].to(device)]

@@ -1,6 +1,6 @@
-"""Which networks become pivots, and the kernel that mixes them (Pan et al. 2022, section 4.4).
+"""Choice of the pivots, and fit of the kernel that mixes them (Pan et al. 2022, section 4.4).
 
-All of it needs only Gram matrices of the predictions.  For a training set s with residuals
+Both need only Gram matrices of the residuals.  For a training set s with residuals
 r_i = G_i − Ĝ_s of every network i, ‖Σ w_i G_i − Ĝ_s‖² = wᵀ Q_s w with Q_s = ⟨r_i, r_j⟩, because
 Σ w = 1.
 """
@@ -24,7 +24,7 @@ from ssdr.errors import InputError
 from ..networks.ensemble import Kernel
 
 Array = NDArray[np.float64]
-# Distance of normalised parameters, at most about 2 apart, that counts as none.
+# Distance of normalised parameters that counts as 0; their range is 2 long.
 _SAME = 1e-12
 # Square of 10 nm: an exact mixture has no gradient.
 _EXACT = 1e-16
@@ -72,7 +72,7 @@ def nearest(pivots: Any, theta: Any) -> Array:
 
 
 def gram(predictions: Sequence[Any], truth: Any) -> Array:
-    """Q ``(S, S)``: mean over frames and vertices of ⟨r_i, r_j⟩, metres².
+    """Gram matrix Q ``(S, S)`` of residuals: means of ⟨r_i, r_j⟩ over frames and vertices, metres².
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ class Mixed(NamedTuple):
 
 
 def convex_fit(q: Array) -> tuple[Array, float]:
-    """Weights ≥ 0 with sum 1 that minimise wᵀ Q w, and the root of the minimum.
+    """Weights w ≥ 0 with sum 1 that minimise wᵀ Q w, and the square root of the minimum.
 
     Examples
     --------
@@ -132,7 +132,7 @@ def convex_fit(q: Array) -> tuple[Array, float]:
 
 
 def extremes(parameters: Any) -> list[int]:
-    """Sets with at least one highest or lowest parameter; the first if all are equal.
+    """Indices of sets with a highest or lowest parameter; only the first if all are equal.
 
     Examples
     --------
@@ -146,7 +146,7 @@ def extremes(parameters: Any) -> list[int]:
 
 
 def select_pivots(grams: Sequence[Array], parameters: Any, count: int) -> list[int]:
-    """K pivots as the paper chooses them: the extremes, then the worst fitted, one at a time.
+    """Choose K pivots as the paper does: the extremes, then the worst fitted, one at a time.
 
     A network s is fitted by the convex mixture of pivots that is closest to the network's
     predictions on set s.  If K is smaller than the number of extremes, those extremes are chosen
@@ -155,10 +155,10 @@ def select_pivots(grams: Sequence[Array], parameters: Any, count: int) -> list[i
     Parameters
     ----------
     grams : S arrays (S, S)
-        Of all networks on the frames of each set; see :func:`gram`.
+        Gram matrix of all networks on the frames of each set; see :func:`gram`.
     parameters : (S, P) array
     count : int
-        K, 1 to S.
+        Number K of pivots, 1 to S.
 
     Returns
     -------
@@ -220,18 +220,18 @@ def fit_kernel(
         For sets that no network was trained on; the step with the smallest error on them is
         returned.  Without any it is the last step.
     sigma, shape : float, str
-        Of the kernel.
+        Bandwidth and shape of the kernel.
     steps : int
-        Of Adam.
+        Number of steps of Adam.
     seed : int
-        Of the initial weights.
+        Seed of the initial weights.
 
     Returns
     -------
     Kernel
     float
-        The validation error at that step, or the training error without validation sets; metres.
-        NaN if nothing can be left out.
+        Validation error of the returned kernel in metres; without validation sets, its training
+        error.  NaN if nothing can be left out.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""A run: from a store of clips to a checkpoint.
+"""A training run, from a store of clips to a checkpoint.
 
 The low-frequency module is trained first, then the high-frequency module on its output.  A run
 that was stopped continues from its folder, bit for bit on the same machine and with the same number
@@ -36,9 +36,10 @@ from .targets import LowTargets
 
 __all__ = ["build_network", "choose_clips", "pose_reader", "train", "with_mirrored"]
 
-# Frames from which the statistics of the bones' motion are found.
+# Number of frames from which the statistics of the bones' motion are found.
 _STATISTICS = 400
-# Frames, mirrored ones too, from which on the high-frequency module learns from some of the clips.
+# With more frames than this, mirrored ones included, the high-frequency module is trained on only
+# some of the clips.
 _DETAIL_FRAMES = 130_000
 
 
@@ -59,7 +60,8 @@ def choose_clips(
     -------
     names : list of str
     parameters : SimulationParameters or None
-        Those of all the clips; None: those of all training sets, for a network that reads them.
+        Parameters that all the clips share; None for a network that reads the parameters, whose
+        clips are those of all training sets.
 
     Raises
     ------
@@ -84,7 +86,7 @@ def choose_clips(
             return False
         if not o.leave_out:
             return clip.split == split and _matches(clip, o.motions)
-        # One motion after the other is left out and tested on, whatever the splits say.
+        # Each motion in turn is left out and used for the test, whatever the splits say.
         left = fnmatchcase(clip.motion, o.leave_out)
         if split == "train":
             return not left and _matches(clip, o.motions)
@@ -104,7 +106,7 @@ def choose_clips(
 
 
 def with_mirrored(store: ClipStore, config: Config, names: Sequence[str]) -> list[str]:
-    """The clips and their mirrored copies, where these are asked for and the store knows them."""
+    """Names of the clips and, if asked for and the garment is symmetric, of their mirror images."""
     mirror = config.data.mirror and store.mirror_vertices is not None
     return [*names, *(n + MIRRORED for n in names if mirror)]
 
@@ -114,7 +116,7 @@ def _matches(clip: Clip, pattern: str) -> bool:
 
 
 def pose_reader(config: Config, bones: VirtualBones, names: Sequence[str]) -> PoseReader:
-    """The input of a network, with the statistics of the named clips."""
+    """Reader of a network's input, with the statistics of the named clips."""
     subject, o = bones.subject, config.features
     features = PoseFeatures(subject.skeleton, o, subject.fps)
     inputs = (features(bones.store.clip(name).joints)[0] for name in names)
@@ -147,33 +149,33 @@ def train(
     callback: Callable[[Progress], bool | None] | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Path:
-    """Train both modules of a network, or the low-frequency one where `high_epochs` is 0.
+    """Train both modules of a network, or only the low-frequency one if `high_epochs` is 0.
 
-    Called again, it continues.
+    If training was interrupted, another call continues it.
 
     Parameters
     ----------
     store : ClipStore
     config : Config
     folder : path
-        Of the run: ``checkpoint.safetensors`` and ``history.json`` when it is finished, states and
-        curves before.
+        Folder of the run.  It holds ``checkpoint.safetensors`` and ``history.json`` once the run is
+        finished, states and curves before.
     start : Checkpoint, optional
-        Start from its weights and bones instead of random and new ones, as pivots do from the base
-        network.
+        Checkpoint with whose weights and bones to start, as pivots do with those of the base
+        network; by default weights are random, and bones are computed.
     validated : bool
-        Whether validation clips are needed where nothing is started from.  Without them a run goes
-        through all epochs and ends with the last weights.
+        Whether a run without `start` needs validation clips.  Without them it goes through all
+        epochs and ends with the last weights.
     callback : callable, optional
-        Called with a :class:`~garmentnet.training.loop.Progress` after every epoch; returning True
-        stops, to continue later.
+        Called with a :class:`~garmentnet.training.loop.Progress` after every epoch.  If it returns
+        True, the run stops and can be continued later.
     progress : callable, optional
         Called during the preparation with a description and the fraction that is done.
 
     Returns
     -------
     Path
-        Of the checkpoint; also written when a callback stops the run.
+        Path of the checkpoint, which is also written when the callback stops the run.
 
     Raises
     ------
@@ -184,7 +186,7 @@ def train(
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     names, parameters = choose_clips(store, config)
-    # Who starts from a trained network has few clips, which need not include validation clips.
+    # A run that starts from a trained network may have too few clips for validation.
     held = choose_clips(store, config, "validation", needed=validated and start is None)[0]
     learned = with_mirrored(store, config, names)
     _claim(folder, config, learned)
@@ -251,7 +253,7 @@ def _high_objective(
     validation: list[Track],
     start: Checkpoint | None,
 ) -> Objective:
-    """The loss of the high-frequency module, whose statistics are set, or weights loaded."""
+    """Objective of the high-frequency module, after setting its statistics or loading weights."""
     if isinstance(network.high, DetailBasis):
         if start is not None:
             load_weights(network, start, "high")

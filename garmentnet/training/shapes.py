@@ -26,8 +26,8 @@ class ShapeBasis:
     deviation : (r,) float32
         Standard deviation of each component's coefficient; 1 where the component is 0.
     sign : (r,) float32
-        By what the coefficients of a mesh are multiplied to give those of its mirror image: each
-        component is symmetric, 1, or antisymmetric, −1.  1 where no symmetry is known.
+        Factors that turn the coefficients of a mesh into those of its mirror image: 1 for a
+        symmetric component, −1 for an antisymmetric one.  All 1 if no symmetry is known.
 
     Examples
     --------
@@ -44,7 +44,7 @@ class ShapeBasis:
 
     @classmethod
     def fit(cls, meshes: Any, rank: int, mirror: NDArray[np.integer] | None = None) -> ShapeBasis:
-        """The components of meshes ``(F, V, 3)`` and, if asked, of their mirror images.
+        """Basis of meshes ``(F, V, 3)`` and, if `mirror` is given, of their mirror images.
 
         Parameters
         ----------
@@ -52,12 +52,12 @@ class ShapeBasis:
         rank : int
             Number of components.
         mirror : (V,) int array, optional
-            The vertex on the other side of each, x = 0 between them.
+            Mirror image of each vertex in the plane x = 0.
         """
         x = np.asarray(meshes, np.float64)
         parts, signs = [x], [1.0]
         if mirror is not None:
-            # The covariance of meshes and mirror images together has no part between the two.
+            # The covariance of meshes and mirror images has no term that mixes the two kinds.
             image = x[:, mirror] * (-1, 1, 1)
             parts, signs = [(x + image) / 2, (x - image) / 2], [1.0, -1.0]
         mean = parts[0].mean(axis=0)
@@ -86,7 +86,7 @@ class ShapeBasis:
         return np.asarray(flat @ self.components.reshape(self.rank, -1).T, np.float32)
 
     def decode(self, coefficients: Any) -> NDArray[np.float32]:
-        """Meshes ``(F, V, 3)`` of coefficients ``(F, r)``."""
+        """Meshes ``(F, V, 3)`` with coefficients ``(F, r)``."""
         flat = np.asarray(coefficients, np.float32) @ self.components.reshape(self.rank, -1)
         return np.asarray(self.mean + flat.reshape(-1, *self.mean.shape), np.float32)
 
@@ -94,7 +94,7 @@ class ShapeBasis:
 def _principal(
     rows: NDArray[np.float64], rank: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Variances, largest first, and orthonormal components of rows without mean."""
+    """Variances, largest first, and orthonormal components of rows whose mean is 0."""
     values, vectors = np.linalg.eigh(rows @ rows.T)
     values, vectors = values[::-1][:rank], vectors[:, ::-1][:, :rank]
     there = values > _NOTHING * max(values[0], 1e-30)

@@ -21,9 +21,9 @@ from .shapes import ShapeBasis
 
 __all__ = ["LowTargets"]
 
-# Components: 192 leave 1 to 2 mm of a loose dress where a network errs by 15 to 20 mm.
+# Number of components: 192 leave an error of 1 to 2 mm on a loose dress; networks have 15 to 20 mm.
 _RANK = 192
-# Training frames from which the components are found, evenly spread.
+# Number of training frames, evenly spread, from which the components are found.
 _FRAMES = 2000
 
 
@@ -33,11 +33,11 @@ class LowTargets:
     Parameters
     ----------
     bones : VirtualBones
-        In whose folder the coefficients lie, one file a clip.
+        Virtual bones, in whose folder the coefficients are stored, one file per clip.
     features : PoseFeatures
-        Which give the moving frame.
+        Features that define the moving frame.
     names : sequence of str
-        Training clips from which the components are found where the folder has none.
+        Training clips from which the components are found if the folder has none.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class LowTargets:
     free : (n,) int array
         Vertices that a network predicts.
     laplacian : (n, n) sparse array
-        Δ between these.
+        Laplacian Δ restricted to these vertices.
     """
 
     def __init__(self, bones: VirtualBones, features: PoseFeatures, names: list[str]) -> None:
@@ -62,10 +62,11 @@ class LowTargets:
         self.basis = ShapeBasis(**found)
 
     def rows(self, name: str) -> NDArray[np.float16]:
-        """For every frame of a clip the coefficients and what they leave, ``(F, r + 2)``.
+        """Coefficients of every frame of a clip, and the norms of the residuals, ``(F, r + 2)``.
 
-        The last two are norms over the vertices that a network predicts: of the mesh and of its
-        Laplacian, minus what the components give; metres.
+        The last two columns are norms over the vertices that a network predicts, in metres: that
+        of the mesh minus its approximation by the components, and that of the Laplacian of this
+        difference.
         """
         plain = name.removesuffix(MIRRORED)
         rows: NDArray[np.float16] = self.bones.kept(
@@ -82,7 +83,7 @@ class LowTargets:
         return ShapeBasis.fit(np.concatenate(meshes), _RANK, self.bones.store.mirror_vertices)
 
     def _local(self, name: str, frames: NDArray[np.int64] | slice) -> NDArray[np.float64]:
-        """Low-frequency meshes in the moving frame."""
+        """Low-frequency meshes of a clip in the moving frame."""
         frame = self.features(self.bones.store.clip(name).joints)[1][frames]
         local: NDArray[np.float64] = remove_frame(frame, self.bones.split(name, frames)[0])
         return local

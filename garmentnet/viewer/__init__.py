@@ -1,4 +1,4 @@
-"""A trained garment as a page in which it dances; the browser predicts it."""
+"""Web page in which the browser predicts a trained garment for some motions."""
 
 from .page import Take, write_page
 

@@ -1,7 +1,7 @@
 """A trained garment, its body and some motions as one HTML file.
 
-The page holds networks and poses, no cloth: the browser runs what
-:class:`~garmentnet.runtime.LiveGarment` does, and the graphics card skins.
+The page holds networks and poses, no cloth: the browser computes what
+:class:`~garmentnet.runtime.LiveGarment` computes, with the skinning on the graphics card.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ __all__ = ["Take", "write_page"]
 _WEB = files(__package__) / "web"
 _SCRIPTS = tuple(_WEB / f"{name}.js" for name in ("network", "garment", "dress", "main"))
 _STYLES = (WEB / "page.css", _WEB / "page.css")
-_MARGIN = 0.1  # metres of flesh about the joints
-# Metres: nothing is pushed out of the body, but skin so little above the cloth is not seen.
+_MARGIN = 0.1  # distance of the skin from the joints, about, in metres
+# Metres; the page pushes nothing out of the body, but hides skin that is so little above the cloth.
 _BEHIND = 0.03
-_STEP = 2.5e-4  # metres to which the truth is rounded; in 16 bits, it may be coarser
-_SMOOTH = 1.0  # seconds over which the camera's way is averaged
+_STEP = 2.5e-4  # step to which the truth is rounded, metres; coarser if 16 bits need it
+_SMOOTH = 1.0  # seconds over which the camera's path is averaged
 Float = NDArray[np.float64]
 Single = NDArray[np.float32]
 
@@ -86,17 +86,17 @@ def write_page(
         One or more; the page opens with the first.
     path : path
     parameters : SimulationParameters, optional
-        With which a garment that reads them starts, and those of the truth.
+        Parameters of the truth, with which the page also starts if the garment reads parameters.
     title : str
     max_bytes : int
-        Networks are rounded to half precision for a page that would be larger, then the truth is
-        left out.
+        Largest size of the page.  If it would be larger, networks are rounded to half precision,
+        and if that is not enough, the truth is left out.
 
     Raises
     ------
     InputError
-        If the garment is an ensemble, a motion is not one of its body or its truth does not fit,
-        or the page would be larger even so.
+        If the garment is an ensemble, a motion does not fit the body, a truth does not fit the
+        motion, or the page would still be larger than `max_bytes`.
     """
     if garment.mixture is not None:
         raise InputError("model", "one network, such as reads the parameters", "an ensemble")
@@ -164,7 +164,7 @@ def _page_text(
 
 
 def _figure(garment: LiveGarment, blocks: Blocks) -> dict[str, Any]:
-    """The garment and behind it the body as one mesh; its bones are joints, then virtual bones."""
+    """Document entries of one mesh of garment and body, with joints and virtual bones as bones."""
     s = garment.subject
     g, body, count = s.garment, s.body, s.skeleton.n_joints
     rest, indices, weights = s.skin(smooth=garment.pivots[0].high is None)
@@ -217,7 +217,7 @@ def _figure(garment: LiveGarment, blocks: Blocks) -> dict[str, Any]:
 
 
 def _ways(garment: LiveGarment, joints: list[Float]) -> tuple[list[Float], list[Any]]:
-    """Of every motion the camera's way across the ground, and 26 points around the body on it."""
+    """Camera's path across the ground in each motion, and 26 points around the body there."""
     skeleton = garment.subject.skeleton
     size = max(1, round(_SMOOTH * garment.subject.fps))
     paths, rooms = [], []
@@ -270,12 +270,12 @@ def _truth(
 def _network(
     garment: LiveGarment, parameters: SimulationParameters, half: bool, blocks: Blocks
 ) -> dict[str, Any]:
-    """What ``garment.js`` runs."""
+    """Document entries of the network that ``garment.js`` evaluates."""
     p, s, o = garment.pivots[0], garment.subject, garment.features
 
     def packed(x: Any) -> dict[str, Any]:
         values = np.asarray(x, np.float32)
-        # Rounded numbers end in zeros, which are compressed.
+        # Numbers rounded to half precision end in zero bits, which compress well.
         return blocks.array(values.astype(np.float16).astype(np.float32) if half else values)
 
     def recurrent(r: Recurrent) -> dict[str, Any]:

@@ -1,1 +1,1 @@
-"""Clients of the command ``ssdr`` for other programs; none of them is imported here."""
+"""Add-ons for other programs, which run the command ``ssdr``; none of them is imported here."""

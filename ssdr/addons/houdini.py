@@ -15,7 +15,7 @@ import numpy as np
 
 
 def to_bones(node, python, *options):
-    """Decompose a node's triangles or polygons over the playback range; the new node, beside it."""
+    """New node with the decomposition of a node's triangles or polygons over the playback range."""
     first, last = (int(end) for end in hou.playbar.playbackRange())
     frames, faces = [], []
     for number in range(first, last + 1):

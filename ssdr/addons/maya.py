@@ -20,7 +20,7 @@ def _mesh(name):
 
 
 def to_bones(python, *options):
-    """Decompose the selected mesh over the playback range; the name of the duplicate."""
+    """Decompose the selected mesh over the playback range, and return the name of its duplicate."""
     names = cmds.ls(selection=True, long=True)
     if not names or not cmds.listRelatives(names[0], shapes=True, type="mesh"):
         raise RuntimeError("select an animated mesh")

@@ -114,7 +114,7 @@ def _arguments(options: DecomposeOptions) -> dict[str, Any]:
 
 
 def _check_levels(options: DecomposeOptions) -> None:
-    """Raise InputError for what levels of detail cannot be combined with."""
+    """Raise InputError for options that cannot be combined with levels of detail."""
     for field in dataclasses.fields(options):
         if field.name in _NOT_BESIDE_LEVELS and getattr(options, field.name) != field.default:
             flag = "--" + field.name.replace("_", "-")
@@ -125,7 +125,7 @@ def _check_levels(options: DecomposeOptions) -> None:
 
 
 def _levels_text(result: Any, shots: Any) -> str:
-    """Number of bones and error of each level of detail, in words."""
+    """Text with the number of bones and the error of each level of detail."""
     listed = shots if isinstance(shots, list) else [shots]
     percent = 100 / max(shot.diagonal() for shot in listed)
     return "; ".join(

@@ -242,7 +242,7 @@ def _print(
     about: dict[str, Any],
     said: list[tuple[str, str]],
 ) -> None:
-    """Print the result as a table with the rows `said` or as JSON with the entries `about`, too."""
+    """Print the result as a table, which includes the rows `said`, or as JSON, with `about`."""
     from .. import __version__
     from ..frames.error import largest_error
 

@@ -82,7 +82,10 @@ def write_options(pairs: list[str] | None, path: Path) -> dict[str, Any]:
 
 
 def write_weights(options: FitOptions, storage: WeightStorage) -> bool:
-    """Have the outputs whose format can round weights store them so, unless the user says else."""
+    """Set the type of stored weights for outputs that have this option, unless the user did.
+
+    Returns whether there is such an output.
+    """
     suffixes = dict.fromkeys(path.suffix.lower() for path in options.outputs)
     rounding = [s for s in suffixes if "weights" in keywords(FORMATS.get(s), "write_skinning")]
     # before the user's pairs, and those of an engine, which override them

@@ -111,9 +111,10 @@ def outcome_of(
 
 
 def finished(problem: Problem, solve: Callable[[], Result]) -> Result:
-    """Compile the kernels, solve, write the last checkpoint, and give the result's warnings.
+    """Compile the kernels, solve, write the last checkpoint, and issue the result's warnings.
 
-    Warnings name the line that called the caller of this function, a decorated one.
+    `stacklevel` makes the warnings name the line at which the user called ``decompose`` or
+    ``smallest``.
     """
     seconds = compile_kernels()
     result = dataclasses.replace(solve(), compile_seconds=seconds)
@@ -154,7 +155,10 @@ def _start_as_result(problem: Problem, found: Skinning) -> Skinning:
 def _with_tree(
     skinning: Skinning, problem: Problem, model: Model, alignment: Alignment
 ) -> Skinning:
-    """A copy of the skinning with parents, joints and names, of the skeleton or else as found."""
+    """A copy of the skinning with parents, joints and names of its bones.
+
+    They are those of the given skeleton if there is one; otherwise they are found from the motion.
+    """
     tree, n_bones = problem.given.tree, skinning.n_bones
     if problem.rig == "loose" and tree is not None:
         tree = refit_joints(skinning.transforms, tree)

@@ -38,7 +38,7 @@ GAIN = 2e-3  # relative decrease of the objective below which a pass is the last
 def carried(
     model: Model, nearest: NDArray[np.int64], ratio: float, given: Given, locked: Locked
 ) -> Model:
-    """A copy of a model for all frames, each with the transforms of the model's most similar frame.
+    """A copy of a model for all frames, each with the transforms of the most similar solved frame.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class AllFrames:
     importance : (F,) array or None
         Importance of the frames.
     executor : Executor, optional
-        What walks over the spans of frames; this process by default.
+        Executor that processes the spans of frames; by default in this process.
     """
 
     def __init__(

@@ -51,7 +51,7 @@ class Problem:
         Shots of one mesh.
     bones, influences : int
     storage : {"float32", "uint16", "uint8"}
-        What the weights will be stored in.
+        Type in which the weights will be stored.
     effort : {"fast", "balanced", "best"}
     rig : {"none", "loose", "rigid"}
     names : tuple of str
@@ -93,7 +93,7 @@ class Problem:
 
     @functools.cached_property
     def executor(self) -> Executor:
-        """What walks over the frames: Dask workers, if frames are streamed and workers there."""
+        """Executor of loops over the frames: Dask workers if frames are streamed and some exist."""
         return executor_for(self.sequences) if needs_streaming(self.sequences) else Local()
 
     @property
@@ -214,7 +214,7 @@ def check_problem(
 
 
 def _check_stored(influences: Any) -> tuple[int, WeightStorage]:
-    """Largest number of influences, and what their weights are stored in."""
+    """Largest number of influences, and the type in which their weights are stored."""
     if not (isinstance(influences, tuple) and len(influences) == 2):
         return check_influences(influences), "float32"
     count, storage = influences

@@ -27,7 +27,7 @@ def rounded_best(
     -------
     Model
     list of Step
-        Those of the run, and one for the rounding.
+        Steps of the run, and one for the rounding.
     str
         `reason`, or "cancelled" or "time limit" if that ended the rounding.
     """

@@ -5,8 +5,8 @@
          -> a polish on as many frames as fit into memory, since representative ones are extreme
          -> passes over all frames, each an exact alternation, until one gains little
 
-Each walk over the frames calls a function for every span of them, here or in the workers of a
-cluster, and sums the results in the order of the spans, so that the sum does not depend on which
+A loop over all frames calls a function for every span of them, in this process or in the workers of
+a cluster, and sums the results in the order of the spans, so that the sum does not depend on which
 worker computed a part.
 """
 

@@ -1,4 +1,4 @@
-"""A root joint that carries the ground track and the heading of a whole model."""
+"""A root joint with the ground track and the heading of a whole model as its motion."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def with_root(model: Skinning, *, moving: bool = True) -> Skinning:
     """Model with one more bone, the root of all others, which moves no vertex itself.
 
     No bone's transform from the rest pose changes, and so no vertex; `local_transforms()` of the
-    former roots are relative to the new one. Bones without a hierarchy hang on it at their
-    centroids.
+    former roots are relative to the new one. Bones without a hierarchy become its children, with
+    joints at their centroids.
 
     Parameters
     ----------
@@ -57,10 +57,9 @@ def with_root(model: Skinning, *, moving: bool = True) -> Skinning:
 def ground_motion(model: Skinning) -> Array:
     """Ground track and heading of a model in each frame: (F, 3, 4) transforms [R | T].
 
-    R turns about the up axis and T is horizontal. They are the best fit, in the least squares of
-    horizontal distances, of the rest pose to the vertices of the frame, for which the sums over
-    vertices are taken once for each bone. Where no turn fits better than another, the heading is
-    that of the frame before.
+    R turns about the up axis and T is horizontal. They map the rest pose to the vertices of the
+    frame with the least sum of squared horizontal distances. Sums over vertices are computed once
+    for each bone. Where no turn fits better than another, the heading is that of the frame before.
 
     References
     ----------

@@ -61,7 +61,7 @@ def atomic_path(path: Path | str, *, flush: bool = True) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def naming(path: Path | str, temporary: Path) -> Iterator[None]:
-    """Context in which an OSError that names `temporary`, or no file, is raised with `path`.
+    """Context that makes an OSError name `path` if it names `temporary` or no file at all.
 
     Errors while writing to an open file, such as that of a full disk, name no file.
     """

@@ -47,9 +47,9 @@ class SaveReport:
     max_error : float or None
         Largest of these distances; None if the file is exact.
     between_frames : float or None
-        Root mean square distance halfway between frames, between the vertices that interpolated
-        bones move and the mean of the given vertices in the two frames. None if the file has no
-        bones that an engine interpolates.
+        Root mean square distance of vertices halfway between two frames, where an engine
+        interpolates the bones, from the mean of the given vertices in both frames. None if the file
+        has no bones that an engine interpolates.
     note : str
         Further information for the user; may be empty.
     lost : tuple of str

@@ -297,10 +297,10 @@ def interpolate_quaternions(
 def frame_rate(stamps: NDArray[np.float64]) -> float | None:
     """Frames per second of ascending key times (in seconds); None if none is found.
 
-    All keys fall on frames at the rate of the closest two keys, if it does for them, or at the
-    first usual rate that does. Where these do not suit, more than three in four keys may follow
-    each other at one rate, which is then taken before any usual one: the other keys lie between
-    its frames. Rates below 10 are not taken, because sparse keys alone would suggest them.
+    It is the first of these rates: that of the closest two keys, if all keys fall on its frames;
+    the rate at which more than three in four keys follow each other, even if the others lie between
+    its frames; the first usual rate on whose frames all keys fall. Rates below 10 are not accepted,
+    because sparse keys alone would suggest them.
     """
     gaps = np.diff(stamps)
     gaps = gaps[gaps > 1e-4]

@@ -12,7 +12,7 @@ from ..space import UNKNOWN, Space
 
 Thing = TypeVar("Thing", bound=Any)  # MeshSequence or Skinning
 
-# a quarter turn about x, which carries z up to y up
+# a quarter turn about x, which turns z up into y up
 _Y_FROM_Z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 
@@ -23,7 +23,7 @@ def in_space(thing: Thing, space: Space) -> Thing:
     ----------
     thing : MeshSequence or Skinning
     space : Space
-        What is not known of it, or of that of `thing`, stays as it is.
+        Unit and up axis of the result.  One that is unknown here or in `thing` does not change.
 
     Returns
     -------
@@ -78,10 +78,10 @@ def transformed(thing: Thing, factor: float, turn: Any = np.eye(3)) -> Thing:  #
 
 
 def scaled(thing: Thing, factor: float, space: Space) -> Thing:
-    """Sequence or skinning `factor` times as large; what is known of `space` is then its own.
+    """Sequence or skinning scaled by `factor`, with the unit and up axis that `space` states.
 
-    Its unit is not known after any factor but 1: whoever scales may mean another unit or another
-    size.
+    If `space` states no unit, that of the result is unknown unless `factor` is 1: scaling may have
+    meant another unit or another size.
     """
     stated = thing.space if factor == 1 else Space(None, thing.space.up)
     return with_space(transformed(thing, factor), stated.but(space))
@@ -94,7 +94,7 @@ def with_space(thing: Thing, space: Space) -> Thing:
 
 
 def ready_to_write(thing: Thing, title: str, space: Space | None) -> tuple[Thing, str]:
-    """Sequence or skinning in the space of a file, and in words what was done for it.
+    """Sequence or skinning converted to the space of a file, and a note on the conversion.
 
     Parameters
     ----------

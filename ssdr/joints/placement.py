@@ -9,7 +9,7 @@ step, while bones, joints and weights are solved in turns.
 References
 ----------
 Le and Deng, "Robust and accurate skeletal rigging from mesh sequences", 2014 (joints as points
-that two bones carry alike).
+that two bones move alike).
 """
 
 from __future__ import annotations

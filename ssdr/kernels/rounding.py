@@ -1,4 +1,4 @@
-"""Moves of units of weight between the bones of one vertex at a time."""
+"""Kernel that improves rounded weights by moving single steps of weight between bones."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def move_units(y, x2, pairs, rest, indices, weights, error, locked, move_rest, s
     move_rest     bool                  whether each move is judged at its best rest position
     steps         int                   units of a vertex
 
-    Of all moves of one unit from an influence to any bone, that of lowest error is made, and so on;
-    a vertex never has more than K influences.
+    One unit moves at a time, from the influence and to the bone for which the error falls most,
+    until no move lowers it.  A vertex never has more than K influences.
     """
     n_bones = pairs.shape[0]
     size = indices.shape[1]

@@ -239,7 +239,7 @@ def size(skinning: Skinning, *, storage: WeightStorage = "uint16") -> Size:
     skinning : Skinning
         If its `keyframes` are None, every frame is a key of every bone.
     storage : {"uint16", "uint8", "float32"}
-        What a weight is stored in; "float32" counts as "uint16", which holds it well enough.
+        Type in which a weight is stored; "float32" counts as "uint16", which is precise enough.
 
     Returns
     -------

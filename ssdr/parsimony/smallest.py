@@ -76,7 +76,7 @@ def smallest(
     bones : int, optional
         Largest number of bones; by default 256, or the number of vertices if that is less.
     influences : int or (int, {"uint8", "uint16", "float32"})
-        Most influences per vertex (K), and what files will store their weights in, as in
+        Most influences per vertex (K), and the type in which files will store their weights, as in
         :func:`decompose`.  The tolerance holds for the stored weights.
     effort : {"fast", "balanced", "best"}
         Work spent on each number of bones before it is given up.

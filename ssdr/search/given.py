@@ -47,7 +47,8 @@ class Given:
         Parents of the bones that are added to a skeleton; −1 if a bone goes where the error is
         largest.
     rotations : (F, B0, 3, 3) array or None
-        Rotations relative to the parents that joints of a skeleton keep; NaN for free joints.
+        Rotations relative to the parent at which joints of a skeleton are locked; NaN for free
+        joints.
     """
 
     rest: Array | None = None
@@ -83,7 +84,7 @@ class Given:
         )
 
     def inside(self, alignment: Alignment) -> Given:
-        """A copy with rest pose, joints and transforms taken into the solver's space."""
+        """A copy with rest pose, joints and transforms mapped to the solver's space."""
         inward, inside, tree = alignment.points_from_world, self, self.tree
         if tree is not None:
             owner = "rig.skinning" if self.keeps_tree else "start"

@@ -2,12 +2,12 @@
 
 The levels share the transforms: the bones are sorted so that a level of B bones uses the first B.
 Each level has weights and a rest pose of its own.  With E_l the squared error of level l, and E*_l
-that of a model that shares nothing, the objective is Σ_l (E_l / E*_l)^(p/2), which for large p is
-about the largest ratio.
+that of an independent model with as many bones, the objective is Σ_l (E_l / E*_l)^(p/2), which a
+large p makes depend mostly on the largest ratio.
 
-To move the bones of all levels at once, the vertices of all levels are stacked into one mesh whose
-vertices carry the importance of their level, ∂/∂E_l of the objective; a Gauss–Newton step on it
-keeps the influences, which each level chooses among its own bones.
+To move the bones of all levels at once, the vertices of all levels are stacked into one mesh.  The
+importance of its vertices is that of their level, the derivative of the objective by E_l.  A
+Gauss–Newton step on this mesh keeps the influences, which each level chooses among its own bones.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ _LEAST, _MOST = 48, 128  # bounds of the vertices of the sample for each bone
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Nested:
-    """Levels of one search: what they are compared with, and the numbers of their bones.
+    """Search for nested levels: its data, the errors to compare with, and its random numbers.
 
     Attributes
     ----------
     data : Trajectories
     targets : (L,) array
-        Squared error E*_l of a model that shares nothing.
+        Squared error E*_l of an independent model with as many bones as each level.
     influences : int
     rng : numpy.random.Generator
     """
@@ -96,7 +96,7 @@ class Nested:
         return levels
 
     def narrowed(self, levels: list[Model], rounds: int) -> list[Model]:
-        """Levels of at most `influences` bones a vertex: polished, and one dropped, by turns."""
+        """Levels with at most `influences` bones per vertex, by polishing and dropping in turns."""
         while True:
             levels = self.polish(levels, rounds)
             count = max(level.n_influences for level in levels)
@@ -125,7 +125,7 @@ class Nested:
         return levels
 
     def widened(self, levels: list[Model], more: int) -> list[Model]:
-        """Copies with up to `more` influences more."""
+        """Copies with up to `more` further influences per vertex."""
         return [x.with_influences(min(self.influences + more, x.n_bones)) for x in levels]
 
     def swapped(self, levels: list[Model]) -> list[Model]:
@@ -143,7 +143,7 @@ class Nested:
     def reordered(self, levels: Sequence[Model], order: NDArray[np.intp]) -> list[Model]:
         """Copies whose bone j is the present bone ``order[j]``.
 
-        Vertices that lose a bone by it are solved again.
+        Vertices that lose a bone are solved again.
         """
         transforms, place = levels[0].transforms[:, order], np.argsort(order)
         out = []
@@ -180,7 +180,7 @@ def nested_models(
     counts : sequence of int
         Numbers of bones, descending.
     targets : (L,) array
-        Squared errors of models of so many bones that share nothing.
+        Squared errors of independent models with these numbers of bones.
     influences : int
     trials : int
         Number of changes that are tried; each is kept if it lowers the objective.
@@ -203,7 +203,7 @@ def nested_models(
 
 
 def _removed(search: Nested, finest: Model, counts: Sequence[int]) -> list[Model]:
-    """Levels made by removing the bone that the error needs least, one after the other."""
+    """Levels made by removing bones one by one, each time the one that raises the error least."""
     data, model = search.data, finest.with_restarted_support()
     optimise_vertices(data, model)
     left, gone, kept = list(range(counts[0])), [], {counts[0]: model}

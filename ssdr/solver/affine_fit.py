@@ -111,7 +111,7 @@ def solve_affine(
 def leap_rigid(transforms: Array, u: Array, c: Array, locked: NDArray[np.bool_]) -> None:
     """Replace rigid bones by the rigid transforms nearest to the affine optimum (in place).
 
-    Gauss–Seidel sweeps take many rounds to carry a bone far together with its neighbours; a leap
+    Gauss–Seidel sweeps take many rounds to move a bone far together with its neighbours; a leap
     moves all bones of a frame at once.  Frames whose error would rise stay as they are.  The
     parameters are those of :func:`solve_affine`.
     """

@@ -19,7 +19,7 @@ __all__ = ["farthest_points", "fit_patches", "start_model"]
 _PATCHES_PER_BONE = 8  # candidates for each bone: more take longer and offer more choice
 _SAMPLE = 20_000  # vertices by whose error patches are chosen
 _REFITS = 3  # rounds of assigning vertices to bones and fitting these (Lloyd's iteration)
-_FEWEST_STRETCHED = 6  # vertices of a patch that may stretch: fewer say little about it
+_FEWEST_STRETCHED = 6  # vertices of a patch whose bone may stretch: fewer hardly determine how
 _SKETCH = 32  # dimensions of a random projection in which trajectories are compared
 
 

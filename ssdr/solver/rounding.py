@@ -1,10 +1,10 @@
-"""Weights rounded to whole units of a file's storage, and all else solved again on top.
+"""Weights rounded to multiples of a file's smallest step, with all else solved again.
 
 Rounding costs much where bones pull against each other: a weight that is off by δ moves the vertex
 by δ |M_j p̃ − v|, however small the error was.  A penalty on these distances draws the bones
-together before the weights are rounded.  Afterwards units of weight move from bone to bone of a
-vertex while its error falls, each move with the rest position that suits it best.  Then all is
-solved again while half of the vertices, and then all, keep their weights, which are rounded again.
+together before the weights are rounded.  Afterwards single steps (units) of weight move from one
+bone of a vertex to another while its error falls, each time with the best rest position.  Then the
+model is polished while half of the vertices keep their rounded weights, and again while all do.
 """
 
 from __future__ import annotations
@@ -26,30 +26,33 @@ from .trajectories import Trajectories
 __all__ = ["rounded_models"]
 
 _STEPS = 8  # polish steps of a round
-# Rounds after the weights are rounded, for each round before; they end at a smaller relative gain.
+# Most rounds after the weights are rounded, for each round before that; they end early if the
+# relative gain of a round is smaller than _GAIN.
 _AFTER, _GAIN = 12, 4e-4
-# Mean square, in units, of what rounding changes in a weight: 1/12 to the nearest, and far less
-# where all else is chosen to suit.  With 1/6, 1/24 and 1/100 mannequin_rumba with 30 bones has,
-# after as much work, 1.19, 1.14 and 1.13 times the E of float weights; ea_bone is best at 1/24.
+# Assumed mean square, in units, of the change of a weight by rounding: 1/12 for rounding to the
+# nearest, and far less if all else is solved again.  With 1/6, 1/24 and 1/100, mannequin_rumba with
+# 30 bones has 1.19, 1.14 and 1.13 times the E of float weights after equal work; ea_bone is best at
+# 1/24.
 _NOISE = 1 / 50
 
 
 def rounded_models(
     data: Trajectories, model: Model, storage: WeightStorage, *, locked: Locked, rounds: int
 ) -> Iterator[Model]:
-    """Models of falling objective with the weights that `storage` holds, the first of them soon.
+    """Models with weights rounded for `storage`, each of lower objective; the first comes quickly.
 
     Parameters
     ----------
     data : Trajectories
     model : Model
-        Stays as it is.
+        The model to round, which is not changed.
     storage : {"uint8", "uint16"}
     locked : Locked
         Locked weights are rounded to the nearest.
     rounds : int
-        Rounds of polish steps before the weights are rounded; up to twelve times as many come after
-        it.  0, or a model in whole units: only weights and rest pose are solved again.
+        Rounds of polish steps before the weights are rounded; up to twelve times as many follow
+        afterwards.  With 0, or if the weights need no rounding, only weights and rest pose are
+        solved again.
     """
     objective = Objective(locked)
     best = _rounded(data, model, storage, locked)
@@ -74,7 +77,7 @@ def rounded_models(
         if left == 0:
             return
         trial = best
-        half = rng.random(data.n_vertices) < 0.5  # keep their weights: the others adapt to these
+        half = rng.random(data.n_vertices) < 0.5  # these keep their weights; the others adapt
         for mask, units in ((stay | half, stay | half), (np.ones_like(stay), stay)):
             trial = trial.copy()
             _polish(data, trial, dataclasses.replace(locked, weights=mask))
@@ -83,7 +86,7 @@ def rounded_models(
 
 @serial_blas()
 def _rounded(data: Trajectories, model: Model, storage: WeightStorage, locked: Locked) -> Model:
-    """A copy with rounded weights; then units of free weights move where the error falls."""
+    """A copy with rounded weights, after units of free weights moved between bones by error."""
     indices, stored = quantise(model.indices, model.weights, storage)
     out = dataclasses.replace(model.copy(), indices=indices, weights=weight_values(stored))
     _, gram, _, reduced = transform_sums(data, out.transforms)
@@ -104,10 +107,10 @@ def _rounded(data: Trajectories, model: Model, storage: WeightStorage, locked: L
 def _draw_together(
     data: Trajectories, model: Model, storage: WeightStorage, locked: Locked
 ) -> None:
-    """Polish under a penalty on the distances of |M_j p̃ − v| of the influences (in place).
+    """Polish under a penalty on the distances |M_j p̃ − v| of all influences (in place).
 
-    The penalty is that of further vertices with the motion of a vertex v, each moved by one of its
-    bones alone.  One in K + 1 influences stands for all, in turns of the K places of a vertex.
+    The penalty is the error of additional vertices: copies of a vertex v, each moved by one of its
+    bones j alone.  To save time, every (K + 1)-th influence is copied, with K + 1 times the weight.
     """
     n, k = model.weights.shape
     vertex, slot = (axis[:: k + 1] for axis in np.nonzero(model.weights))

@@ -67,7 +67,8 @@ class ReducedSystem:
     Attributes
     ----------
     u : (B, B, 4, 4) float64
-        Σ_i w_j w_k p̃ p̃ᵀ: times the frame's importance, H_mm of every row of every frame.
+        Σ_i w_j w_k p̃ p̃ᵀ.  Multiplied by the importance of a frame, it is H_mm of each axis of the
+        frame.
     gradient : (3F, 4B) float64
         Half gradient of the objective in the stacked transforms, with the vertices at their
         optimum.
@@ -117,7 +118,7 @@ class ReducedSystem:
         run_chunks(work, self._tasks)
 
     def _eliminate(self, cross: Array, share: float) -> tuple[Array, Array]:
-        """The vertices' response to a change δM of the transforms, and its effect on them.
+        """Response of the vertices to a change δM of the transforms, and its effect on these.
 
         Parameters
         ----------

@@ -26,12 +26,12 @@ class Blocks:
     data: list[bytes] = dataclasses.field(default_factory=list)
 
     def raw(self, data: bytes) -> int:
-        """Number of a block that holds `data` as they are."""
+        """Number of a new block that holds `data` unchanged."""
         self.data.append(data)
         return len(self.data) - 1
 
     def array(self, values: NDArray[Any], *, delta: bool = False) -> dict[str, Any]:
-        """Entry of a document that says where an array is and how it is packed.
+        """Document entry of an array: the number of the new block that holds it, and its layout.
 
         The bytes of its numbers are sorted by significance and compressed by zlib.
 
@@ -55,7 +55,7 @@ class Blocks:
         }
 
     def fixed(self, values: NDArray[np.floating], *, delta: bool = True) -> dict[str, Any]:
-        """Entry of an array in fixed point: numbers are rounded to multiples of 2⁻²².
+        """Document entry of an array stored in fixed point, as multiples of 2⁻²².
 
         The step is larger for numbers above 2⁸.
         """

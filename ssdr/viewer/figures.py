@@ -1,4 +1,4 @@
-"""Figures of a page in words."""
+"""Table and summary line of the figures that a page states."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def figures(
 def summary(
     model: Skinning, skinned: bool, motion: Motion, truth: Truth | None, file: Path | None
 ) -> str:
-    """The most asked figures in one line."""
+    """One line of text with the most important figures."""
     parts = [f"{model.n_bones:,} bones"] if skinned else []
     parts += [f"{model.n_vertices:,} vertices", f"{model.n_frames:,} frames"]
     if truth is not None:

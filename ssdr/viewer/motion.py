@@ -1,4 +1,4 @@
-"""One walk over all frames of a model and its input: boxes, errors, and the way of the mesh."""
+"""Bounding boxes, errors and path of a model and its input, from one pass over all frames."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _CHUNK_BYTES = 32 << 20  # of vertices that are skinned at a time
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Motion:
-    """What one walk over all frames finds.
+    """Extent, path and errors of a model over all frames.
 
     Attributes
     ----------
@@ -31,9 +31,9 @@ class Motion:
     whole : (26, 3) float64
         Outermost vertices of up to 64 frames in 26 directions.
     path : (F, 3) float64
-        Way of the middle of the mesh across the ground, from the first frame on.
+        Path of the middle of the mesh across the ground, relative to the first frame.
     body : (26, 3) float64
-        The same after `path` is subtracted.
+        Outermost vertices as in `whole`, after `path` is subtracted from them.
     diagonal : float
         Diagonal of the bounding box in the frame where it is largest; of the reference, if any.
     mean, rms, largest, high : (F,) float64
@@ -41,7 +41,7 @@ class Motion:
     worst : (F,) int64
         Vertex of the largest error.
     reach : float
-        Largest absolute difference of a coordinate.
+        Largest absolute difference of a coordinate between model and reference.
     """
 
     center: Float
@@ -67,13 +67,16 @@ class Motion:
         return int(self.largest.argmax())
 
     def in_words(self, length: float) -> str:
-        """A length, and what it is in per cent of the diagonal."""
+        """Text of a length, with its percentage of the diagonal."""
         return f"{length:.3g} ({100 * length / (self.diagonal or 1.0):.2g} %)"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Truth:
-    """Reference on the vertices of the model; `rows` are its vertices if the model was welded."""
+    """Reference with the vertices of the model.
+
+    If the model was welded, `rows` are the reference's vertices that the model keeps.
+    """
 
     sequence: MeshSequence
     rows: NDArray[np.intp] | None
@@ -159,7 +162,7 @@ def walk(model: Skinning, truth: Truth | None, vertical: Float, *, hidden: bool 
 
 
 class Outermost:
-    """The outermost of all points that were added, in 26 directions: what a picture must hold.
+    """The outermost of all points that were added, in 26 directions, to frame a picture.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a notebook shows of a sequence or a model: its page in a frame, else a picture."""
+"""Display of a sequence or a model in a notebook: its page in a frame, or else a picture."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ from .payload import Payload, payload
 __all__ = ["PARTS", "WEB", "Page", "assembled", "page_text", "view"]
 
 WEB = files(__package__) / "web"
-# One script in the end: each of these may use what stands in those before it.
+# Joined into one script in this order: each may use the names of those before it.
 PARTS = tuple(
     WEB / f"{name}.js"
     for name in (
@@ -208,15 +208,15 @@ def assembled(
     styles: Sequence[Traversable] = (WEB / "page.css",),
     panel: Traversable | None = None,
 ) -> str:
-    """The page: style, script and data in the places that the template has for them.
+    """HTML of a page: the template with style, script and data inserted.
 
-    `panel` is an ``<aside>`` that takes the place of the template's.
+    `panel` is a file with an ``<aside>`` that replaces the template's.
     """
 
     def read(parts: Sequence[Traversable]) -> str:
         return "\n".join(part.read_text(encoding="utf-8") for part in parts)
 
-    # A name that ends the element, or opens a comment in it, would need this character.
+    # Without "<", no name in the document can end the element or open a comment in it.
     text = json.dumps(document, separators=(",", ":")).replace("<", "\\u003c")
     kind = "application/octet-stream;base64"
     data = "\n".join(

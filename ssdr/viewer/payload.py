@@ -1,7 +1,7 @@
-"""What a page holds: a document of names, counts and figures, and blocks of arrays.
+"""Content of a page: a document of names, counts and figures, and blocks of arrays.
 
-Lengths are stored in diagonals of the mesh, from the middle of the rest pose or of all frames, so
-that float32 in a shader is exact enough wherever the mesh is and whatever its unit.
+Positions are stored in units of the mesh's diagonal, relative to the middle of the rest pose or of
+all frames, so that float32 in a shader is exact enough wherever the mesh is and whatever its unit.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ MOST_INFLUENCES = 8  # that the shader sums
 _SPAN_BYTES = 1 << 20  # of 16-bit differences that are decoded at a time
 _WEIGHT_STEPS = 1 << 20
 _EMPTY_BYTES = 100_000  # of a page without content: markup, style and script
-_TRAVELS = 0.8  # of the diagonal: a mesh that goes farther is followed
+_TRAVELS = 0.8  # of the diagonal: the camera follows a mesh that goes farther
 Float = NDArray[np.float64]
 
 
@@ -176,7 +176,7 @@ def weight_entries(model: Skinning, blocks: Blocks) -> dict[str, Any]:
 
 
 def _rig(model: Skinning, center: Float, scale: float, blocks: Blocks) -> dict[str, Any]:
-    """Names, places, colours and a tree of the bones, and how much each moves."""
+    """Names, places, colours and tree of the bones, and each one's share of the weights."""
     centroids = model.centroids()
     heads = centroids if model.parents is None else np.asarray(model.joint_positions, np.float64)
     ends, rigid = None, False
@@ -207,13 +207,13 @@ def heat_scales() -> list[list[list[float]]]:
 
 
 def _from_grey(colors: Float) -> Float:
-    """Colours whose first five come out of a medium grey, all in linear RGB."""
+    """Colours (linear RGB) of which the first five fade in from a medium grey."""
     grey = np.linspace(1.0, 0.0, 6)[:, None]
     return np.concatenate([grey * 0.2 + (1 - grey) * colors[:6], colors[6:]])
 
 
 def _thinning(model: Skinning, fixed: int, max_bytes: int, held: bool) -> int:
-    """Every how many frames a page of `max_bytes` has room for, if nothing could be compressed.
+    """Step between the frames that fit a page of `max_bytes` even if nothing can be compressed.
 
     Raises
     ------
@@ -233,7 +233,7 @@ def _thinning(model: Skinning, fixed: int, max_bytes: int, held: bool) -> int:
 
 
 def _clips(clips: tuple[Clip, ...], step: int) -> list[dict[str, Any]]:
-    """Names, rates and frames of the clips; `first` is the number of its first frame."""
+    """Names, rates and frames of the clips; `first` is a clip's first frame in the model."""
     found: list[dict[str, Any]] = []
     for clip in clips:
         start = found[-1]["stop"] if found else 0
@@ -244,7 +244,7 @@ def _clips(clips: tuple[Clip, ...], step: int) -> list[dict[str, Any]]:
 
 
 def _error(motion: Motion, frames: NDArray[np.int64]) -> dict[str, Any]:
-    """Errors of the frames shown, in the mesh's units, and the end of the scale."""
+    """Errors of the frames shown, in the mesh's units, and the top of the colour scale."""
     return {
         "mean": motion.mean[frames].tolist(),
         "largest": motion.largest[frames].tolist(),
@@ -283,9 +283,9 @@ def difference_entry(
     scale: float,
     blocks: Blocks,
 ) -> dict[str, Any]:
-    """Entry of an input as 16-bit differences `(V, 3)` of each frame, in spans of frames.
+    """Document entry of an input: the 16-bit `difference` (V, 3) of each frame, in spans of frames.
 
-    `reach` is the largest, and `scale` the length of the page's unit.
+    `reach` is the largest difference, and `scale` the length of the page's unit.
     """
     step = (reach or 1.0) / 32767
     length = max(1, _SPAN_BYTES // (6 * n_vertices))

@@ -26,11 +26,11 @@ def surface_entries(
     blocks: Blocks,
     notes: list[str],
 ) -> dict[str, Any]:
-    """Entries of the triangles, sorted by material, and of what their corners have.
+    """Document entries of the triangles, sorted by material, their UVs, hard edges and textures.
 
-    A vertex is copied where its UV differs between triangles (a seam) or its normal does (a hard
-    edge).  `copies` are the vertices that are copied, `groups` tells for each vertex and copy
-    which normal it shares, if there are hard edges.
+    A vertex is copied where its UV or its normal differs between triangles: at a seam or a hard
+    edge.  `copies` lists the vertex of each copy.  If there are hard edges, vertices and copies
+    with the same number in `groups` share a normal.
     """
     uv = normals = None
     materials: tuple[Material, ...] = ()
@@ -69,7 +69,7 @@ def surface_entries(
 
 
 def _look(material: Material | None, uv: Any, blocks: Blocks, notes: list[str]) -> dict[str, Any]:
-    """Colour (linear RGB) and texture of a material; without one, that of clay."""
+    """Colour (linear RGB) and texture of a material; both None without a material."""
     if material is None:
         return {"color": None, "texture": None}
     texture = None

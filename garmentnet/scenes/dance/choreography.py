@@ -30,18 +30,18 @@ Repertoire = Literal["basic", "wide"]
 
 @dataclasses.dataclass(frozen=True)
 class _Moves:
-    """What dances of a repertoire are made of."""
+    """Moves of a repertoire, and the ranges from which a dance is drawn."""
 
     moves: dict[str, tuple[float, float, Move]]
     tempi: dict[str, tuple[float, float]]
     fast: tuple[str, ...]
     slow: tuple[str, ...]
-    # Least and one more than the greatest number of classes in a dance, and of fast ones.
+    # Numbers of classes in a dance, and of fast ones, as half-open ranges.
     classes: tuple[int, int]
     fast_classes: tuple[int, int]
     # Probability that a fast move ends in a sudden stop, beside the stops of its classes.
     sudden: float
-    # How far the arms wander around how far they are raised, and the highest; radians.
+    # Swing and middle of the random raising of the arms, and how high they are raised; radians.
     arms: tuple[float, float, float]
 
 
@@ -84,14 +84,15 @@ def dance(
     Parameters
     ----------
     skeleton : Skeleton
-        Of :mod:`garmentnet.scenes.body`.
+        Skeleton of :mod:`garmentnet.scenes.body`.
     seed : int
-        The same seed, number of frames and frame rate give the same dance.
+        Seed of the random numbers; with the same number of frames and frame rate, it gives the
+        same dance.
     frames : int
     fps : float
     classes : sequence of str, optional
-        Classes of motion, in this order first and then at random; by default four to six drawn
-        from the seed, at least two of them fast (`wide`: six to eight, at least three).
+        Classes of motion, danced once in this order and then at random.  By default four to six are
+        drawn, at least two of them fast; for "wide" six to eight, at least three of them fast.
     repertoire : {"basic", "wide"}
         ``"wide"`` adds walking turns and weight shifts, varies the tempo, raises the arms up to
         vertical, turns in jumps and stops suddenly after fast moves.
@@ -198,7 +199,7 @@ def _choreograph(
 
 
 def _tempo(rng: np.random.Generator, made_of: _Moves, kind: str) -> float:
-    """How fast a move is danced, from its range, even on a logarithmic scale."""
+    """Random tempo of a move within its range, uniform on a logarithmic scale."""
     if kind not in made_of.tempi:
         return 1.0
     return math.exp(rng.uniform(*np.log(made_of.tempi[kind])))
@@ -243,7 +244,7 @@ def _add_arms(rng: np.random.Generator, made_of: _Moves, controls: Controls) -> 
 
 
 def _add_noise(rng: np.random.Generator, controls: Controls) -> None:
-    """Add small random motion: channel, amplitude in its unit, swings a second."""
+    """Add small random motion to some channels."""
     count = len(controls["turn"])
     for name, size, rate in (
         ("shift_x", 0.012, 0.5),
@@ -276,5 +277,5 @@ def _noise(rng: np.random.Generator, count: int, rate: float) -> Float:
 
 
 def _ease(x: Float) -> Float:
-    """Clamp to [0, 1] without a corner."""
+    """Values clamped to [0, 1] by a smooth curve."""
     return np.asarray(0.5 + 0.5 * np.tanh(2 * (x - 0.5)))

@@ -18,7 +18,7 @@ __all__ = ["MOVES", "Controls", "Float", "Move", "State", "bump", "smooth"]
 Float = NDArray[np.float64]
 Controls = dict[str, Float]
 _GRAVITY = 9.81  # m/s²
-# Distance from the middle, metres, at which a walk leads back.
+# Distance from the middle of the stage, metres, beyond which a walk leads back.
 _STAGE = 1.2
 
 
@@ -48,7 +48,7 @@ def _walk(rng: np.random.Generator, t: Float, length: float, state: State) -> Co
     turn = rng.uniform(-1.2, 1.2) * np.ones(len(t))
     distance = math.hypot(state.x, state.z)
     if distance + 0.5 * speed * length > _STAGE:
-        # Toward the middle, whatever way the dancer faces.
+        # Towards the middle, whatever direction the dancer faces.
         way = math.atan2(-state.x, -state.z) - state.yaw + rng.uniform(-0.5, 0.5)
         turn *= 0.3
         speed = min(speed, 1.5 * max(distance, 0.4) / length)

@@ -1,7 +1,7 @@
-"""From control channels (path, hips, arms, kicks) to joint transforms: steps, inverse kinematics.
+"""Joint transforms from control channels (path, hips, arms, kicks): steps and inverse kinematics.
 
-The feet are not animated: a foot stands still and steps when the body has moved away from it, so
-that every blend of moves has plausible feet.
+The feet have no channels: a foot stands still and steps when the body has moved away from it, so
+that every blend of moves has plausible footsteps.
 """
 
 from __future__ import annotations
@@ -19,35 +19,37 @@ from ...data.skeleton import Skeleton
 __all__ = ["CHANNELS", "RATE", "pose_joints"]
 
 Float = NDArray[np.float64]
-# Samples a second of the channels; steps and jumps need more than the frame rate.
+# Samples of the channels per second; steps and jumps need more than the frame rate.
 RATE = 120
 # The channels; all are 0 at rest.  Angles in radians, lengths in metres for a leg of 0.807 m,
 # times in seconds.  "l" and "r" are the dancer's left and right.
 CHANNELS = (
     "forward", "side", "turn",  # velocity in the heading's frame, rate of turn
-    "shift_x", "shift_z", "lift", "air",  # hips against the feet; height of a jump
+    "shift_x", "shift_z", "lift", "air",  # hips relative to the feet; height of a jump
     "pitch", "roll", "twist",  # of the pelvis
     "bend", "lean", "wring",  # of the spine, over three joints
     "nod", "look",  # of the head
-    "pivot", "width", "turnout",  # feet turn with the body; stance
+    "pivot", "width", "turnout",  # how far the feet turn with the body; stance
     "reach_l", "sweep_l", "elbow_l", "reach_r", "sweep_r", "elbow_r",  # arms
     "free_l", "flex_l", "open_l", "knee_l", "free_r", "flex_r", "open_r", "knee_r",  # legs
 )  # fmt: skip
 _LEG = 0.807  # metres, hip to ankle of the body for which the moves were designed
 _FOOT = 0.13  # metres, ankle to ball of the foot
-_STRIDE = 0.11  # metres from its place at which a foot steps, for that leg
-_ASKEW = 0.6  # radians from its direction at which a foot steps
+_STRIDE = 0.11  # distance of a foot from its place at which it steps, metres, for that leg
+_ASKEW = 0.6  # angle of a foot to its direction at which it steps, radians
 _STANCE = 0.17  # metres between the feet at rest
-_CROUCH = 0.022  # metres of the hips below the rest pose: standing knees are slightly bent
+_CROUCH = 0.022  # metres by which standing lowers the hips: knees are slightly bent
 _TIPTOE = 0.07  # metres that a leg gains by standing on the toes
-_LOWEST = 0.3  # metres, the hips above the ankle at least
+_LOWEST = 0.3  # least height of the hips above the ankle, metres
 _STEP = (0.2, 0.34)  # seconds of a step, shortest and longest ...
-_HURRY = 0.1  # ... and by how much shorter it is for every m/s
-_AHEAD = 0.12  # seconds of stance for which a step aims ahead of the body
-_RAISED = (0.3, 0.5)  # of the channel "free": the other leg may step, the leg has left the floor
-_LIFT = (0.03, 0.2)  # metres that a stepping foot rises, and more for every metre of stride ...
+_HURRY = 0.1  # ... and by how much shorter it becomes per m/s
+_AHEAD = 0.12  # seconds of motion by which a step aims farther ahead of the body
+# Values of the channel "free" of a leg above which the other leg may not step, and above which the
+# leg has left the floor.
+_RAISED = (0.3, 0.5)
+_LIFT = (0.03, 0.2)  # metres that a stepping foot rises, and further rise per metre of stride ...
 _STRIDES = 0.35  # ... up to this stride, metres
-_STRETCHED = 0.998  # part of the leg's length that it uses at most: the knee must have a direction
+_STRETCHED = 0.998  # most of its length to which a leg is stretched, so that the knee can point
 
 
 def pose_joints(skeleton: Skeleton, controls: dict[str, Float], heading: float) -> Float:
@@ -56,11 +58,11 @@ def pose_joints(skeleton: Skeleton, controls: dict[str, Float], heading: float) 
     Parameters
     ----------
     skeleton : Skeleton
-        With the joints of :mod:`garmentnet.scenes.body`.
+        Skeleton with the joints of :mod:`garmentnet.scenes.body`.
     controls : dict of (n,) arrays
-        With the names of :data:`CHANNELS`.
+        Samples of each channel in :data:`CHANNELS`, by name.
     heading : float
-        Direction in which the dancer faces first, radians from z towards x.
+        Direction that the dancer faces at first, in radians from z towards x.
 
     Examples
     --------
@@ -125,7 +127,7 @@ def _walk(
     yaw: Float,
     scale: float,
 ) -> None:
-    """Let the feet stand, and step when the body has moved too far from them."""
+    """Move both feet (in place): they stand still, and step when the body is too far from them."""
     count = len(yaw)
     speed = np.linalg.norm(velocity, axis=1)
     duration = np.clip(_STEP[1] - _HURRY * speed, *_STEP)
@@ -187,7 +189,7 @@ def _far(
     k: int,
     scale: float,
 ) -> float:
-    """How far a foot is from its place and direction; it steps above 1."""
+    """Distance of a foot from its place and direction, relative to that at which it steps."""
     off = goal[side][k] - placed[side]
     askew = abs(math.remainder(facing[side][k] - turned[side], math.tau))
     return math.hypot(*off) / (_STRIDE * scale) + askew / _ASKEW
@@ -216,7 +218,7 @@ def _leg(
     raised = np.maximum(distance - longest, 0.0)
     reach = np.clip(distance, abs(upper - lower) + 0.05, longest)
     along = way / distance[:, None]
-    # The knee points where the foot does, and outward when it bends (radians).
+    # The knee points in the direction of the foot, and outward when it bends (radians).
     bent = np.clip(1 - reach / longest, 0, 0.5)
     pole_yaw = yaw + _wrap(foot.yaw - yaw) * 0.7 + sign * (0.1 + 0.9 * bent)
     pole = np.stack([np.sin(pole_yaw), np.zeros_like(yaw), np.cos(pole_yaw)], axis=1)

@@ -1,8 +1,8 @@
-"""Moves over wider ranges than :mod:`.moves`, and two kinds more: walking turns, weight shifts.
+"""Moves over wider ranges than :mod:`.moves`, with two further kinds: walking turns, weight shifts.
 
-Where the basic moves keep to a stage of 1.2 m and to one tempo, these walk where they like, turn
-while they walk, jump with a turn and a leap, and vary in tempo.  Data sets name which of the two
-their dances are made of, so that the dances of older data sets stay what they were.
+The basic moves stay on a stage of 1.2 m and have one tempo.  These walk anywhere, turn while
+walking, jump with turns and leaps, and vary in tempo.  A data set names the repertoire of its
+dances, so that the dances of older data sets do not change.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from .moves import MOVES, Controls, Float, Move, State, bump
 
 __all__ = ["TEMPI", "WIDE_MOVES"]
 
-# Radians a second: greatest turn in a leap, about half a circle in the longest flight, and in a
-# walk, where half a circle then takes 0.8 s.
+# Fastest turns, radians per second: in a leap, about half a circle in the longest flight; and in a
+# walk, half a circle in 0.8 s.
 _LEAP_TURN = 9.0
 _TURN = 8.0
 
 
 def _walk(rng: np.random.Generator, t: Float, length: float, state: State) -> Controls:
-    """In any direction at 0.3 to 1.8 m/s, nearly straight."""
+    """A nearly straight walk in any direction, at 0.3 to 1.8 m/s."""
     way = rng.choice([0.0, 0.0, 0.0, math.pi / 2, -math.pi / 2, math.pi]) + rng.uniform(-0.4, 0.4)
     back = 0.7 if abs(math.remainder(way, math.tau)) > 2 else 1.0
     speed = back * rng.uniform(0.3, 1.8)
@@ -30,7 +30,7 @@ def _walk(rng: np.random.Generator, t: Float, length: float, state: State) -> Co
 
 
 def _turn(rng: np.random.Generator, t: Float, length: float, state: State) -> Controls:
-    """A walk on an arc of 0.8 to 2.6 rad/s, or with one to three turns of a quarter to a half."""
+    """A walk that turns steadily at 0.8 to 2.6 rad/s, or by 90° to 180° one to three times."""
     speed = rng.uniform(0.4, 1.4)
     side = rng.choice([-1.0, 1.0])
     if rng.random() < 0.4:
@@ -50,7 +50,7 @@ def _turn(rng: np.random.Generator, t: Float, length: float, state: State) -> Co
 
 
 def _shift(rng: np.random.Generator, t: Float, length: float, state: State) -> Controls:
-    """Weight from one leg to the other, soft or sharp, 4 to 15 cm; or a lunge forward and back."""
+    """Weight shifts between the legs by 4 to 15 cm, soft or sharp; or a lunge forward and back."""
     wave = 2 * math.pi * rng.uniform(0.35, 1.0) * t + rng.uniform(0, 2 * math.pi)
     sharp = rng.uniform(0.5, 4.0)
     course = np.tanh(sharp * np.sin(wave)) / math.tanh(sharp)
@@ -75,7 +75,7 @@ def _jump(rng: np.random.Generator, t: Float, length: float, state: State) -> Co
     """The basic jumps, most of them with a turn of up to half a circle, some of them leaps."""
     out = MOVES["jump"][2](rng, t, length, state)
     flown = np.minimum(out["air"] / 0.05, 1.0)
-    # One sign for all jumps of the move; a turn and a direction for each would need its flights.
+    # All jumps of the move have the same turn and direction: single flights are not known here.
     if rng.random() < 0.7:
         turn = rng.choice([-1.0, 1.0]) * rng.uniform(2.0, _LEAP_TURN)
         out["turn"] = np.clip(out["turn"] + turn * flown, -_LEAP_TURN, _LEAP_TURN)
@@ -86,7 +86,7 @@ def _jump(rng: np.random.Generator, t: Float, length: float, state: State) -> Co
 
 
 def _spin(rng: np.random.Generator, t: Float, length: float, state: State) -> Controls:
-    """The basic spins, every other one slower, down to half as fast; some of them travel."""
+    """The basic spins, half of them up to twice as slow; some move across the floor."""
     out = MOVES["spin"][2](rng, t, length, state)
     slow = rng.choice([1.0, rng.uniform(0.5, 1.0)])
     travel = rng.uniform(0.0, 0.6) * bump(t, 0, length, 0.4)
@@ -94,7 +94,7 @@ def _spin(rng: np.random.Generator, t: Float, length: float, state: State) -> Co
 
 
 def _gait(rng: np.random.Generator, t: Float, speed: float, way: float) -> Controls:
-    """Hips and spine of a walk at a speed, m/s, in a direction, radians from the heading."""
+    """Channels of a walk at `speed`, m/s, in the direction `way`, radians from the heading."""
     pace = rng.uniform(0.9, 1.1) * 2 * math.pi * (0.9 + 0.5 * speed)
     hip = rng.uniform(0.02, 0.14)
     return {
@@ -118,8 +118,8 @@ WIDE_MOVES: dict[str, tuple[float, float, Move]] = {
     "shift": (1.4, 3.2, _shift),
 }
 
-# Slowest and fastest tempo at which a move is danced; others keep theirs.  A jump must fall as
-# fast as gravity has it; the fastest basic kicks are as fast as a dancer is.
+# Slowest and fastest tempo of a move; moves that are not listed have tempo 1.  A jump must fall as
+# gravity demands, and the fastest basic kicks are as fast as a dancer can be.
 TEMPI: dict[str, tuple[float, float]] = {
     "walk": (0.7, 1.25),
     "turn": (0.7, 1.25),

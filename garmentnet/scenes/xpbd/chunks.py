@@ -1,4 +1,4 @@
-"""Constraints coloured and packed into chunks of :data:`LANES` that share no free vertex."""
+"""Colouring of constraints, and packing into chunks of :data:`LANES` that share no free vertex."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ class Chunks(NamedTuple):
     """Packed constraints, as the kernels of :mod:`~garmentnet.scenes.xpbd.constraints` read them.
 
     vertices  flat int64    3 times the vertices' indices
-    numbers   flat float32  numbers of the constraints
-    size      int           chunks
+    numbers   flat float32  inverse masses and further numbers of the constraints
+    size      int           number of chunks
     """
 
     vertices: NDArray[np.int64]
@@ -26,12 +26,14 @@ class Chunks(NamedTuple):
 
 
 def colour(constraints: NDArray[np.integer], pinned: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
-    """Constraints of each colour, by greedy colouring: those of one colour share no free vertex.
+    """Indices of the constraints of each colour; those of one colour share no free vertex.
+
+    The colouring is greedy.
 
     Parameters
     ----------
     constraints : (n, k) int array
-        Vertices of each.
+        Vertices of each constraint.
     pinned : (V,) bool array
         Vertices that no constraint moves.
 
@@ -60,20 +62,20 @@ def pack(
     numbers: NDArray[np.float64],
     colours: list[NDArray[np.intp]],
 ) -> Chunks:
-    """Pack constraints colour by colour; the last chunk of a colour is filled up.
+    """Pack constraints colour by colour.
 
-    What fills it up are copies of the first constraint with inverse masses of zero, which move
-    nothing.
+    The last chunk of a colour is filled up with copies of the first constraint that have inverse
+    masses of 0 and so move nothing.
 
     Parameters
     ----------
     constraints : (n, k) int array
     weights : (n, k) array
-        Inverse masses of their vertices.
+        Inverse masses of the constraints' vertices.
     numbers : (n, m) array
-        Further numbers of each.
+        Further numbers of each constraint.
     colours : list of int arrays
-        From :func:`colour`.
+        Result of :func:`colour`.
     """
     vertices, columns = [], []
     for members in colours:

@@ -1,7 +1,7 @@
-"""One sweep over the edges and one over the hinges of the cloth.
+"""Kernels of one sweep over the edges, and of one over the hinges, of the cloth.
 
 A constraint C(x) = 0 with compliance α (the inverse of its stiffness) and time constant τ of its
-damping is projected by (XPBD, equation 26, with one iteration a step, so that λ starts at 0)
+damping is projected by (XPBD, equation 26, with one iteration per step, so that λ starts at 0)
 
     Δλ = −(C + γ ∇C·(x − x_prev)) / ((1 + γ) Σ w |∇C|² + α / h²),   γ = τ / h,   Δx = w ∇C Δλ
 
@@ -25,7 +25,7 @@ __all__ = ["BUFFER_ROWS", "bend", "stretch"]
 BUFFER_ROWS = 18
 _ONE, _TWO, _ZERO = REAL(1), REAL(2), REAL(0)
 _A, _HALF_PI = REAL(0.28), REAL(math.pi / 2)
-# Least denominator of tan(θ / 2): an edge that is folded flat has a finite angle.
+# Least denominator of tan(θ / 2), so that an edge that is folded flat has a finite angle.
 _FOLDED = REAL(1e-4)
 
 

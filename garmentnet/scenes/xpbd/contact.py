@@ -15,13 +15,13 @@ from .policy import REAL, TINY, kernel
 __all__ = ["find_contacts", "push_out", "skin_points"]
 
 _ZERO, _ONE, _FAR = REAL(0), REAL(1), REAL(1e9)
-# What a neighbouring triangle must gain for the search to move on to it.
+# Ratio of squared distances below which the search moves on to a neighbouring triangle.
 _GAIN = REAL(0.9999)
-# A point this near to the far edge (in barycentric coordinates) lies on it.
+# Barycentric coordinate from which a point counts as lying on the far edge.
 _EDGE = REAL(0.99999)
-# Metres; a point nearer to the skin is pushed along the triangle's normal.
+# Distance, metres: a point nearer to the skin is pushed along the triangle's normal.
 _ON_SKIN = REAL(1e-5)
-# Triangles that are looked at in a substep, beginning with that of the substep before.
+# Number of triangles that are tried in a substep, beginning with that of the substep before.
 _HOPS = 3
 
 
@@ -50,7 +50,7 @@ def skin_points(skin: Any, transforms: Any, out: Any) -> None:
 
 @kernel
 def _closest(px, py, pz, ax, ay, az, ux, uy, uz, vx, vy, vz):
-    """s and t of the closest point a + s u + t v of a triangle (Ericson 2005, section 5.1.5)."""
+    """Coordinates s, t of the closest point a + s u + t v of a triangle (Ericson 2005, 5.1.5)."""
     wx, wy, wz = px - ax, py - ay, pz - az
     d1, d2 = ux * wx + uy * wy + uz * wz, vx * wx + vy * wy + vz * wz
     uu = ux * ux + uy * uy + uz * uz
@@ -101,9 +101,10 @@ def _distance(px, py, pz, points, triangles, t):
 
 @kernel
 def _find_nearest(px, py, pz, limit, hint, side, tree, nodes, gaps):
-    """The triangle nearest to a point; -1 if none is nearer than `limit` (squared).
+    """Index of the triangle nearest to a point; -1 if none is nearer than `limit` (squared).
 
-    The search begins with the triangle `hint`, if it is not -1; none is of the other side.
+    The search begins with the triangle `hint`, if it is not -1.  Triangles of limbs on the side
+    opposite to `side` do not count.
     """
     points, triangles, sides, depth, boxes = tree
     count, base = len(triangles), (1 << depth) - 1
@@ -144,16 +145,16 @@ def _find_nearest(px, py, pz, limit, hint, side, tree, nodes, gaps):
 def find_contacts(
     x: Any, free: Any, own: Any, reach: Any, tree: Any, nearest: Any, close: Any
 ) -> int:
-    """Search the nearest triangle of every free vertex; the number of vertices near the skin.
+    """Find the nearest triangle of every free vertex; return the number of vertices near the skin.
 
     x        (3 V,)  float32  positions of the cloth
-    free             int64    vertices that are searched for
+    free             int64    vertices whose triangles are searched
     own      (V,)    int8     1 on a left sleeve or leg, -1 on a right one, 0 elsewhere
-    reach            float32  metres from the skin
+    reach            float32  distance from the skin that is searched, metres
     tree             tuple    of the skin: points (3 n,) float32, triangles (T, 3) int32, sides (T,)
                               int8 like `own`, depth, boxes
     nearest  (V,)    int32    triangle of each vertex, updated; -1: none within reach
-    close    (V,)    int32    vertices within reach, the first of them; out
+    close    (V,)    int32    vertices within reach, as many as are returned; out
     """
     size, limit = 2 * tree[3] + 4, reach * reach
     nodes, gaps = np.empty(size, np.int64), np.empty(size, x.dtype)
@@ -182,12 +183,12 @@ def push_out(
     """Push vertices out to a distance from the moving skin, with friction; set their velocities.
 
     The constraint is C = n·(x − c) − distance ≥ 0, with the closest point c of the skin and the
-    direction n from it, outwards.  Coulomb friction limits what it takes from the tangential
-    displacement relative to the skin to `friction` times the push (Macklin et al., "Unified
-    Particle Physics for Real-Time Applications", 2014, section 6.1).
+    outward direction n from it.  Coulomb friction reduces the tangential displacement relative to
+    the skin by at most `friction` times the push (Macklin et al., "Unified Particle Physics for
+    Real-Time Applications", 2014, section 6.1).
 
     The skin moves linearly from its positions (3 n,) at the start of the block of substeps to those
-    at the end.  From the triangle of the substep before the search goes over edges to nearer ones.
+    at the end.  The closest triangle is searched from that of the substep before, over its edges.
 
     x, previous, velocity  (3 V,)  float32  positions, those before the substep, velocities
     close                  (V,)    int32    vertices near the skin, the first `n_close`

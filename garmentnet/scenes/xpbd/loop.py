@@ -18,13 +18,13 @@ from .self_contact import find_pairs, separate
 __all__ = ["BodyArrays", "ClothArrays", "Step", "simulate_frames"]
 
 _GRAVITY = REAL(9.81)  # m/s², along -y
-_PAIRS = 20  # of the self-contact, at most, times the number of vertices
+_PAIRS = 20  # most pairs of the self-contact, per vertex
 
 
 class BodyArrays(NamedTuple):
-    """The collider: its skin and the tree of its triangles."""
+    """Arrays of the collider: its skin and the tree of its triangles."""
 
-    skin: tuple[Any, ...]  # see skin_points
+    skin: tuple[Any, ...]  # vertices of the body, as skin_points takes them
     triangles: NDArray[np.int32]  # (T, 3) in the tree's order
     beside: NDArray[np.int32]  # (T, 3) triangle beyond the edges 01, 12, 20; -1: none
     sides: NDArray[np.int8]  # (T,) 1 on the left limbs, -1 on the right ones, 0 elsewhere
@@ -32,13 +32,13 @@ class BodyArrays(NamedTuple):
 
 
 class ClothArrays(NamedTuple):
-    """The garment and its constraints."""
+    """Arrays of the garment and its constraints."""
 
     rest: NDArray[np.float32]  # (V, 3)
     sides: NDArray[np.int8]  # (V,) 1 on a left sleeve or leg, -1 on a right one, 0 elsewhere
     free: NDArray[np.int64]
     pinned: NDArray[np.int64]
-    pins: tuple[Any, ...]  # see skin_points, of the pinned vertices
+    pins: tuple[Any, ...]  # pinned vertices, as skin_points takes them
     weights: NDArray[np.float32]  # (V,) inverse masses
     edges: Chunks
     hinges: Chunks
@@ -53,12 +53,12 @@ class Step(NamedTuple):
     blocks: int  # in a frame: the body is posed, and the nearest triangles are searched, in each
     h: Any  # length of a substep
     damping: Any  # γ of the hinges
-    decay: Any  # of velocities in a substep, by drag
-    distance: Any  # of the cloth from the skin
+    decay: Any  # factor of velocities in a substep, due to drag
+    distance: Any  # distance of the cloth from the skin
     friction: Any
     push: Any  # the longest push out of the body in a substep
-    reach: Any  # within which contact is searched
-    thickness: Any  # of the self-contact; 0: none
+    reach: Any  # distance within which contact is searched
+    thickness: Any  # distance that the cloth keeps from itself; 0: no self-contact
     pair_steps: int  # substeps for which the pairs of the self-contact are kept
 
 
@@ -75,10 +75,10 @@ def simulate_frames(
 ) -> None:
     """Simulate a clip from the rest shape at the first pose.
 
-    joints  ((F - 1) * blocks + 1, J, 12) float64  from the rest pose, at each block's ends
-    roots   (F, 3)                        float64  place of the root in every frame
-    first                                 int      frame from which on the cloth is written
-    moved   (V, 3)                        float32  displacements added before that frame
+    joints  ((F - 1) * blocks + 1, J, 12) float64  transforms from rest, at the ends of blocks
+    roots   (F, 3)                        float64  position of the root in every frame
+    first                                 int      first frame that is written
+    moved   (V, 3)                        float32  displacements added just before that frame
     out     (F - first, V, 3)             float32  out
     """
     n, free, n_pins = len(cloth.rest), cloth.free, len(cloth.pinned)
@@ -150,7 +150,7 @@ def simulate_frames(
 
 @kernel
 def _pose(body, cloth, joints, origin, transforms, skin, pins):
-    """Skin and pinned vertices under the transforms `joints` (J, 12), relative to `origin`."""
+    """Pose skin and pinned vertices by the transforms `joints` (J, 12), relative to `origin`."""
     for j in range(len(joints)):
         for k in range(12):
             transforms[j, k] = joints[j, k] - (origin[k // 4] if k % 4 == 3 else 0.0)

@@ -1,7 +1,7 @@
-"""How the simulator's kernels are compiled, and the constants that they share.
+"""Decorator that compiles the simulator's kernels, and the constants that they share.
 
-Numba's cache on disk depends on the date of a kernel's own file alone.  After a change of a helper
-in another file, delete ``garmentnet/scenes/xpbd/__pycache__``.
+Numba compiles a cached kernel again only if the kernel's own file changes.  After a change of a
+helper in another file, delete ``garmentnet/scenes/xpbd/__pycache__``.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ TINY = REAL(1e-20)
 
 
 def kernel(function: Function) -> Function:
-    """Compile without the GIL and with the compiler's freedom to reorder sums.
+    """Compile a kernel that releases the GIL and in which the compiler may reorder sums.
 
     The order is fixed when the kernel is compiled, so that a clip has the same bits on every run.
-    NaN is not tested for inside a kernel.
+    A kernel cannot test for NaN.
     """
     compiled: Any = numba.njit(nogil=True, cache=True, fastmath=True, error_model="numpy")(function)
     return compiled

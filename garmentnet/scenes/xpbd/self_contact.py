@@ -11,11 +11,11 @@ from .policy import REAL, TINY, kernel
 
 __all__ = ["find_pairs", "separate"]
 
-# Cells of the hash table; a power of 2.
+# Number of cells of the hash table; a power of 2.
 _CELLS = 4096
 # Distance within which pairs are kept, as a multiple of the thickness.
 _MARGIN = REAL(2.5)
-# Part of the overlap that is taken away in a substep.
+# Part of the overlap that is removed in a substep.
 _PART = REAL(0.5)
 
 
@@ -26,9 +26,10 @@ def _cell(a: int, b: int, c: int) -> int:
 
 @kernel
 def find_pairs(x: Any, weights: Any, near: Any, starts: Any, thickness: Any, pairs: Any) -> int:
-    """Pairs of vertices that may come within `thickness`; at most as many as `pairs` holds.
+    """Find pairs of vertices that may come within `thickness`, and return their number.
 
-    A hash grid with cells of that size is filled vertex by vertex (Teschner et al., "Optimized
+    At most as many are found as `pairs` can hold.  A hash grid with cells as large as the distance
+    within which pairs are kept is filled vertex by vertex (Teschner et al., "Optimized
     Spatial Hashing for Collision Detection of Deformable Objects", VMV 2003).
 
     weights       (V,)    float32  inverse masses; two that are 0 make no pair
@@ -47,7 +48,7 @@ def find_pairs(x: Any, weights: Any, near: Any, starts: Any, thickness: Any, pai
                     j = head[_cell(a + da, b + db, c + dc)]
                     while j >= 0:
                         dx, dy, dz = px - x[3 * j], py - x[3 * j + 1], pz - x[3 * j + 2]
-                        # Cells that share a place in the table are told apart by the cell itself.
+                        # Several cells may share an entry of the table: compare the cell, too.
                         same = (
                             math.floor(x[3 * j] * inverse) == a + da
                             and math.floor(x[3 * j + 1] * inverse) == b + db
@@ -68,7 +69,7 @@ def find_pairs(x: Any, weights: Any, near: Any, starts: Any, thickness: Any, pai
 
 @kernel
 def separate(x: Any, weights: Any, pairs: Any, count: int, thickness: Any) -> None:
-    """Push pairs of vertices apart, half of the way to `thickness`: C = |xᵢ − xⱼ| − thickness ≥ 0.
+    """Push pairs of vertices apart, half-way towards C = |xᵢ − xⱼ| − thickness ≥ 0.
 
     weights  (V,)  float32  inverse masses
     """

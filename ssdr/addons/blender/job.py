@@ -1,4 +1,4 @@
-"""Jobs that go on a little with each step: the decomposition, the page, the installation."""
+"""Jobs that run in small steps: the decomposition, the page, the installation."""
 
 import json
 import shutil
@@ -16,12 +16,12 @@ from .sample import check, frame_kept, marked, sample
 
 Steps = Generator[tuple[float, str], None, None]
 
-# Folder of each object that was made in this session, for its page.
+# Folder with the files of each object that was made in this session, for its page.
 folders: dict[str, Path] = {}
 
 
 class Job:
-    """Work in small steps; what was done to the scene or the disk is undone when it is cancelled.
+    """Work in small steps; cancelling it undoes its changes to the scene and the disk.
 
     Attributes
     ----------
@@ -42,12 +42,12 @@ class Job:
         raise NotImplementedError
 
     def step(self) -> bool:
-        """Do the next bit; False once nothing is left.
+        """Do the next step; False once nothing is left to do.
 
         Raises
         ------
         Problem
-            In plain words, for the user.
+            If the step fails; the message is for the user.
         """
         try:
             self.fraction, self.text = next(self._steps)

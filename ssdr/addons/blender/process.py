@@ -1,4 +1,4 @@
-"""Processes that are followed without waiting for them, and the environment in which ssdr lies."""
+"""Child processes that do not block Blender, and the Python environment of ssdr."""
 
 import json
 import os
@@ -24,8 +24,8 @@ def python_in(folder: Path) -> Path:
 def installation(environment: Path, source: str) -> list[list[str]]:
     """Commands that make an environment and install ssdr into it.
 
-    `source` is a wheel, a folder that holds the wheels of ssdr and of all that it needs (then no
-    network is used), or empty: ssdr by its name.
+    `source` is a wheel, or a folder that holds the wheels of ssdr and of all that it needs (then no
+    network is used); if it is empty, pip finds ssdr by its name.
     """
     what = ["ssdr"]
     if Path(source).is_dir() and source:
@@ -43,10 +43,10 @@ def installation(environment: Path, source: str) -> list[list[str]]:
 
 
 def follow(words: list[str], folder: Path) -> Generator[str, None, str]:
-    """Run a command in a folder, which gets its output; yield its last line of stderr meanwhile.
+    """Run a command, and yield the last line of its stderr again and again until it ends.
 
-    The value that the generator returns is what the command wrote to stdout.  Closing the generator
-    kills the process.
+    Its output is written to files in `folder`.  The generator returns what the command wrote to
+    stdout.  Closing the generator kills the process.
     """
     out, err = folder / "stdout.txt", folder / "stderr.txt"
     hidden = {"creationflags": 0x08000000} if sys.platform == "win32" else {}  # no console window

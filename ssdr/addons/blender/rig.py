@@ -1,4 +1,6 @@
-"""A skinned model as armature, vertex groups and actions, and an armature as a skeleton."""
+"""Conversion of a skinned model to armature, vertex groups and actions, and of an armature
+to a skeleton file.
+"""
 
 import json
 from pathlib import Path
@@ -66,9 +68,9 @@ def save_skeleton(armature: Any, place: Any, path: Path) -> None:
 def build(
     context: Any, source: Any, sample: Sample, model: dict[str, Any], errors: Any, *, beside: bool
 ) -> Any:
-    """Give the object, or a copy beside it, the model's mesh and bones; the object is returned.
+    """Give the object, or with `beside` a copy of it, the model's mesh and bones, and return it.
 
-    `errors` (V,) become a colour attribute, or are None.
+    `errors` (V,) become a colour attribute unless they are None.
     """
     count = len(replaced(source))
     mesh = sample.mesh
@@ -114,7 +116,7 @@ def build(
 
 
 def _color(mesh: Any, errors: Any) -> None:
-    """Errors as a colour attribute, from blue (none) over green to red (the largest)."""
+    """Add the errors as a colour attribute, from blue (none) over green to red (the largest)."""
     old = mesh.color_attributes.get(ERROR)
     if old is not None:
         mesh.color_attributes.remove(old)
@@ -126,7 +128,7 @@ def _color(mesh: Any, errors: Any) -> None:
 
 
 def _armature(context: Any, source: Any, model: dict[str, Any], place: Any) -> Any:
-    """An armature in rest pose with a bone for each of the model; its names go into the model."""
+    """Armature in rest pose with the bones of `model`, whose names become those in Blender."""
     name = f"{source.name} bones"
     rig = bpy.data.objects.new(name, bpy.data.armatures.new(name))
     for collection in source.users_collection:
@@ -147,7 +149,7 @@ def _armature(context: Any, source: Any, model: dict[str, Any], place: Any) -> A
 
 
 def _heads_and_tails(model: dict[str, Any]) -> tuple[Any, Any]:
-    """Where bones begin and end (B, 3): at their joint and those of their children, if any."""
+    """Heads and tails (B, 3) of the bones: a joint, and the mean of the child joints if any."""
     rest, count = model["rest"], len(model["names"])
     length = 0.05 * np.linalg.norm(np.ptp(rest, axis=0))
     up = np.array([0, length, 0])  # the bone's own axes are then those of the mesh
@@ -162,7 +164,7 @@ def _heads_and_tails(model: dict[str, Any]) -> tuple[Any, Any]:
     for k in _from_roots(parents):
         below = np.flatnonzero(parents == k)
         way = heads[below].mean(axis=0) - heads[k] if len(below) else np.zeros(3)
-        if not len(below) and parents[k] >= 0:  # a leaf goes on as its parent went
+        if not len(below) and parents[k] >= 0:  # a leaf has its parent's direction
             way = tails[parents[k]] - heads[parents[k]]
             way *= length / np.linalg.norm(way)
         if -way[1] > 0.8 * np.linalg.norm(way):  # where Blender's rest matrices lose digits
@@ -195,9 +197,10 @@ def _vertex_groups(target: Any, model: dict[str, Any]) -> None:
 
 
 def _actions(rig: Any, name: str, sample: Sample, model: dict[str, Any]) -> None:
-    """Give the armature an action of all frames, or one a clip, in strips where the clips were.
+    """Give the armature an action of all frames, or one for each clip.
 
-    Each strip has a track of its own, as exporters expect, and its action starts at frame 0.
+    The action of a clip starts at frame 0.  A strip plays it where the clip was, on a track of its
+    own, as exporters expect.
     """
     motion = rig.animation_data_create()
     if not sample.clips:
@@ -209,17 +212,17 @@ def _actions(rig: Any, name: str, sample: Sample, model: dict[str, Any]) -> None
         strip = track.strips.new(clip.name, clip.first, motion.action)
         if hasattr(strip, "action_slot"):
             strip.action_slot = motion.action_slot
-        # A strip that is held backwards, too, would hide the tracks below.
+        # A strip that also holds its first frame backwards would hide the tracks below.
         strip.extrapolation = "HOLD" if clip is sample.clips[0] else "HOLD_FORWARD"
         motion.action = None
 
 
 def _action(rig: Any, model: dict[str, Any], part: slice, first: int, name: str) -> None:
-    """Give the armature an action with a key of every bone in every frame of a part.
+    """Give the armature an action with a key of every bone in every frame of `part`.
 
     With L the rest matrix of a bone and T its transform, Blender has to show the bone at P = T L.
-    Its channels hold (L_p⁻¹ L)⁻¹ P_p⁻¹ P, p its parent.  P_p is made of rounded channels, as
-    Blender does, so that rounding does not add up along a chain of bones.
+    Its channels hold (L_p⁻¹ L)⁻¹ P_p⁻¹ P, where p is its parent.  P_p is computed from the rounded
+    channels, as Blender does, so that rounding does not add up along a chain of bones.
     """
     names, transforms = model["names"], model["transforms"][part].astype(np.float64)
     count = len(names)

@@ -12,7 +12,7 @@ from mathutils import Matrix
 
 from .process import Problem
 
-# Modifiers that move vertices; all up to the last of them give way to the bones.
+# Modifiers that move vertices; the bones replace all modifiers up to the last of these.
 _MOVING = {
     *("ARMATURE", "CAST", "CORRECTIVE_SMOOTH", "CURVE", "DISPLACE", "HOOK", "LAPLACIANDEFORM"),
     *("LAPLACIANSMOOTH", "LATTICE", "MESH_DEFORM", "SHRINKWRAP", "SIMPLE_DEFORM", "SMOOTH"),
@@ -30,7 +30,7 @@ class Clip(NamedTuple):
 
 
 def marked(scene: Any) -> list[Clip]:
-    """Clips that the scene's markers name, each from its marker up to the next."""
+    """Clips named by the scene's markers, each from its marker up to the next."""
     start, stop = scene.frame_start, scene.frame_end + 1
     marks = sorted((m.frame, m.name) for m in scene.timeline_markers if start <= m.frame < stop)
     if not marks:
@@ -61,7 +61,7 @@ class Sample:
     mesh : Mesh
         The evaluated mesh of the first frame, with its materials and layers.
     place : Matrix
-        From these vertices to the world, without shear.
+        Transform from the sample's coordinates to the world, without shear.
     moves : bool
         Whether the object itself moves.
     first : int
@@ -81,11 +81,11 @@ class Sample:
     clips: list[Clip]
 
     def frames(self, clip: Clip) -> slice:
-        """Where the frames of a clip are."""
+        """Slice of `vertices` that holds the frames of a clip."""
         return slice(clip.first - self.first, clip.stop - self.first)
 
     def save(self, folder: Path, unit: float) -> list[str]:
-        """Write files that ssdr reads, one a clip, and return their paths.
+        """Write files that ssdr reads, one for each clip, and return their paths.
 
         ``input.npz`` always holds all frames, for the page.  `unit` is the length of Blender's unit
         in metres.
@@ -119,7 +119,7 @@ def replaced(source: Any) -> list[Any]:
 
 @contextlib.contextmanager
 def without_rest(source: Any) -> Iterator[None]:
-    """Context in which the modifiers that stay behind the bones are switched off."""
+    """Context in which the modifiers that the bones do not replace are switched off."""
     behind = list(source.modifiers)[len(replaced(source)) :]
     shown = [one for one in behind if one.show_viewport]
     for one in shown:
@@ -133,10 +133,10 @@ def without_rest(source: Any) -> Iterator[None]:
 
 @contextlib.contextmanager
 def frame_kept(scene: Any, *, simulated: bool = False) -> Iterator[None]:
-    """Context after which the scene shows the frame again that it showed before.
+    """Context that restores the scene's current frame at its end.
 
-    Blender forgets a simulation that is not baked when a modifier is switched: if the object is
-    `simulated`, the frames from the first on are gone through.
+    Blender discards a simulation that is not baked when a modifier is switched.  If the object is
+    `simulated`, all frames up to the current one are therefore played again.
     """
     frame, part = scene.frame_current, scene.frame_subframe
     try:
@@ -160,9 +160,9 @@ def check(source: Any) -> None:
 
 
 def sample(context: Any, source: Any, clips: list[Clip]) -> Generator[float, None, Sample]:
-    """Go through the frames of the scene and yield the fraction that is done.
+    """Play the frames of the scene, yield the fraction that is done, and return the sample.
 
-    Frames before the first clip are gone through, since simulations need them, but not kept.
+    Frames before the first clip are played, since simulations need them, but not kept.
     """
     scene = context.scene
     first = clips[0].first if clips else scene.frame_start

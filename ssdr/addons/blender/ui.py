@@ -24,7 +24,7 @@ def _environment() -> Path:
 
 
 def _python(context: Any) -> Path:
-    """The Python that the preferences name, else that of the environment that their button made."""
+    """Python set in the preferences, else that of the environment made by their button."""
     named = context.preferences.addons[__package__].preferences.python
     python = Path(bpy.path.abspath(named)) if named else python_in(_environment())
     if not python.is_file():
@@ -124,7 +124,9 @@ class SSDR_options(bpy.types.PropertyGroup):
 
 
 class _Stepwise:
-    """Operator that runs a job: at once from a script, with progress and Esc from the interface."""
+    """Operator that runs a job: in one go from a script; from the interface, in steps that show the
+    progress and that Esc cancels.
+    """
 
     _job: Job
     _timer: Any = None
@@ -133,7 +135,7 @@ class _Stepwise:
         raise NotImplementedError
 
     def finish(self, job: Job) -> None:
-        """Called after the last step."""
+        """Use the result of the job, after its last step."""
 
     def execute(self, context: Any) -> set[str]:
         try:
@@ -178,7 +180,7 @@ class _Stepwise:
         return {"RUNNING_MODAL"}
 
     def cancel(self, context: Any) -> None:
-        """Called by Blender, too, when it closes the window."""
+        """Cancel the job; Blender also calls this when it closes the window."""
         self._job.cancel()
         self._end(context)
 

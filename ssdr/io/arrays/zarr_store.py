@@ -1,4 +1,4 @@
-"""Arrays in the chunks of a folder (``.zarr``), whose frames are read when they are needed."""
+"""Arrays stored in chunks in a folder (``.zarr``), whose frames are read when they are needed."""
 
 from __future__ import annotations
 

@@ -73,8 +73,8 @@ def read(
     Returns
     -------
     MeshSequence
-        Vertices in float32, of an FBX file in metres with y up, to which Blender converts them from
-        what the file states. Alembic states neither, and its numbers are those of the file.
+        Vertices in float32. Blender converts those of an FBX file to metres with y up. Those of an
+        Alembic file, which states no unit and no up axis, stay as they are.
 
     Raises
     ------

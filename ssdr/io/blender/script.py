@@ -1,4 +1,4 @@
-"""Script that reads or writes a file in Blender, as a JSON file with a job tells it.
+"""Script that reads or writes a file in Blender, according to a job in a JSON file.
 
 Run it as ``python script.py job.json`` or ``blender --python script.py -- job.json``. It needs only
 NumPy and Blender, not the package. It writes its results to an archive of arrays and errors to
@@ -179,7 +179,7 @@ def read(job: dict[str, Any]) -> None:
 
 
 def vertex_numbers(items: list[Any]) -> Any:
-    """The model's vertex at each vertex, from the attribute ``_VERTEX`` of this package's glTF."""
+    """Index of the model's vertex for each vertex of a mesh, from this package's ``_VERTEX``."""
     attributes = [item.data.attributes["_VERTEX"].data for item in items]
     found = [surfaces.values(data, "value", np.float32) for data in attributes]
     return np.concatenate(found).astype(np.int64)

@@ -138,7 +138,7 @@ class Builder:
             packed = view.get("extensions", {}).get(MESHOPT[0])
             if packed is None:
                 view |= place
-            else:  # as if it lay uncompressed in a buffer that the file does not hold
+            else:  # the view itself describes decoded bytes, in a buffer without data
                 packed |= place
                 size = packed["count"] * packed["byteStride"]
                 view |= {"buffer": 1, "byteOffset": unpacked, "byteLength": size}

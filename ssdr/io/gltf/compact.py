@@ -31,27 +31,27 @@ from .compression import MESHOPT
 
 Compression = Literal["none", "quantized", "meshopt"]
 _SETTLES = 8
-_PRICES = 12  # bisections for the price of a key
-# Shares of the tolerance for a step of positions and translations, and for the far end of a
-# rotation's step; rounding is at most half of each, and the keys get what is left.
+_PRICES = 12  # bisections for the cost per key at which the tolerance is just met
+# Shares of the tolerance: a step of positions and translations, and how far a step of a rotation
+# moves the farthest vertex.  Rounding is at most half a step; leaving out keys may use the rest.
 _STEP, _TURN = 0.4, 0.3
-_FINE = 1 / 65535  # step of positions, as a share of the largest extent, without a tolerance
+_FINE = 1 / 65535  # least step of positions, as a share of the largest extent
 
 
 @dataclasses.dataclass(frozen=True)
 class Grid:
-    """Steps to which a file rounds.
+    """Step sizes to which the numbers in a compact file are rounded.
 
     Attributes
     ----------
     low : (3,) float64
-        Smallest rest position.
+        Smallest coordinates of the rest pose.
     step : float
-        Step of rest positions; counts of steps are uint16.
+        Step of rest positions, which are stored as uint16 multiples of it.
     exponent : int
-        Steps of translations and scales are 2 to this power.
+        Binary exponent of the step of translations.
     bits : int
-        Bits of a component of a quaternion, with its sign.
+        Bits of a component of a quaternion, sign included.
     """
 
     low: NDArray[np.float64]
@@ -195,9 +195,9 @@ def fetch_order(corners: Corners, groups: NDArray[np.integer]) -> tuple[Corners,
 
 
 def steady_slots(rig: Rig, vertex: NDArray[np.integer]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Indices and weights (N, K) of the vertices `vertex`, sorted so that their bytes repeat.
+    """Indices and weights (N, K) of the vertices `vertex`, in an order that compresses well.
 
-    A bone keeps its place from one vertex to the next.
+    A bone of two consecutive vertices has the same column at both.
     """
     indices, weights = rig.indices[vertex].tolist(), rig.weights[vertex].tolist()
     last: list[int] = [-1] * rig.indices.shape[1]
@@ -238,7 +238,10 @@ class Packed(Builder):
     def place(
         self, array: NDArray[Any], kind: str, target: int | None, use: str
     ) -> tuple[dict[str, Any], NDArray[Any]]:
-        """Put an array, stored as suits its use, into the buffer view of its kind."""
+        """Encode an array for its `use` and append it to the buffer view of such arrays.
+
+        Parameters and result are those of :meth:`Builder.place`.
+        """
         array, filter_, decoded = self._stored(array, use)
         key: Any = use, kind, array.dtype.name, array.shape[1:]
         if target == ELEMENTS:
@@ -256,7 +259,7 @@ class Packed(Builder):
         return item, array
 
     def _stored(self, array: NDArray[Any], use: str) -> tuple[NDArray[Any], str, str | None]:
-        """Array as stored, its filter, and the type that a reader decodes if it is another."""
+        """Array as stored, its meshopt filter, and its type once decoded (None: unchanged)."""
         if use == "POSITION":
             return np.pad(self.grid.counts(array), ((0, 0), (0, 1))), "NONE", None
         if use == "NORMAL":

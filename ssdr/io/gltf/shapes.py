@@ -24,8 +24,8 @@ class Shapes:
     displacements : (M, V, 3) array
         Metres, y up.
     amounts : (F, M) array
-        How much of each is added in every frame; without the animation the mean over them is.
-        Blender and Unity hold them to 0 to 1.
+        Factor of each displacement in every frame.  Programs that show the mesh without its
+        animation use the mean over the frames.  Blender and Unity clamp factors to 0 to 1.
 
     Raises
     ------
@@ -45,7 +45,7 @@ class Shapes:
             raise InputError("amounts", f"{len(moved)} columns", amounts.shape[1])
 
     def check(self, model: Skinning) -> None:
-        """Raise InputError unless these are of a model's vertices and frames."""
+        """Raise InputError if the numbers of vertices and frames differ from the model's."""
         expected = model.n_frames, model.n_vertices
         found = len(self.amounts), self.displacements.shape[1]
         if expected != found:
@@ -53,7 +53,7 @@ class Shapes:
             raise InputError("shapes", text(*expected), text(*found))
 
     def add_targets(self, builder: Builder, model: Skinning, corners: Corners) -> list[Any]:
-        """Add positions and normals of the targets and return the JSON of a primitive's."""
+        """Add positions and normals of the targets; return the "targets" of a primitive's JSON."""
 
         def put(array: NDArray[Any], **fields: Any) -> int:
             return builder.accessor(array.astype(np.float32), "VEC3", target=ARRAY, **fields)
@@ -72,7 +72,7 @@ class Shapes:
     def add_channel(
         self, builder: Builder, animation: dict[str, Any], frames: slice, times: int
     ) -> None:
-        """Add the amounts of some frames to an animation of node 0; `times` is an accessor."""
+        """Add the amounts in `frames` to an animation of node 0; `times` is an accessor."""
         amounts = self.amounts[frames].astype(np.float32)
         target = {"node": 0, "path": "weights"}
         animation["channels"].append({"sampler": len(animation["samplers"]), "target": target})

@@ -24,7 +24,7 @@ _log = logging.getLogger(__name__)
 
 
 def read_materials(path: Path, meshes: Sequence[MeshPrim]) -> list[Material]:
-    """Materials of the meshes of the file `path`; sets that of each triangle in the meshes."""
+    """Materials of the meshes of the file `path`; also sets `material` of each mesh."""
     found = _Materials(path)
     for mesh in meshes:
         mesh.material = found.of_polygons(mesh)[mesh.polygon]

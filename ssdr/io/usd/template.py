@@ -68,7 +68,7 @@ def put(
     rig : Rig
         The rig of `model`.
     clip_names : mapping of str to str
-        As of the writer.
+        As for the writer, :func:`~ssdr.io.usd.writer.write_skinning`.
     strict : bool
         Whether to raise an error if contents of the template are lost.
 

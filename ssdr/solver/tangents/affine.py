@@ -15,7 +15,7 @@ __all__ = ["AffineTangent"]
 
 
 class AffineTangent(Tangent):
-    """Unknowns x (F, B, 12): the change of each transform, so that all rows have the same H."""
+    """Unknowns x (F, B, 12): the change of each transform; every frame and axis has the same H."""
 
     def image(self, x: Array) -> Array:
         return self.data.stack(x.reshape(*x.shape[:2], 3, 4))

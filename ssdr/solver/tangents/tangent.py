@@ -61,7 +61,7 @@ class Tangent(ABC):
 
     @abstractmethod
     def pullback(self, gradient: Array) -> Array:
-        """Gradient in x, given that (3F, 4B) in the stacked transforms: the transpose of image."""
+        """Gradient by x, given that by the stacked transforms (3F, 4B): transpose of `image`."""
 
     @abstractmethod
     def move(self, model: Model, x: Array) -> None:
