@@ -56,7 +56,7 @@ _TESTED = "dance-"
 # Equal data for all methods of a table: the paper's 40,000 frames.
 _EQUAL = "data.frames=40000"
 # Few recordings: a short training from the weights of a network that has seen none of them.
-_TUNED = ("train.learning_rate=3e-4", "train.epochs=12", "train.high_epochs=4")
+_TUNED = ("train.learning_rate=3e-4", "train.epochs=40", "train.high_epochs=4")
 
 
 class Reproduction:
