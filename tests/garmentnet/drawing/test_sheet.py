@@ -10,7 +10,7 @@ pytest.importorskip("zarr")
 
 from PIL import Image
 
-from garmentnet.evaluation import pictures
+from garmentnet.drawing.dressed import draw_clip
 from ssdr.render import figures
 
 
@@ -41,7 +41,7 @@ def texts(monkeypatch):
 def test_rows_are_named_and_the_exact_body_does_not_count(toy_store, texts, tmp_path):
     outfit = dataclasses.replace(toy_store, pinned=np.arange(toy_store.n_vertices) < 16)
     clip = dataclasses.replace(toy_store.clip("base-test-0"), outfit=outfit)
-    path = pictures.draw_clip(clip, off_by_30_mm(clip), tmp_path / "a.png")
+    path = draw_clip(clip, off_by_30_mm(clip), tmp_path / "a.png")
     with Image.open(path) as sheet:
         assert sheet.mode == "RGB"
         assert len(sheet.getcolors(1 << 24)) > 4096
