@@ -11,6 +11,7 @@ twenty seconds.  On Linux, the software that stands for a graphics card is kept 
 
 from __future__ import annotations
 
+import argparse
 import os
 import subprocess
 import sys
@@ -40,6 +41,7 @@ def part_cores() -> None:
 
 
 def main() -> None:
+    argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
     from garmentnet.data.parameters import SimulationParameters
     from garmentnet.runtime import load_live
     from garmentnet.scenes.dance.choreography import dance
