@@ -266,6 +266,7 @@ def _dress(run: Reproduction, store: str) -> str:
         *run.baselines(store, rooted),
         chen,
         run.method(store, "faithful", paper),
+        run.method(store, "no split", override(rooted, ["bones.length=0.0", "high.target=rest"])),
         run.method(store, "body motion", override(rooted, ["high.source=body"])),
         run.method(store, "no local stream", override(paper, ["high.local=false"])),
         lambda: MeanShape(run.bones(store, rooted), learned),

@@ -61,13 +61,18 @@ class GRULinear(nn.Module):
         self.out = nn.Linear(hidden, outputs)
 
     def forward(
-        self, x: Tensor, state: Tensor | None = None, mask: Tensor | None = None
+        self,
+        x: Tensor,
+        state: Tensor | None = None,
+        mask: Tensor | None = None,
+        frames: slice = slice(None),
     ) -> tuple[Tensor, Tensor]:
-        """Outputs ``(N, T, outputs)`` and the GRU's last state ``(1, N, H)``.
+        """Outputs ``(N, T', outputs)`` of some frames, and the GRU's last state ``(1, N, H)``.
 
-        `mask` ``(N, T, H)`` multiplies the input of the linear layer; see :func:`dropout_mask`.
+        `mask` ``(N, T', H)`` multiplies the input of the linear layer; see :func:`dropout_mask`.
         """
         h, state = self.gru(x, state)
+        h = h[:, frames]
         return self.out(h if mask is None else h * mask), state
 
 
@@ -127,29 +132,32 @@ class _Layer(torch.autograd.Function):
         flat, w_in, w_state, h, rounded, rz, n, hidden = ctx.saved_tensors
         steps, lanes, size = n.shape
         r, z = rz.split(size, dim=2)
-        # Derivatives of the state by the gates' arguments, for all frames at once.
-        to_n, to_z = (1 - z) * (1 - n * n), (h[:-1] - n) * z * (1 - z)
-        to_r = hidden * r * (1 - r)
-        of_in = n.new_empty(steps, lanes, 3 * size)
-        of_state = n.new_empty(steps, lanes, 3 * size, dtype=w_state.dtype)
+        of_in = n.new_empty(steps, lanes, 3 * size, dtype=w_in.dtype)
+        of_state = torch.empty_like(of_in)
         slope = of_end
         for t in range(steps - 1, -1, -1):
+            # The arrays of one frame stay in the processor's cache.
             slope = slope + of_out[t]
-            of_n = torch.mul(slope, to_n[t], out=of_in[t, :, 2 * size :])
-            torch.mul(of_n, to_r[t], out=of_in[t, :, :size])
-            torch.mul(slope, to_z[t], out=of_in[t, :, size : 2 * size])
+            kept = (1 - z[t]).mul_(slope)
+            of_n = torch.addcmul(kept, kept, n[t].square(), value=-1)
+            of_hidden = of_n * r[t]
+            of_z = (h[t] - n[t]).mul_(z[t]).mul_(kept)
+            of_in[t, :, :size] = (1 - r[t]).mul_(of_hidden).mul_(hidden[t])
+            of_in[t, :, size : 2 * size] = of_z
+            of_in[t, :, 2 * size :] = of_n
             of_state[t, :, : 2 * size] = of_in[t, :, : 2 * size]
-            of_state[t, :, 2 * size :] = of_n * r[t]
+            of_state[t, :, 2 * size :] = of_hidden
             slope = (of_state[t] @ w_state).to(n.dtype).addcmul_(slope, z[t])
         rows_in, rows_state = of_in.flatten(0, 1), of_state.flatten(0, 1)
-        low = rows_in.to(w_in.dtype)
-        of_x = (low @ w_in).to(n.dtype).view(steps, lanes, -1) if ctx.needs_input_grad[0] else None
+        of_x = None
+        if ctx.needs_input_grad[0]:
+            of_x = (rows_in @ w_in).to(n.dtype).view(steps, lanes, -1)
         return (
             of_x,
             slope,
-            (low.T @ flat).to(n.dtype),
+            (rows_in.T @ flat).to(n.dtype),
             (rows_state.T @ rounded[:-1].flatten(0, 1)).to(n.dtype),
-            rows_in.sum(0),
-            rows_state.to(n.dtype).sum(0),
+            rows_in.sum(0, dtype=n.dtype),
+            rows_state.sum(0, dtype=n.dtype),
             None,
         )

@@ -119,8 +119,12 @@ class LowFrequency(GRULinear):
         self.code = code
 
     def forward(
-        self, x: Tensor, state: Tensor | None = None, mask: Tensor | None = None
+        self,
+        x: Tensor,
+        state: Tensor | None = None,
+        mask: Tensor | None = None,
+        frames: slice = slice(None),
     ) -> tuple[Tensor, Tensor]:
-        """Normalised bone motion ``(N, T, B, C)`` and the GRU's last state ``(1, N, H)``."""
-        z, state = super().forward(x, state, mask)
+        """Normalised bone motion ``(N, T', B, C)`` of some frames, and the last state (1, N, H)."""
+        z, state = super().forward(x, state, mask, frames)
         return z.unflatten(-1, self.code.shape), state

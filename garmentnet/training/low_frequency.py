@@ -116,14 +116,17 @@ class LowFrequencyObjective(Objective):
         """Loss L_LF of a batch, averaged over frames, and the GRU's new state."""
         device, config = self.network.device, self.network.config
         x = batch.inputs().to(device)
-        mask = dropout_mask(rng, (*x.shape[:2], config.low.hidden), config.low.dropout, device)
-        with mixed_precision(config.train, device):
-            z, state = self.module(x, state, mask)
-        z = z.float()
         # Consecutive frames are alike, so some of them suffice; the GRU reads all.
         longest = int(batch.mask.sum(1).max())
         every = slice(int(rng.integers(min(_EVERY, longest))), None, _EVERY)
-        chosen = z[:, every][batch.mask[:, every].to(device)]
+        needed = slice(None) if config.low.collision else every
+        shape = (*batch.mask[:, needed].shape, config.low.hidden)
+        mask = dropout_mask(rng, shape, config.low.dropout, device)
+        with mixed_precision(config.train, device):
+            z, state = self.module(x, state, mask, needed)
+        z = z.float()
+        some = z[:, every] if config.low.collision else z
+        chosen = some[batch.mask[:, every].to(device)]
         position, bending = self._squares(chosen, batch.extra(every))
         loss = (position + EXACT).sqrt().mean()
         loss = loss + config.low.laplacian * (bending + EXACT).sqrt().mean()
