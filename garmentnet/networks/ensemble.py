@@ -20,8 +20,8 @@ class Kernel(nn.Module):
     """The RBF Ψ(θ_i, θ) of equation 4, normalised over the pivots to Ψ̄.
 
     Ψ = exp(−d² / (2 σ²)) with d = ‖g(θ_i) − g(θ)‖, or exp(−d / σ) as the published code has it.
-    The MLP g is the published one but for a batch normalisation before its last layer, which in
-    prediction is an affine map that this layer can express.
+    The MLP g is the published one, with one slope of the PReLU for all channels and without the
+    batch normalisation, which in prediction is an affine map that the last layer can express.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class Kernel(nn.Module):
         self.sigma, self.shape = float(sigma), shape
         self.sizes = (inputs, hidden, latent)
         self.g = nn.Sequential(
-            nn.Linear(inputs, hidden), nn.PReLU(hidden), nn.Linear(hidden, latent)
+            nn.Linear(inputs, hidden), nn.PReLU(), nn.Linear(hidden, latent)
         ).double()
 
     def forward(self, pivots: Tensor, theta: Tensor) -> Tensor:
