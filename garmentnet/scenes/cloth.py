@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from typing import Any
 
@@ -17,6 +18,7 @@ from ..data.parameters import SimulationParameters
 from .body import Body
 from .garments import Garment
 from .xpbd.chunks import colour, pack
+from .xpbd.contact import CLUSTER
 from .xpbd.loop import BodyArrays, ClothArrays, Step, simulate_frames
 from .xpbd.policy import REAL
 
@@ -128,6 +130,7 @@ class Cloth:
         self._hinges = hinges[~pinned[hinges].all(axis=1)]
         self._angles, self._hinge_lengths = _rest_angles(rest, self._hinges)
         self._colours = colour(self._edges, pinned), colour(self._hinges, pinned)
+        self._clusters = _clusters(rest, np.flatnonzero(~pinned))
         one = garment.adjacency()
         self._near = (one + one @ one).tocsr()
 
@@ -186,6 +189,7 @@ class Cloth:
             rest=g.rest.astype(REAL),
             sides=np.zeros(g.n_vertices, np.int8) if g.sides is None else g.sides,
             free=free,
+            clusters=self._clusters,
             pinned=pinned,
             pins=_skin(g.rest[pinned], g.indices[pinned], g.weights[pinned]),
             weights=weights.astype(REAL),
@@ -194,6 +198,16 @@ class Cloth:
             near=self._near.indices.astype(np.int32),
             near_starts=self._near.indptr.astype(np.int32),
         )
+
+
+def _clusters(rest: NDArray[np.float64], free: NDArray[np.intp]) -> NDArray[np.int64]:
+    """Clusters ``(C, CLUSTER)`` of free vertices that are near each other at rest."""
+    depth = max(0, math.ceil(math.log2(max(1, len(free)) / CLUSTER)))
+    ordered = free[tree_order(rest, free[:, None].astype(np.int32), depth)]
+    ends = len(free) * np.arange(2**depth + 1) >> depth
+    parts = [ordered[a:b] for a, b in itertools.pairwise(ends) if b > a]
+    filled = [np.append(p, np.full(CLUSTER - len(p), p[0])) for p in parts]
+    return np.array(filled, np.int64).reshape(-1, CLUSTER)
 
 
 def _skin(rest: ArrayLike, indices: ArrayLike, weights: ArrayLike) -> tuple[NDArray[Any], ...]:

@@ -22,7 +22,7 @@ from .quality import Gate, Quality, judge, outside
 __all__ = ["VERSION", "Simulated", "perturbation_field", "simulate"]
 
 # Version of the simulator, raised when a scene gives another clip; part of a clip's provenance.
-VERSION = 1
+VERSION = 2
 # Number of averages with the neighbours that make a perturbation smooth over a few edges.
 _SMOOTHINGS = 20
 

@@ -12,8 +12,10 @@ import numpy as np
 
 from .policy import REAL, TINY, kernel
 
-__all__ = ["find_contacts", "push_out", "skin_points"]
+__all__ = ["CLUSTER", "find_contacts", "push_out", "skin_points"]
 
+# Vertices that search the tree together; a multiple of every SIMD width.
+CLUSTER = 16
 _ZERO, _ONE, _FAR = REAL(0), REAL(1), REAL(1e9)
 # Ratio of squared distances below which the search moves on to a neighbouring triangle.
 _GAIN = REAL(0.9999)
@@ -79,15 +81,6 @@ def _closest(px, py, pz, ax, ay, az, ux, uy, uz, vx, vy, vz):
 
 
 @kernel
-def _gap(px, py, pz, boxes, i):
-    """Squared distance to a box."""
-    a = max(_ZERO, max(boxes[i, 0] - px, px - boxes[i, 3]))
-    b = max(_ZERO, max(boxes[i, 1] - py, py - boxes[i, 4]))
-    c = max(_ZERO, max(boxes[i, 2] - pz, pz - boxes[i, 5]))
-    return a * a + b * b + c * c
-
-
-@kernel
 def _distance(px, py, pz, points, triangles, t):
     """Squared distance to a triangle."""
     i, j, k = 3 * triangles[t, 0], 3 * triangles[t, 1], 3 * triangles[t, 2]
@@ -100,71 +93,135 @@ def _distance(px, py, pz, points, triangles, t):
 
 
 @kernel
-def _find_nearest(px, py, pz, limit, hint, side, tree, nodes, gaps):
-    """Index of the triangle nearest to a point; -1 if none is nearer than `limit` (squared).
+def _try_triangle(lanes, points, triangles, sides, t):
+    """Make a triangle the nearest one of those lanes to whose point it is nearer.
 
-    The search begins with the triangle `hint`, if it is not -1.  Triangles of limbs on the side
-    opposite to `side` do not count.
+    The closest point is in the triangle or on one of its edges; without a branch, so that all lanes
+    do the same.
+    """
+    i, j, k = 3 * triangles[t, 0], 3 * triangles[t, 1], 3 * triangles[t, 2]
+    ax, ay, az = points[i], points[i + 1], points[i + 2]
+    ux, uy, uz = points[j] - ax, points[j + 1] - ay, points[j + 2] - az
+    vx, vy, vz = points[k] - ax, points[k + 1] - ay, points[k + 2] - az
+    ex, ey, ez = vx - ux, vy - uy, vz - uz
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    uu, uv = ux * ux + uy * uy + uz * uz, ux * vx + uy * vy + uz * vz
+    vv, ee = vx * vx + vy * vy + vz * vz, ex * ex + ey * ey + ez * ez
+    nn = nx * nx + ny * ny + nz * nz
+    per_u, per_v, per_e = _ONE / (uu + TINY), _ONE / (vv + TINY), _ONE / (ee + TINY)
+    per_n, side, index = _ONE / (nn + TINY), REAL(sides[t]), REAL(t)
+    for n in range(CLUSTER):
+        wx, wy, wz = lanes[n] - ax, lanes[CLUSTER + n] - ay, lanes[2 * CLUSTER + n] - az
+        along_u, along_v = wx * ux + wy * uy + wz * uz, wx * vx + wy * vy + wz * vz
+        s = min(max(along_u * per_u, _ZERO), _ONE)
+        x, y, z = wx - s * ux, wy - s * uy, wz - s * uz
+        d = x * x + y * y + z * z
+        s = min(max(along_v * per_v, _ZERO), _ONE)
+        x, y, z = wx - s * vx, wy - s * vy, wz - s * vz
+        d = min(d, x * x + y * y + z * z)
+        x, y, z = wx - ux, wy - uy, wz - uz
+        s = min(max((x * ex + y * ey + z * ez) * per_e, _ZERO), _ONE)
+        x, y, z = x - s * ex, y - s * ey, z - s * ez
+        d = min(d, x * x + y * y + z * z)
+        q, r = vv * along_u - uv * along_v, uu * along_v - uv * along_u
+        above = wx * nx + wy * ny + wz * nz
+        inside = min(min(q, r), nn - q - r) > _ZERO
+        d = above * above * per_n if inside else d
+        d = d if side * lanes[3 * CLUSTER + n] >= _ZERO else _FAR
+        best = lanes[4 * CLUSTER + n]
+        lanes[5 * CLUSTER + n] = index if d < best else lanes[5 * CLUSTER + n]
+        lanes[4 * CLUSTER + n] = min(d, best)
+
+
+@kernel
+def _gap(box, boxes, i):
+    """Squared distance between two boxes."""
+    a = max(_ZERO, max(boxes[i, 0] - box[3], box[0] - boxes[i, 3]))
+    b = max(_ZERO, max(boxes[i, 1] - box[4], box[1] - boxes[i, 4]))
+    c = max(_ZERO, max(boxes[i, 2] - box[5], box[2] - boxes[i, 5]))
+    return a * a + b * b + c * c
+
+
+@kernel
+def _search(lanes, box, farthest, tree, nodes, gaps):
+    """Find the nearest triangles of the points of a cluster, which lies in a box.
+
+    `farthest` is the largest squared distance at which a triangle is still of use to one of them.
     """
     points, triangles, sides, depth, boxes = tree
     count, base = len(triangles), (1 << depth) - 1
-    best, which = limit, -1
-    if hint >= 0 and sides[hint] * side >= 0:
-        d = _distance(px, py, pz, points, triangles, hint)
-        if d < best:
-            best, which = d, hint
-    nodes[0], gaps[0], top = 0, _gap(px, py, pz, boxes, 0), 1
+    nodes[0], gaps[0], top = 0, _gap(box, boxes, 0), 1
     while top > 0:
         top -= 1
-        if gaps[top] >= best:
+        if gaps[top] >= farthest:
             continue
         node = nodes[top]
         if node >= base:
             j = node - base
             for t in range((count * j) >> depth, (count * (j + 1)) >> depth):
-                if sides[t] * side < 0:
-                    continue
-                d = _distance(px, py, pz, points, triangles, t)
-                if d < best:
-                    best, which = d, t
+                _try_triangle(lanes, points, triangles, sides, t)
+            farthest = lanes[4 * CLUSTER]
+            for n in range(4 * CLUSTER + 1, 5 * CLUSTER):
+                farthest = max(farthest, lanes[n])
             continue
         left, right = 2 * node + 1, 2 * node + 2
-        near, far = _gap(px, py, pz, boxes, left), _gap(px, py, pz, boxes, right)
+        near, far = _gap(box, boxes, left), _gap(box, boxes, right)
         if near > far:
             left, right, near, far = right, left, far, near
-        if far < best:
+        if far < farthest:
             nodes[top], gaps[top] = right, far
             top += 1
-        if near < best:
+        if near < farthest:
             nodes[top], gaps[top] = left, near
             top += 1
-    return which
 
 
 @kernel
 def find_contacts(
-    x: Any, free: Any, own: Any, reach: Any, tree: Any, nearest: Any, close: Any
+    x: Any, clusters: Any, own: Any, reach: Any, tree: Any, nearest: Any, close: Any
 ) -> int:
     """Find the nearest triangle of every free vertex; return the number of vertices near the skin.
 
-    x        (3 V,)  float32  positions of the cloth
-    free             int64    vertices whose triangles are searched
-    own      (V,)    int8     1 on a left sleeve or leg, -1 on a right one, 0 elsewhere
-    reach            float32  distance from the skin that is searched, metres
-    tree             tuple    of the skin: points (3 n,) float32, triangles (T, 3) int32, sides (T,)
-                              int8 like `own`, depth, boxes
-    nearest  (V,)    int32    triangle of each vertex, updated; -1: none within reach
-    close    (V,)    int32    vertices within reach, as many as are returned; out
+    The vertices of a cluster search the tree together.
+
+    x         (3 V,)         float32  positions of the cloth
+    clusters  (C, CLUSTER)   int64    vertices near each other; the first one again in place of
+                                      those that are missing
+    own       (V,)           int8     1 on a left sleeve or leg, -1 on a right one, 0 elsewhere
+    reach                    float32  distance from the skin that is searched, metres
+    tree                     tuple    of the skin: points (3 n,) float32, triangles (T, 3) int32,
+                                      sides (T,) int8 like `own`, depth, boxes
+    nearest   (V,)           int32    triangle of each vertex, updated; -1: none within reach
+    close     (V,)           int32    vertices within reach, as many as are returned; out
     """
-    size, limit = 2 * tree[3] + 4, reach * reach
+    points, triangles, sides, depth, boxes = tree
+    size, limit, count = 2 * depth + 4, reach * reach, 0
     nodes, gaps = np.empty(size, np.int64), np.empty(size, x.dtype)
-    count = 0
-    for i in free:
-        px, py, pz = x[3 * i], x[3 * i + 1], x[3 * i + 2]
-        nearest[i] = _find_nearest(px, py, pz, limit, nearest[i], own[i], tree, nodes, gaps)
-        if nearest[i] >= 0:
-            close[count] = i
-            count += 1
+    # Rows: position, side, squared distance to the nearest triangle, its index.
+    lanes, box = np.empty(6 * CLUSTER, x.dtype), np.empty(6, x.dtype)
+    for cluster in clusters:
+        box[:3], box[3:], farthest = _FAR, -_FAR, _ZERO
+        for n in range(CLUSTER):
+            i = cluster[n]
+            for k in range(3):
+                lanes[k * CLUSTER + n] = x[3 * i + k]
+                box[k], box[3 + k] = min(box[k], x[3 * i + k]), max(box[3 + k], x[3 * i + k])
+            # The triangle of the search before is likely to be the nearest still.
+            best, which, hint = limit, -1, nearest[i]
+            if hint >= 0 and sides[hint] * own[i] >= 0:
+                d = _distance(x[3 * i], x[3 * i + 1], x[3 * i + 2], points, triangles, hint)
+                if d < limit:
+                    best, which = d, hint
+            lanes[3 * CLUSTER + n] = REAL(own[i])
+            lanes[4 * CLUSTER + n], lanes[5 * CLUSTER + n] = best, REAL(which)
+            farthest = max(farthest, best)
+        _search(lanes, box, farthest, tree, nodes, gaps)
+        for n in range(CLUSTER):
+            i = cluster[n]
+            nearest[i] = np.int32(lanes[5 * CLUSTER + n])
+            if nearest[i] >= 0 and (n == 0 or i != cluster[0]):
+                close[count] = i
+                count += 1
     return count
 
 

@@ -37,6 +37,7 @@ class ClothArrays(NamedTuple):
     rest: NDArray[np.float32]  # (V, 3)
     sides: NDArray[np.int8]  # (V,) 1 on a left sleeve or leg, -1 on a right one, 0 elsewhere
     free: NDArray[np.int64]
+    clusters: NDArray[np.int64]  # (C, CLUSTER) free vertices near each other, see find_contacts
     pinned: NDArray[np.int64]
     pins: tuple[Any, ...]  # pinned vertices, as skin_points takes them
     weights: NDArray[np.float32]  # (V,) inverse masses
@@ -120,7 +121,9 @@ def simulate_frames(
             _pose(body, cloth, joints[end], origin, transforms, skin1, pins1)
             fit_boxes(skin0.reshape(-1, 3), body.triangles, body.depth, boxes)
             tree = (skin0, body.triangles, body.sides, body.depth, boxes)
-            n_close = find_contacts(x, free, cloth.sides, step.reach, tree, nearest, close)
+            n_close = find_contacts(
+                x, cloth.clusters, cloth.sides, step.reach, tree, nearest, close
+            )
             for substep in range(per_block):
                 fraction = REAL((substep + 1.0) / per_block)
                 _predict(x, previous, v, cloth, step.h, pins0, pins1, fraction)

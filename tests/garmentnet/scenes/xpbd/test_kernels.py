@@ -6,7 +6,7 @@ import numpy as np
 
 from garmentnet.scenes.xpbd.chunks import colour, pack
 from garmentnet.scenes.xpbd.constraints import BUFFER_ROWS, bend, stretch
-from garmentnet.scenes.xpbd.contact import find_contacts, skin_points
+from garmentnet.scenes.xpbd.contact import CLUSTER, find_contacts, skin_points
 from garmentnet.scenes.xpbd.policy import LANES, REAL
 from garmentnet.scenes.xpbd.self_contact import find_pairs
 
@@ -83,13 +83,17 @@ def test_contacts_are_the_nearest_triangles(rng):
     mesh = trimesh.creation.icosphere(subdivisions=2, radius=0.3)
     triangles = mesh.faces[tree_order(mesh.vertices, mesh.faces, 5)].astype(np.int32)
     points, at = mesh.vertices.ravel().astype(REAL), rng.normal(0, 0.3, (80, 3)).astype(REAL)
-    boxes, nearest = np.empty((63, 6), REAL), np.full(80, -1, np.int32)
+    # Triangles of a search before: right, wrong and none.
+    boxes, nearest = np.empty((63, 6), REAL), rng.integers(-1, 320, 80).astype(np.int32)
     close = np.empty(80, np.int32)
     fit_boxes(points.reshape(-1, 3), triangles, 5, boxes)
     # Points and triangles of a side do not meet those of the other one.
     own, sides = (rng.integers(-1, 2, n).astype(np.int8) for n in (80, len(triangles)))
     tree = (points, triangles, sides, 5, boxes)
-    count = find_contacts(at.ravel(), np.arange(80), own, REAL(0.1), tree, nearest, close)
+    # The last cluster has two vertices fewer and is filled up with its first one.
+    clusters = np.append(np.arange(78), [64, 64]).reshape(-1, CLUSTER)
+    nearest[78:] = -1
+    count = find_contacts(at.ravel(), clusters, own, REAL(0.1), tree, nearest, close)
     corners = mesh.vertices[triangles]
     gap = np.stack(
         [
@@ -101,6 +105,7 @@ def test_contacts_are_the_nearest_triangles(rng):
     )
     gap[own[:, None] * sides < 0] = np.inf
     inside = gap.min(axis=1) < 0.1
+    inside[78:] = False
     assert set(close[:count]) == set(np.flatnonzero(inside))
     assert set(np.flatnonzero(nearest < 0)) == set(np.flatnonzero(~inside))
     found = gap[close[:count], nearest[close[:count]]]
