@@ -20,7 +20,7 @@ from .garments import Garment
 from .xpbd.chunks import colour, pack
 from .xpbd.contact import CLUSTER
 from .xpbd.loop import BodyArrays, ClothArrays, Step, simulate_frames
-from .xpbd.policy import REAL
+from .xpbd.policy import INDEX, REAL
 
 __all__ = ["Cloth", "Solver"]
 
@@ -184,7 +184,7 @@ class Cloth:
         stiffness = mean * self._hinge_lengths / g.edge_length()
         softness = 1 / np.maximum(stiffness * h * h, 1e-30)
         hinges = np.stack([np.cos(self._angles), np.sin(self._angles), softness], axis=1)
-        free, pinned = np.flatnonzero(~g.pinned), np.flatnonzero(g.pinned)
+        free, pinned = (np.flatnonzero(x).astype(INDEX) for x in (~g.pinned, g.pinned))
         return ClothArrays(
             rest=g.rest.astype(REAL),
             sides=np.zeros(g.n_vertices, np.int8) if g.sides is None else g.sides,
@@ -232,6 +232,7 @@ def _body_arrays(body: Body) -> BodyArrays:
     return BodyArrays(
         skin=_skin(rig.rest, rig.indices, rig.weights),
         triangles=triangles,
+        corners=3 * triangles.astype(INDEX),
         beside=np.array(beside, np.int32),
         sides=_sides(body)[order],
         depth=depth,

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .policy import LANES, REAL
+from .policy import INDEX, LANES, REAL
 
 __all__ = ["Chunks", "colour", "pack"]
 
@@ -15,12 +15,12 @@ __all__ = ["Chunks", "colour", "pack"]
 class Chunks(NamedTuple):
     """Packed constraints, as the kernels of :mod:`~garmentnet.scenes.xpbd.constraints` read them.
 
-    vertices  flat int64    3 times the vertices' indices
+    vertices  flat uint64   3 times the vertices' indices
     numbers   flat float32  inverse masses and further numbers of the constraints
     size      int           number of chunks
     """
 
-    vertices: NDArray[np.int64]
+    vertices: NDArray[np.uint64]
     numbers: NDArray[np.float32]
     size: int
 
@@ -84,7 +84,7 @@ def pack(
         w[len(members) :] = 0
         rows = np.concatenate([w, numbers[filled]], axis=1)
         for start in range(0, len(filled), LANES):
-            vertices.append(3 * constraints[filled[start : start + LANES]].T.astype(np.int64))
+            vertices.append(3 * constraints[filled[start : start + LANES]].T.astype(INDEX))
             columns.append(rows[start : start + LANES].T.astype(REAL))
     flat = [np.concatenate([a.ravel() for a in part]) for part in (vertices, columns)]
     return Chunks(flat[0], flat[1], len(vertices))

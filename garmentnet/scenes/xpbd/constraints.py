@@ -18,12 +18,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from .policy import LANES, REAL, TINY, kernel
+from .policy import LANES, ONE, REAL, TINY, TWO, kernel
 
 __all__ = ["BUFFER_ROWS", "bend", "stretch"]
 
 BUFFER_ROWS = 18
-_ONE, _TWO, _ZERO = REAL(1), REAL(2), REAL(0)
+_ZERO, _UNIT, _DOUBLE = REAL(0), REAL(1), REAL(2)
 _A, _HALF_PI = REAL(0.28), REAL(math.pi / 2)
 # Least denominator of tan(θ / 2), so that an edge that is folded flat has a finite angle.
 _FOLDED = REAL(1e-4)
@@ -43,8 +43,8 @@ def stretch(x: Any, edges: Any, buffer: Any) -> None:
         for n in range(LANES):
             i, j = vertices[v + n], vertices[v + LANES + n]
             buffer[n] = x[j] - x[i]
-            buffer[LANES + n] = x[j + 1] - x[i + 1]
-            buffer[2 * LANES + n] = x[j + 2] - x[i + 2]
+            buffer[LANES + n] = x[j + ONE] - x[i + ONE]
+            buffer[2 * LANES + n] = x[j + TWO] - x[i + TWO]
         for n in range(LANES):
             dx, dy, dz = buffer[n], buffer[LANES + n], buffer[2 * LANES + n]
             length = math.sqrt(dx * dx + dy * dy + dz * dz) + TINY
@@ -56,11 +56,11 @@ def stretch(x: Any, edges: Any, buffer: Any) -> None:
             i, j = vertices[v + n], vertices[v + LANES + n]
             w1, w2 = numbers[p + n], numbers[p + LANES + n]
             x[i] += w1 * buffer[n]
-            x[i + 1] += w1 * buffer[LANES + n]
-            x[i + 2] += w1 * buffer[2 * LANES + n]
+            x[i + ONE] += w1 * buffer[LANES + n]
+            x[i + TWO] += w1 * buffer[2 * LANES + n]
             x[j] -= w2 * buffer[n]
-            x[j + 1] -= w2 * buffer[LANES + n]
-            x[j + 2] -= w2 * buffer[2 * LANES + n]
+            x[j + ONE] -= w2 * buffer[LANES + n]
+            x[j + TWO] -= w2 * buffer[2 * LANES + n]
 
 
 @kernel
@@ -85,15 +85,26 @@ def bend(x: Any, previous: Any, hinges: Any, damping: Any, buffer: Any) -> None:
         for n in range(LANES):
             i, j = vertices[v + n], vertices[v + LANES + n]
             k, m = vertices[v + 2 * LANES + n], vertices[v + 3 * LANES + n]
-            for d in range(3):
-                origin = x[i + d]
-                buffer[d * LANES + n] = x[j + d] - origin
-                buffer[(3 + d) * LANES + n] = x[k + d] - origin
-                buffer[(6 + d) * LANES + n] = x[m + d] - origin
-                moved = origin - previous[i + d]
-                buffer[(9 + d) * LANES + n] = x[j + d] - previous[j + d] - moved
-                buffer[(12 + d) * LANES + n] = x[k + d] - previous[k + d] - moved
-                buffer[(15 + d) * LANES + n] = x[m + d] - previous[m + d] - moved
+            ox, oy, oz = x[i], x[i + ONE], x[i + TWO]
+            dx, dy, dz = ox - previous[i], oy - previous[i + ONE], oz - previous[i + TWO]
+            buffer[n] = x[j] - ox
+            buffer[LANES + n] = x[j + ONE] - oy
+            buffer[2 * LANES + n] = x[j + TWO] - oz
+            buffer[3 * LANES + n] = x[k] - ox
+            buffer[4 * LANES + n] = x[k + ONE] - oy
+            buffer[5 * LANES + n] = x[k + TWO] - oz
+            buffer[6 * LANES + n] = x[m] - ox
+            buffer[7 * LANES + n] = x[m + ONE] - oy
+            buffer[8 * LANES + n] = x[m + TWO] - oz
+            buffer[9 * LANES + n] = x[j] - previous[j] - dx
+            buffer[10 * LANES + n] = x[j + ONE] - previous[j + ONE] - dy
+            buffer[11 * LANES + n] = x[j + TWO] - previous[j + TWO] - dz
+            buffer[12 * LANES + n] = x[k] - previous[k] - dx
+            buffer[13 * LANES + n] = x[k + ONE] - previous[k + ONE] - dy
+            buffer[14 * LANES + n] = x[k + TWO] - previous[k + TWO] - dz
+            buffer[15 * LANES + n] = x[m] - previous[m] - dx
+            buffer[16 * LANES + n] = x[m + ONE] - previous[m + ONE] - dy
+            buffer[17 * LANES + n] = x[m + TWO] - previous[m + TWO] - dz
         for n in range(LANES):
             ex, ey, ez = buffer[n], buffer[LANES + n], buffer[2 * LANES + n]
             ax, ay, az = buffer[3 * LANES + n], buffer[4 * LANES + n], buffer[5 * LANES + n]
@@ -102,8 +113,8 @@ def bend(x: Any, previous: Any, hinges: Any, damping: Any, buffer: Any) -> None:
             qx, qy, qz = by * ez - bz * ey, bz * ex - bx * ez, bx * ey - by * ex
             square = ex * ex + ey * ey + ez * ez + TINY
             length = math.sqrt(square)
-            p2 = _ONE / (px * px + py * py + pz * pz + TINY)
-            q2 = _ONE / (qx * qx + qy * qy + qz * qz + TINY)
+            p2 = _UNIT / (px * px + py * py + pz * pz + TINY)
+            q2 = _UNIT / (qx * qx + qy * qy + qz * qz + TINY)
             # θ − θ₀ = 2 atan(sin / (1 + cos)); no branch, so that all lanes do the same.
             scale = math.sqrt(p2 * q2)
             cosine = (px * qx + py * qy + pz * qz) * scale
@@ -114,13 +125,13 @@ def bend(x: Any, previous: Any, hinges: Any, damping: Any, buffer: Any) -> None:
             )
             cosine0, sine0 = numbers[p + 4 * LANES + n], numbers[p + 5 * LANES + n]
             s, c = sine * cosine0 - cosine * sine0, cosine * cosine0 + sine * sine0
-            t = s / max(_ONE + c, _FOLDED)
-            steep = abs(t) > _ONE
-            u = _ONE / abs(t) if steep else abs(t)
+            t = s / max(_UNIT + c, _FOLDED)
+            steep = abs(t) > _UNIT
+            u = _UNIT / abs(t) if steep else abs(t)
             # atan(u) = u / (1 + 0.28 u²) for u in [0, 1], within 0.005 rad.
-            f = u / (_ONE + _A * u * u)
+            f = u / (_UNIT + _A * u * u)
             f = _HALF_PI - f if steep else f
-            angle = _TWO * (f if t >= _ZERO else -f)
+            angle = _DOUBLE * (f if t >= _ZERO else -f)
             gx, gy, gz = -length * p2 * px, -length * p2 * py, -length * p2 * pz
             hx, hy, hz = -length * q2 * qx, -length * q2 * qy, -length * q2 * qz
             at3 = (ax * ex + ay * ey + az * ez) / square
@@ -143,7 +154,7 @@ def bend(x: Any, previous: Any, hinges: Any, damping: Any, buffer: Any) -> None:
                 + w4 * (hx * hx + hy * hy + hz * hz)
             )
             compliance = numbers[p + 6 * LANES + n]
-            change = -(angle + damping * rate) / ((_ONE + damping) * weighted + compliance)
+            change = -(angle + damping * rate) / ((_UNIT + damping) * weighted + compliance)
             f1, f2, f3, f4 = change * w1, change * w2, change * w3, change * w4
             buffer[n], buffer[LANES + n], buffer[2 * LANES + n] = f1 * ix, f1 * iy, f1 * iz
             buffer[3 * LANES + n], buffer[4 * LANES + n] = f2 * jx, f2 * jy
@@ -154,5 +165,6 @@ def bend(x: Any, previous: Any, hinges: Any, damping: Any, buffer: Any) -> None:
         for n in range(LANES):
             for k in range(4):
                 i = vertices[v + k * LANES + n]
-                for d in range(3):
-                    x[i + d] += buffer[(3 * k + d) * LANES + n]
+                x[i] += buffer[3 * k * LANES + n]
+                x[i + ONE] += buffer[(3 * k + 1) * LANES + n]
+                x[i + TWO] += buffer[(3 * k + 2) * LANES + n]

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from .policy import REAL, TINY, kernel
+from .policy import ONE, REAL, THREE, TINY, TWO, kernel
 
 __all__ = ["CLUSTER", "find_contacts", "push_out", "skin_points"]
 
 # Vertices that search the tree together; a multiple of every SIMD width.
 CLUSTER = 16
-_ZERO, _ONE, _FAR = REAL(0), REAL(1), REAL(1e9)
+_ZERO, _UNIT, _FAR = REAL(0), REAL(1), REAL(1e9)
 # Ratio of squared distances below which the search moves on to a neighbouring triangle.
 _GAIN = REAL(0.9999)
 # Barycentric coordinate from which a point counts as lying on the far edge.
@@ -64,18 +64,18 @@ def _closest(px, py, pz, ax, ay, az, ux, uy, uz, vx, vy, vz):
     if d1 <= _ZERO and d2 <= _ZERO:
         pass
     elif d3 >= _ZERO and d4 <= d3:
-        s = _ONE
+        s = _UNIT
     elif vc <= _ZERO and d1 >= _ZERO and d3 <= _ZERO:
         s = d1 / (d1 - d3)
     elif d6 >= _ZERO and d5 <= d6:
-        t = _ONE
+        t = _UNIT
     elif vb <= _ZERO and d2 >= _ZERO and d6 <= _ZERO:
         t = d2 / (d2 - d6)
     elif va <= _ZERO and d4 - d3 >= _ZERO and d5 - d6 >= _ZERO:
         t = (d4 - d3) / ((d4 - d3) + (d5 - d6))
-        s = _ONE - t
+        s = _UNIT - t
     else:
-        share = _ONE / (va + vb + vc)
+        share = _UNIT / (va + vb + vc)
         s, t = vb * share, vc * share
     return s, t
 
@@ -108,19 +108,19 @@ def _try_triangle(lanes, points, triangles, sides, t):
     uu, uv = ux * ux + uy * uy + uz * uz, ux * vx + uy * vy + uz * vz
     vv, ee = vx * vx + vy * vy + vz * vz, ex * ex + ey * ey + ez * ez
     nn = nx * nx + ny * ny + nz * nz
-    per_u, per_v, per_e = _ONE / (uu + TINY), _ONE / (vv + TINY), _ONE / (ee + TINY)
-    per_n, side, index = _ONE / (nn + TINY), REAL(sides[t]), REAL(t)
+    per_u, per_v, per_e = _UNIT / (uu + TINY), _UNIT / (vv + TINY), _UNIT / (ee + TINY)
+    per_n, side, index = _UNIT / (nn + TINY), REAL(sides[t]), REAL(t)
     for n in range(CLUSTER):
         wx, wy, wz = lanes[n] - ax, lanes[CLUSTER + n] - ay, lanes[2 * CLUSTER + n] - az
         along_u, along_v = wx * ux + wy * uy + wz * uz, wx * vx + wy * vy + wz * vz
-        s = min(max(along_u * per_u, _ZERO), _ONE)
+        s = min(max(along_u * per_u, _ZERO), _UNIT)
         x, y, z = wx - s * ux, wy - s * uy, wz - s * uz
         d = x * x + y * y + z * z
-        s = min(max(along_v * per_v, _ZERO), _ONE)
+        s = min(max(along_v * per_v, _ZERO), _UNIT)
         x, y, z = wx - s * vx, wy - s * vy, wz - s * vz
         d = min(d, x * x + y * y + z * z)
         x, y, z = wx - ux, wy - uy, wz - uz
-        s = min(max((x * ex + y * ey + z * ez) * per_e, _ZERO), _ONE)
+        s = min(max((x * ex + y * ey + z * ez) * per_e, _ZERO), _UNIT)
         x, y, z = x - s * ex, y - s * ey, z - s * ez
         d = min(d, x * x + y * y + z * z)
         q, r = vv * along_u - uv * along_v, uu * along_v - uv * along_u
@@ -192,9 +192,9 @@ def find_contacts(
     tree                     tuple    of the skin: points (3 n,) float32, triangles (T, 3) int32,
                                       sides (T,) int8 like `own`, depth, boxes
     nearest   (V,)           int32    triangle of each vertex, updated; -1: none within reach
-    close     (V,)           int32    vertices within reach, as many as are returned; out
+    close     (V,)           uint64   vertices within reach, as many as are returned; out
     """
-    points, triangles, sides, depth, boxes = tree
+    points, triangles, sides, depth, _ = tree
     size, limit, count = 2 * depth + 4, reach * reach, 0
     nodes, gaps = np.empty(size, np.int64), np.empty(size, x.dtype)
     # Rows: position, side, squared distance to the nearest triangle, its index.
@@ -248,10 +248,10 @@ def push_out(
     at the end.  The closest triangle is searched from that of the substep before, over its edges.
 
     x, previous, velocity  (3 V,)  float32  positions, those before the substep, velocities
-    close                  (V,)    int32    vertices near the skin, the first `n_close`
+    close                  (V,)    uint64   vertices near the skin, the first `n_close`
     nearest                (V,)    int32    triangle of each vertex; updated
-    skin                           tuple    triangles (T, 3); triangle beyond each edge (T, 3), -1:
-                                            none; positions at the start and the end of the block;
+    skin                           tuple    3 times the corners of the triangles (T, 3) uint64;
+                                            triangle beyond each edge (T, 3), -1: none; positions at the start and the end of the block;
                                             fraction of the block at the end of this substep; share
                                             of the block that a substep is
     limits                         tuple    distance in metres; coefficient of friction; longest
@@ -259,25 +259,25 @@ def push_out(
                                             comes out gently
     rate                           float32  1 / h
     """
-    triangles, beside, start, end, fraction, share = skin
+    corners, beside, start, end, fraction, share = skin
     distance, friction, most = limits
     for n in range(n_close):
-        o = 3 * close[n]
-        px, py, pz = x[o], x[o + 1], x[o + 2]
+        o = THREE * close[n]
+        px, py, pz = x[o], x[o + ONE], x[o + TWO]
         t = at = nearest[close[n]]
         best, s, r = _FAR, _ZERO, _ZERO
         cx, cy, cz, nx, ny, nz = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
         for _ in range(_HOPS):
-            i, j, k = 3 * triangles[at, 0], 3 * triangles[at, 1], 3 * triangles[at, 2]
+            i, j, k = corners[at, 0], corners[at, 1], corners[at, 2]
             ax = start[i] + fraction * (end[i] - start[i])
-            ay = start[i + 1] + fraction * (end[i + 1] - start[i + 1])
-            az = start[i + 2] + fraction * (end[i + 2] - start[i + 2])
+            ay = start[i + ONE] + fraction * (end[i + ONE] - start[i + ONE])
+            az = start[i + TWO] + fraction * (end[i + TWO] - start[i + TWO])
             ux = start[j] + fraction * (end[j] - start[j]) - ax
-            uy = start[j + 1] + fraction * (end[j + 1] - start[j + 1]) - ay
-            uz = start[j + 2] + fraction * (end[j + 2] - start[j + 2]) - az
+            uy = start[j + ONE] + fraction * (end[j + ONE] - start[j + ONE]) - ay
+            uz = start[j + TWO] + fraction * (end[j + TWO] - start[j + TWO]) - az
             vx = start[k] + fraction * (end[k] - start[k]) - ax
-            vy = start[k + 1] + fraction * (end[k + 1] - start[k + 1]) - ay
-            vz = start[k + 2] + fraction * (end[k + 2] - start[k + 2]) - az
+            vy = start[k + ONE] + fraction * (end[k + ONE] - start[k + ONE]) - ay
+            vz = start[k + TWO] + fraction * (end[k + TWO] - start[k + TWO]) - az
             a, b = _closest(px, py, pz, ax, ay, az, ux, uy, uz, vx, vy, vz)
             dx, dy, dz = (
                 px - ax - a * ux - b * vx,
@@ -305,36 +305,36 @@ def push_out(
         outside = cx * nx + cy * ny + cz * nz >= _ZERO
         if outside and gap >= distance:
             velocity[o] = (px - previous[o]) * rate
-            velocity[o + 1] = (py - previous[o + 1]) * rate
-            velocity[o + 2] = (pz - previous[o + 2]) * rate
+            velocity[o + ONE] = (py - previous[o + ONE]) * rate
+            velocity[o + TWO] = (pz - previous[o + TWO]) * rate
             continue
         if gap > _ON_SKIN:
-            scale = _ONE / gap if outside else -_ONE / gap
+            scale = _UNIT / gap if outside else -_UNIT / gap
             nx, ny, nz = cx * scale, cy * scale, cz * scale
         else:
-            scale = _ONE / math.sqrt(nx * nx + ny * ny + nz * nz + TINY)
+            scale = _UNIT / math.sqrt(nx * nx + ny * ny + nz * nz + TINY)
             nx, ny, nz = nx * scale, ny * scale, nz * scale
         push = min(distance - gap if outside else distance + gap, most)
         px, py, pz = px + push * nx, py + push * ny, pz + push * nz
         # Displacement relative to the skin at the closest point, and its tangential part.
-        i, j, k = 3 * triangles[t, 0], 3 * triangles[t, 1], 3 * triangles[t, 2]
-        q = _ONE - s - r
+        i, j, k = corners[t, 0], corners[t, 1], corners[t, 2]
+        q = _UNIT - s - r
         mx = q * (end[i] - start[i]) + s * (end[j] - start[j]) + r * (end[k] - start[k])
-        i, j, k = i + 1, j + 1, k + 1
+        i, j, k = i + ONE, j + ONE, k + ONE
         my = q * (end[i] - start[i]) + s * (end[j] - start[j]) + r * (end[k] - start[k])
-        i, j, k = i + 1, j + 1, k + 1
+        i, j, k = i + ONE, j + ONE, k + ONE
         mz = q * (end[i] - start[i]) + s * (end[j] - start[j]) + r * (end[k] - start[k])
         dx = px - previous[o] - share * mx
-        dy = py - previous[o + 1] - share * my
-        dz = pz - previous[o + 2] - share * mz
+        dy = py - previous[o + ONE] - share * my
+        dz = pz - previous[o + TWO] - share * mz
         along = dx * nx + dy * ny + dz * nz
         tx, ty, tz = dx - along * nx, dy - along * ny, dz - along * nz
         slide = math.sqrt(tx * tx + ty * ty + tz * tz) + TINY
-        held = min(_ONE, friction * push / slide)
+        held = min(_UNIT, friction * push / slide)
         px, py, pz = px - held * tx, py - held * ty, pz - held * tz
-        x[o], x[o + 1], x[o + 2] = px, py, pz
+        x[o], x[o + ONE], x[o + TWO] = px, py, pz
         # A vertex that was pushed leaves the skin no faster than the skin moves: no bounce.
         leaving = max(_ZERO, along)
         velocity[o] = (px - previous[o] - leaving * nx) * rate
-        velocity[o + 1] = (py - previous[o + 1] - leaving * ny) * rate
-        velocity[o + 2] = (pz - previous[o + 2] - leaving * nz) * rate
+        velocity[o + ONE] = (py - previous[o + ONE] - leaving * ny) * rate
+        velocity[o + TWO] = (pz - previous[o + TWO] - leaving * nz) * rate

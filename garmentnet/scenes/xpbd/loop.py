@@ -12,7 +12,7 @@ from ssdr.kernels.closest import fit_boxes
 from .chunks import Chunks
 from .constraints import BUFFER_ROWS, bend, stretch
 from .contact import find_contacts, push_out, skin_points
-from .policy import LANES, REAL, kernel
+from .policy import INDEX, LANES, ONE, REAL, THREE, TWO, kernel
 from .self_contact import find_pairs, separate
 
 __all__ = ["BodyArrays", "ClothArrays", "Step", "simulate_frames"]
@@ -26,6 +26,7 @@ class BodyArrays(NamedTuple):
 
     skin: tuple[Any, ...]  # vertices of the body, as skin_points takes them
     triangles: NDArray[np.int32]  # (T, 3) in the tree's order
+    corners: NDArray[np.uint64]  # (T, 3) 3 times the triangles' vertices
     beside: NDArray[np.int32]  # (T, 3) triangle beyond the edges 01, 12, 20; -1: none
     sides: NDArray[np.int8]  # (T,) 1 on the left limbs, -1 on the right ones, 0 elsewhere
     depth: int
@@ -36,9 +37,9 @@ class ClothArrays(NamedTuple):
 
     rest: NDArray[np.float32]  # (V, 3)
     sides: NDArray[np.int8]  # (V,) 1 on a left sleeve or leg, -1 on a right one, 0 elsewhere
-    free: NDArray[np.int64]
+    free: NDArray[np.uint64]
     clusters: NDArray[np.int64]  # (C, CLUSTER) free vertices near each other, see find_contacts
-    pinned: NDArray[np.int64]
+    pinned: NDArray[np.uint64]
     pins: tuple[Any, ...]  # pinned vertices, as skin_points takes them
     weights: NDArray[np.float32]  # (V,) inverse masses
     edges: Chunks
@@ -90,7 +91,7 @@ def simulate_frames(
     skin0, pins0 = np.empty(3 * len(body.skin[0]), REAL), np.empty(3 * n_pins, REAL)
     skin1, pins1 = skin0.copy(), pins0.copy()
     boxes = np.empty((2 ** (body.depth + 1) - 1, 6), REAL)
-    nearest, close = np.full(n, -1, np.int32), np.empty(n, np.int32)
+    nearest, close = np.full(n, -1, np.int32), np.empty(n, INDEX)
     pairs, n_pairs = np.zeros((_PAIRS * n if step.thickness > 0 else 0, 2), np.int32), 0
     rate, per_block = REAL(1) / step.h, step.substeps // step.blocks
     share = REAL(1) / REAL(per_block)
@@ -137,14 +138,15 @@ def simulate_frames(
                     separate(x, cloth.weights, pairs, n_pairs, step.thickness)
                 for i in free:
                     if nearest[i] < 0:
-                        for k in range(3):
-                            v[3 * i + k] = (x[3 * i + k] - previous[3 * i + k]) * rate
-                skin = (body.triangles, body.beside, skin0, skin1, fraction, share)
+                        o = THREE * i
+                        v[o] = (x[o] - previous[o]) * rate
+                        v[o + ONE] = (x[o + ONE] - previous[o + ONE]) * rate
+                        v[o + TWO] = (x[o + TWO] - previous[o + TWO]) * rate
+                skin = (body.corners, body.beside, skin0, skin1, fraction, share)
                 limits = (step.distance, step.friction, step.push)
                 push_out(x, previous, v, close, n_close, nearest, skin, limits, rate)
-                for i in free:
-                    for k in range(3):
-                        v[3 * i + k] *= step.decay
+                for o in range(3 * n):
+                    v[o] *= step.decay
         if frame >= first:
             for i in range(n):
                 for k in range(3):
@@ -166,12 +168,12 @@ def _predict(x, previous, v, cloth, h, pins0, pins1, fraction):
     """Move free vertices by their velocities and gravity, pinned ones with the body."""
     for q in range(len(cloth.pinned)):
         for k in range(3):
-            o = 3 * cloth.pinned[q] + k
+            o = THREE * cloth.pinned[q] + INDEX(k)
             previous[o] = x[o]
             x[o] = pins0[3 * q + k] + fraction * (pins1[3 * q + k] - pins0[3 * q + k])
     for i in cloth.free:
-        o = 3 * i
-        previous[o], previous[o + 1], previous[o + 2] = x[o], x[o + 1], x[o + 2]
+        o = THREE * i
+        previous[o], previous[o + ONE], previous[o + TWO] = x[o], x[o + ONE], x[o + TWO]
         x[o] += h * v[o]
-        x[o + 1] += h * (v[o + 1] - h * _GRAVITY)
-        x[o + 2] += h * v[o + 2]
+        x[o + ONE] += h * (v[o + ONE] - h * _GRAVITY)
+        x[o + TWO] += h * v[o + TWO]

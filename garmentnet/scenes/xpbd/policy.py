@@ -12,11 +12,14 @@ from typing import Any, TypeVar
 import numba
 import numpy as np
 
-__all__ = ["LANES", "REAL", "TINY", "kernel"]
+__all__ = ["INDEX", "LANES", "ONE", "REAL", "THREE", "TINY", "TWO", "kernel"]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 REAL = np.float32
+# Compiled code tests every signed index for being negative, which takes a third of a sweep.
+INDEX = np.uint64
+ONE, TWO, THREE = INDEX(1), INDEX(2), INDEX(3)
 # Constraints that are gathered, computed and scattered together; a multiple of every SIMD width.
 LANES = 32
 # Added to squared lengths before a division.
