@@ -251,9 +251,10 @@ def push_out(
     close                  (V,)    uint64   vertices near the skin, the first `n_close`
     nearest                (V,)    int32    triangle of each vertex; updated
     skin                           tuple    3 times the corners of the triangles (T, 3) uint64;
-                                            triangle beyond each edge (T, 3), -1: none; positions at the start and the end of the block;
-                                            fraction of the block at the end of this substep; share
-                                            of the block that a substep is
+                                            triangle beyond each edge (T, 3), -1: none; positions
+                                            at the start and the end of the block; fraction of the
+                                            block at the end of this substep; share of the block
+                                            that a substep is
     limits                         tuple    distance in metres; coefficient of friction; longest
                                             push in metres: a vertex that a limb has passed over
                                             comes out gently
