@@ -56,8 +56,9 @@ def from_table(kind: type[T], table: Any, *, file: str, name: str = "") -> T:
     """Instance of a dataclass, read from a table; keys that are left out get the defaults.
 
     Fields may be bool, int, float (an integer will do), str, a ``Literal``, ``dict[str, Any]``
-    (any table), another dataclass (a table of its own), a tuple of one of these (a list), and
-    one of these or None.
+    (any table), another dataclass (a table of its own), a tuple of one of these (a list), one of
+    these or None, and one of several dataclasses: the first that has all keys of the table, or the
+    first of all.
 
     Parameters
     ----------
@@ -116,7 +117,9 @@ def _value(hint: Any, value: Any, file: str, key: str) -> Any:
             raise _error(file, key, f"one of {get_args(hint)}", repr(value))
         return value
     if get_origin(hint) is types.UnionType:
-        return None if value is None else _value(get_args(hint)[0], value, file, key)
+        kinds = get_args(hint)
+        hint = next((k for k in kinds if _has_keys(k, value)), kinds[0])
+        return None if value is None else _value(hint, value, file, key)
     if get_origin(hint) is tuple:
         if not isinstance(value, (list, tuple)):
             raise _error(file, key, "a list", repr(value))
@@ -136,6 +139,11 @@ def _value(hint: Any, value: Any, file: str, key: str) -> Any:
     if type(value) is not hint:
         raise _error(file, key, _KINDS[hint], repr(value))
     return value
+
+
+def _has_keys(kind: Any, table: Any) -> bool:
+    names = {f.name for f in dataclasses.fields(kind)} if dataclasses.is_dataclass(kind) else set()
+    return isinstance(table, dict) and set(table) <= names
 
 
 def _error(file: str, key: str, expected: str, got: str) -> FormatError:

@@ -7,9 +7,10 @@ expands to one :class:`Scene` for each clip, in a fixed order and with fixed nam
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from ssdr.errors import InputError
 
@@ -26,13 +27,25 @@ from .garments import Garment, garment_from_mesh
 from .quality import Gate
 from .simulator import VERSION
 
-__all__ = ["DataSet", "MeshGarment", "MotionSource", "ParameterSet", "Scene", "check_integers"]
+__all__ = [
+    "Dances",
+    "DancesOfSplits",
+    "DataSet",
+    "MeshGarment",
+    "MotionSource",
+    "ParameterSet",
+    "Scene",
+]
 
+SPLITS: tuple[Split, ...] = get_args(Split)
+# Distance between the first seeds of the splits, and of the further parameter sets after them, so
+# that one can grow without changing the others.
+_SEEDS_OF_A_SPLIT = 1000
 # Suffix of the name of a perturbed clip.
 _PERTURBED = "-moved"
 
 
-def check_integers(values: Any, positive: Sequence[str] = ()) -> None:
+def _check_integers(values: Any, positive: Sequence[str] = ()) -> None:
     """Raise an InputError for a negative integer of a dataclass, or a 0 if named in `positive`."""
     for field in dataclasses.fields(values):
         value, least = getattr(values, field.name), int(field.name in positive)
@@ -90,7 +103,7 @@ class MotionSource:
         for c in self.classes:
             if c not in DANCE_CLASSES:
                 raise InputError("classes", f"some of {', '.join(DANCE_CLASSES)}", c)
-        check_integers(self, positive=("frames",))
+        _check_integers(self, positive=("frames",))
 
     def make(self, body: Body, fps: float) -> Motion:
         """Generate or read the motion."""
@@ -110,20 +123,104 @@ class MotionSource:
 
 
 @dataclasses.dataclass(frozen=True)
-class ParameterSet:
-    """Simulation parameters and their split for the ensemble.
+class Dances:
+    """Dances of the generator whose seeds follow each other.
 
     Parameters
     ----------
     name : str
+        A dance has this name and its seed.
     split : {"train", "validation", "test"}
-        Split of the parameter set; networks are trained only on "train".
-    parameters : SimulationParameters
+    count, frames : int
+        Number of dances, and the length of each.
+    seed : int
+        Seed of the first.
+    repertoire : {"basic", "wide"}
     """
 
     name: str
-    split: Split
-    parameters: SimulationParameters
+    split: Split = "test"
+    count: int = 1
+    frames: int = 300
+    seed: int = 0
+    repertoire: Repertoire = "basic"
+
+    def __post_init__(self) -> None:
+        _check_integers(self, positive=("frames",))
+        if not self.name.isidentifier():
+            raise InputError("name", "letters, digits and _", self.name)
+
+    def sources(self) -> list[MotionSource]:
+        """One source for each dance."""
+        split, frames, repertoire = self.split, self.frames, self.repertoire
+        return [
+            MotionSource(f"{self.name}-{seed:04d}", split, seed, frames, repertoire=repertoire)
+            for seed in range(self.seed, self.seed + self.count)
+        ]
+
+
+@dataclasses.dataclass(frozen=True)
+class DancesOfSplits:
+    """Dances for all splits, and those that further parameter sets repeat.
+
+    Parameters
+    ----------
+    train, validation, test : int
+        Numbers of dances under the base parameters.
+    frames : int
+    seed : int
+    repertoire : {"basic", "wide"}
+    train_frames : int
+        Frames of a training dance, which may be longer, since settling takes as long for a short
+        one; 0 stands for `frames`.
+    set_train, set_validation, set_test : int
+        Numbers of the base's dances in each split that a further parameter set repeats.
+    set_frames : int
+        How many frames of each; 0: all.
+    set_own : int
+        Number of dances that a further training set has for itself, instead of the base's first.
+    """
+
+    train: int
+    validation: int = 0
+    test: int = 0
+    frames: int = 300
+    seed: int = 0
+    repertoire: Repertoire = "basic"
+    train_frames: int = 0
+    set_train: int = 0
+    set_validation: int = 0
+    set_test: int = 0
+    set_frames: int = 0
+    set_own: int = 0
+
+    def __post_init__(self) -> None:
+        _check_integers(self, positive=("train", "frames"))
+        for split in SPLITS:
+            count, most = getattr(self, f"set_{split}"), getattr(self, split)
+            if count > most:
+                raise InputError(f"set_{split}", f"at most {most}, as {split}", count)
+
+
+@dataclasses.dataclass(frozen=True)
+class ParameterSet(SimulationParameters):
+    """Simulation parameters with a name, and their split for the ensemble.
+
+    Parameters
+    ----------
+    bending, density, time_scale : float
+    name : str
+    split : {"train", "validation", "test"}
+        Split of the parameter set; networks are trained only on "train".
+    """
+
+    name: str = ""
+    split: Split = "train"
+
+    @property
+    def parameters(self) -> SimulationParameters:
+        """The numbers alone."""
+        return SimulationParameters(self.bending, self.density, self.time_scale)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -191,30 +288,38 @@ class MeshGarment:
 
 @dataclasses.dataclass(frozen=True)
 class DataSet:
-    """Description of a data set: clips of one garment on one body.
+    """Description of a data set: clips of one garment on one body; what a scene file may hold.
 
-    Attributes
+    Parameters
     ----------
     name : str
     fps : float
     seed : int
+        Added to the seeds of all motions.
+    perturbation : float
+        RMS displacement, metres, of the perturbed start from which test clips are simulated a
+        second time; with 0 they are not.
+    perturb_sets : bool
+        Whether this is done for test clips of the further parameter sets, too.
     garment : Cut or MeshGarment
     body : str
         Path of a body file; empty: the one that ships.
     solver : Solver
     gate : Gate
-    base : ParameterSet
-        Parameter set with which every motion is simulated.
-    motions : tuple of MotionSource
-    sets : tuple of ParameterSet
+    base : SimulationParameters
+        Parameters with which every motion is simulated.
+    motions : DancesOfSplits, optional
+    motion : MotionSource, optional
+        A single motion, instead of `motions`.
+    further : tuple of Dances
+        More dances under the base parameters.
+    set : tuple of ParameterSet
         Further parameter sets.
-    set_motions : tuple of tuple of MotionSource
-        Motions that are simulated with each of `sets`.
-    perturbation : float
-        RMS displacement, metres, of the perturbed start from which test clips are simulated a
-        second time; with 0 they are not.
-    perturb_sets : bool
-        Whether this is done for test clips of `sets`, too.
+
+    Raises
+    ------
+    InputError
+        If a number is out of its range or there are no motions.
 
     Examples
     --------
@@ -224,31 +329,96 @@ class DataSet:
     'base-dance-0000'
     """
 
-    name: str
-    fps: float
-    seed: int
-    garment: Cut | MeshGarment
-    body: str
-    solver: Solver
-    gate: Gate
-    base: ParameterSet
-    motions: tuple[MotionSource, ...]
-    sets: tuple[ParameterSet, ...] = ()
-    set_motions: tuple[tuple[MotionSource, ...], ...] = ()
+    name: str = ""
+    fps: float = 30.0
+    seed: int = 0
     perturbation: float = 0.0
     perturb_sets: bool = True
+    garment: Cut | MeshGarment = dataclasses.field(default_factory=Cut)
+    body: str = ""
+    solver: Solver = dataclasses.field(default_factory=Solver)
+    gate: Gate = dataclasses.field(default_factory=Gate)
+    base: SimulationParameters = dataclasses.field(default_factory=SimulationParameters)
+    motions: DancesOfSplits | None = None
+    motion: MotionSource | None = None
+    further: tuple[Dances, ...] = ()
+    set: tuple[ParameterSet, ...] = ()
 
-    def scenes(self) -> tuple[Scene, ...]:
-        """One scene for each clip: base parameters, their perturbed test clips, other sets."""
-        scenes = self._with_pairs([self._scene(self.base, m) for m in self.motions])
-        for parameters, motions in zip(self.sets, self.set_motions, strict=True):
-            further = [self._scene(parameters, m) for m in motions]
-            scenes += self._with_pairs(further) if self.perturb_sets else further
+    def __post_init__(self) -> None:
+        if not 1 <= self.fps <= 120:
+            raise InputError("fps", "1 to 120", self.fps)
+        if not 0 <= self.perturbation <= 0.1:
+            raise InputError("perturbation", "0 to 0.1", self.perturbation)
+        _check_integers(self)
+        if (self.motions is None) == (self.motion is None):
+            raise InputError("motion, motions", "one of the two", "both" if self.motion else "none")
+        if "dance" in [group.name for group in self.further]:
+            raise InputError("further", 'another name than that of [motions], "dance"', "dance")
+
+    @property
+    def sets(self) -> tuple[ParameterSet, ...]:
+        """The parameter sets, the base first, each with its name."""
+        named = (
+            dataclasses.replace(s, name=s.name or f"set{k:02d}") for k, s in enumerate(self.set, 1)
+        )
+        return (ParameterSet(**dataclasses.asdict(self.base), name="base"), *named)
+
+    @functools.cached_property
+    def sources(self) -> tuple[tuple[MotionSource, ...], ...]:
+        """Motions of each of the `sets`."""
+        further = [m for group in self.further for m in group.sources()]
+        table = self.motions
+        if table is None:
+            assert self.motion is not None
+            one = self.motion
+            stem = Path(one.file).name.split(".")[0] if one.file else f"dance-{one.seed:04d}"
+            named = dataclasses.replace(one, name=one.name or stem)
+            return ((named, *further), *(() for _ in self.set))
+        base = {s: self._dances(table, k, s, getattr(table, s)) for k, s in enumerate(SPLITS)}
+        found = [tuple(m for dances in (*base.values(), further) for m in dances)]
+        most = table.set_frames or max(table.frames, table.train_frames)
+        for k, parameters in enumerate(self.set, start=len(SPLITS)):
+            some = {split: base[split][: getattr(table, f"set_{split}")] for split in SPLITS}
+            if table.set_own and parameters.split == "train":
+                some["train"] = self._dances(table, k, "train", table.set_own)
+            found.append(
+                tuple(
+                    dataclasses.replace(m, frames=most, whole=m.frames) if m.frames > most else m
+                    for dances in some.values()
+                    for m in dances
+                )
+            )
+        return tuple(found)
+
+    def _dances(
+        self, table: DancesOfSplits, block: int, split: Split, count: int
+    ) -> list[MotionSource]:
+        frames = (split == "train" and table.train_frames) or table.frames
+        first = table.seed + self.seed + _SEEDS_OF_A_SPLIT * block
+        return Dances("dance", split, count, frames, first, table.repertoire).sources()
+
+    def scenes(self, recorded: Sequence[MotionSource] = ()) -> tuple[Scene, ...]:
+        """One scene for each clip: base parameters, their perturbed test clips, other sets.
+
+        `recorded` are further motions under the base parameters.
+        """
+        scenes: list[Scene] = []
+        for k, (parameters, sources) in enumerate(zip(self.sets, self.sources, strict=True)):
+            motions = sources if k else (*sources, *recorded)
+            plain = [Scene(f"{parameters.name}-{m.name}", self, m, parameters) for m in motions]
+            scenes += plain
+            if self.perturbation and (k == 0 or self.perturb_sets):
+                scenes += [
+                    dataclasses.replace(
+                        scene,
+                        name=scene.name + _PERTURBED,
+                        perturbation=self.perturbation,
+                        repeat_of=scene.name,
+                    )
+                    for scene in plain
+                    if scene.motion.split == "test"
+                ]
         return tuple(scenes)
-
-    def with_motions(self, motions: tuple[MotionSource, ...]) -> DataSet:
-        """A copy with further motions under the base parameters."""
-        return dataclasses.replace(self, motions=self.motions + motions)
 
     def make_body(self) -> Body:
         return load_body(self.body) if self.body else default_body()
@@ -257,19 +427,3 @@ class DataSet:
         if isinstance(self.garment, Cut):
             return cut_garment(body, self.garment)
         return garment_from_mesh(body, self.garment.mesh, pinned_above=self.garment.pinned_above)
-
-    def _scene(self, parameters: ParameterSet, motion: MotionSource) -> Scene:
-        return Scene(f"{parameters.name}-{motion.name}", self, motion, parameters)
-
-    def _with_pairs(self, scenes: list[Scene]) -> list[Scene]:
-        """The scenes, followed by perturbed copies of those with test motions."""
-        tests = [s for s in scenes if self.perturbation and s.motion.split == "test"]
-        return scenes + [self._perturbed(s) for s in tests]
-
-    def _perturbed(self, scene: Scene) -> Scene:
-        return dataclasses.replace(
-            scene,
-            name=scene.name + _PERTURBED,
-            perturbation=self.perturbation,
-            repeat_of=scene.name,
-        )
