@@ -235,8 +235,7 @@ def reproduce(
 
     def simulate(name: str, path: Path) -> None:
         data_set = load_data_set(name)
-        more = motion is not None and name == "dress"
-        recorded = recorded_motions(motion, data_set) if more else ()
+        recorded = recorded_motions(motion, data_set) if motion and name == "dress" else ()
         make_data_set(data_set, path, recorded=recorded)
 
     folder = output or output_folder() / "reproduction"

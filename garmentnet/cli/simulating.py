@@ -50,7 +50,7 @@ def dataset(
     stem = Path(name).stem + ("-recorded" if motion else "")
     target = output or output_folder() / f"{stem}.clips"
     data_set = load_data_set(name)
-    recorded = () if motion is None else recorded_motions(motion, data_set)
+    recorded = recorded_motions(motion, data_set) if motion else ()
     scenes = data_set.scenes(recorded)
     frames = sum(s.motion.frames for s in scenes)
     typer.echo(f"{data_set.name}: {len(scenes)} clips, {frames} frames, to {target}", err=True)

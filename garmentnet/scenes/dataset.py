@@ -19,7 +19,8 @@ from ..data.retarget import retarget
 from ..data.store import ClipStore
 from ..io.files import writing
 from .cloth import Cloth
-from .scene import DataSet, MotionSource, Scene
+from .motion_sources import MotionSource
+from .scene_file import DataSet, Scene
 from .simulator import simulate
 
 __all__ = ["STEP", "make_data_set", "recorded_motions"]

@@ -13,8 +13,7 @@ pytest.importorskip("zarr")
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.scenes.cut import Cut
 from garmentnet.scenes.dataset import recorded_motions
-from garmentnet.scenes.scene import DataSet
-from garmentnet.scenes.scene_file import load_data_set
+from garmentnet.scenes.scene_file import DataSet, load_data_set
 from ssdr.errors import FormatError
 
 SCENE = """
