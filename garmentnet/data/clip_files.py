@@ -11,7 +11,6 @@ and compress to about an eighth of float32.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -20,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssdr.errors import FormatError, InputError
-from ssdr.io.atomic import free_name, remove
+from ssdr.io.atomic import atomic_path
 from ssdr.io.registry import import_optional as require
 from ssdr.io.registry import reading
 
@@ -66,12 +65,11 @@ def write_clip(
     step : float
         Step, metres, to whose multiples coordinates are rounded; 0: they are stored as float32.
     """
-    temporary = free_name(target)
     frames = len(arrays["vertices"])
     stored = dict(arrays)
     if step > 0:
         stored["steps"] = encode_steps(stored.pop("vertices"), step)
-    try:
+    with atomic_path(target, flush=False) as temporary:
         group = zarr().create_group(
             store=str(temporary), attributes=dict(metadata) | {"step": step}
         )
@@ -90,10 +88,6 @@ def write_clip(
                 ),
             )
             array[:] = values
-        os.replace(temporary, target)
-    except BaseException:
-        remove(temporary)
-        raise
 
 
 def encode_steps(vertices: NDArray[np.floating], step: float) -> NDArray[np.uint32]:
