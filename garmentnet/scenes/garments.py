@@ -25,6 +25,8 @@ _INFLUENCES = 6
 _NEAREST = 4
 # Added to distances, metres, so that a vertex on the skin has no infinite weight.
 _CLOSEST = 1e-3
+# Largest distance, metres, of a vertex from the mirror image of its partner.
+_MIRRORED = 1e-5
 # Twice the area of a triangle, metres², below which it counts as 0.
 _NO_AREA = 1e-12
 
@@ -142,10 +144,8 @@ def mirror_permutation(
     [1, 0, 2]
     """
     points, triangles = np.asarray(rest, dtype=np.float64), np.asarray(faces)
-    distance, nearest = _nearest(points, points * [-1, 1, 1], 1)
-    distance, nearest = distance[:, 0], nearest[:, 0]
-    order = np.arange(len(points))
-    if distance.max() > tolerance or not np.array_equal(nearest[nearest], order):
+    distance, nearest = cKDTree(points).query(points * [-1, 1, 1])
+    if distance.max() > _MIRRORED or not np.array_equal(nearest[nearest], np.arange(len(points))):
         return None
     turned = {tuple(sorted(f)) for f in nearest[triangles].tolist()}
     if turned != {tuple(sorted(f)) for f in triangles.tolist()}:
@@ -158,13 +158,6 @@ def arm_weight(body: Body) -> NDArray[np.float64]:
     dense = body.skinning.dense_weights()
     arms = [body.skinning.names().index(n) for n in _ARMS]
     return np.asarray(dense[:, arms].sum(axis=1), dtype=np.float64)
-
-
-def _nearest(
-    points: NDArray[np.float64], at: NDArray[np.float64], count: int
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    distance, index = cKDTree(points).query(at, k=np.arange(1, count + 1))
-    return np.asarray(distance, dtype=np.float64), np.asarray(index, dtype=np.int64)
 
 
 def follow(
@@ -181,7 +174,7 @@ def follow(
     rig = body.skinning
     dense = rig.dense_weights().astype(np.float64)
     usable = np.flatnonzero((arm_weight(body) < 0.5) | shoulders)
-    distance, nearest = _nearest(rig.rest[usable].astype(np.float64), rest, _NEAREST)
+    distance, nearest = cKDTree(rig.rest[usable].astype(np.float64)).query(rest, k=_NEAREST)
     near = 1 / (distance + _CLOSEST)
     weights = (dense[usable][nearest] * near[..., None]).sum(axis=1) / near.sum(axis=1)[:, None]
     if mirror is not None:

@@ -117,7 +117,7 @@ class _Foot:
     height: Float
     now: Float  # place and direction at the present sample
     turned: float
-    # A step: sample, place and direction at which it began, and its seconds.  None: the foot stands.
+    # A step: sample, place and direction at which it began, and its seconds; None: it stands.
     step: tuple[int, Float, float, float] | None = None
 
     def far(self, k: int, scale: float) -> float:
