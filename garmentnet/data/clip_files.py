@@ -177,7 +177,8 @@ class Frames:
         first, rest = (index[0], index[1:]) if isinstance(index, tuple) else (index, ())
         with reading(self._path):
             block = self._decoded(first) if self._step > 0 else np.asarray(self._array[first])
-            check_finite(block, "vertices", first if isinstance(first, int) else 0)
+            one = isinstance(first, int)
+            check_finite(block[None] if one else block, "vertices", first if one else 0)
         if self._permutation is not None:
             block = block[..., self._permutation, :] * np.array([-1, 1, 1], dtype=np.float32)
         if rest:
@@ -217,12 +218,12 @@ def compressors(itemsize: int = 4, shuffle: str = "shuffle") -> Sequence[Any]:
     )
 
 
-def check_finite(values: NDArray[np.floating], what: str, first: int) -> None:
+def check_finite(values: NDArray[np.floating], what: str, first: int = 0) -> None:
     """Check that every number is finite.
 
     Parameters
     ----------
-    values : (F, ..., ...) array
+    values : (F, ...) array
     what : str
         Name of the array, for the error.
     first : int
@@ -235,8 +236,8 @@ def check_finite(values: NDArray[np.floating], what: str, first: int) -> None:
 
     Examples
     --------
-    >>> check_finite(np.zeros((2, 4, 3)), "vertices", 0)
+    >>> check_finite(np.zeros((2, 4, 3)), "vertices")
     """
-    if not np.isfinite(values).all():
-        frames = np.flatnonzero(~np.isfinite(values.reshape(-1, *values.shape[-2:])).all((1, 2)))
-        raise InputError(what, "finite numbers", f"NaN or Inf from frame {first + frames[0]} on")
+    bad = ~np.isfinite(values).reshape(len(values), -1).all(axis=1)
+    if bad.any():
+        raise InputError(what, "finite numbers", f"NaN or Inf in frame {first + bad.argmax()}")

@@ -352,7 +352,7 @@ class ClipStore(Outfit):
         if c.shape != (frames,) or c.min() < 0 or c.max() >= len(CLASSES):
             raise InputError("classes", f"{frames} indices below {len(CLASSES)}", c)
         if accepted:
-            check_finite(v, "vertices", 0)
+            check_finite(v, "vertices")
         metadata = {
             "frames": frames,
             "fps": self.fps,
