@@ -207,21 +207,16 @@ def _is_there(store: ClipStore, scene: Scene) -> bool:
 def _writing(store: ClipStore) -> Iterator[None]:
     """Allow one writer at a time, by a lock file; the lock of an ended process is ignored."""
     path = store.path / _LOCK
-    while True:
-        try:
-            handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY)
-            break
-        except FileExistsError:
-            text = path.read_text(errors="replace").strip() if path.exists() else ""
-            if text.isdigit() and _alive(int(text)):
-                raise InputError(
-                    "path",
-                    "a store that nobody writes to",
-                    f"process {text} does (if that is no garmentnet, remove {path})",
-                ) from None
-            path.unlink(missing_ok=True)
-    os.write(handle, str(os.getpid()).encode())
-    os.close(handle)
+    text = path.read_text(errors="replace").strip() if path.exists() else ""
+    if text.isdigit() and _alive(int(text)):
+        raise InputError(
+            "path",
+            "a store that nobody writes to",
+            f"process {text} does (if that is no garmentnet, remove {path})",
+        )
+    path.unlink(missing_ok=True)
+    with open(path, "x") as file:  # an error if another process is as fast
+        file.write(str(os.getpid()))
     try:
         yield
     finally:

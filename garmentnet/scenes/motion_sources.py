@@ -3,30 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from typing import Any, get_args
+from typing import get_args
 
+from ssdr.checks import LARGEST
 from ssdr.errors import InputError
 
 from ..data.bvh import read_bvh
 from ..data.clip_files import Split
 from ..data.motion import Motion
 from ..data.retarget import retarget
+from ..io.tables import check_numbers
 from .body import Body
 from .dance.choreography import DANCE_CLASSES, Repertoire, dance
 
-__all__ = ["SPLITS", "Dances", "DancesOfSplits", "MotionSource", "check_integers"]
+__all__ = ["SPLITS", "Dances", "DancesOfSplits", "MotionSource"]
 
 SPLITS: tuple[Split, ...] = get_args(Split)
 _SEEDS_OF_A_BLOCK = 1000
-
-
-def check_integers(values: Any, positive: Sequence[str] = ()) -> None:
-    """Raise an InputError for a negative integer of a dataclass, or a 0 if named in `positive`."""
-    for field in dataclasses.fields(values):
-        value, least = getattr(values, field.name), int(field.name in positive)
-        if field.type == "int" and value < least:
-            raise InputError(field.name, f"an integer >= {least}", value)
+_FROM_1 = (1, LARGEST)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,7 +74,7 @@ class MotionSource:
         for c in self.classes:
             if c not in DANCE_CLASSES:
                 raise InputError("classes", f"some of {', '.join(DANCE_CLASSES)}", c)
-        check_integers(self, positive=("frames",))
+        check_numbers(self, frames=_FROM_1)
 
     def make(self, body: Body, fps: float) -> Motion:
         """Generate or read the motion."""
@@ -123,7 +117,7 @@ class Dances:
     repertoire: Repertoire = "basic"
 
     def __post_init__(self) -> None:
-        check_integers(self, positive=("frames",))
+        check_numbers(self, frames=_FROM_1)
         if not self.name.isidentifier():
             raise InputError("name", "letters, digits and _", self.name)
 
@@ -172,7 +166,7 @@ class DancesOfSplits:
     set_own: int = 0
 
     def __post_init__(self) -> None:
-        check_integers(self, positive=("train", "frames"))
+        check_numbers(self, train=_FROM_1, frames=_FROM_1)
         for split in SPLITS:
             count, most = getattr(self, f"set_{split}"), getattr(self, split)
             if count > most:

@@ -16,12 +16,12 @@ from ssdr.errors import FormatError, InputError
 
 from ..data.clip_files import Split
 from ..data.parameters import SimulationParameters
-from ..io.tables import from_table, read_toml
+from ..io.tables import check_numbers, from_table, read_toml
 from .body import Body, default_body, load_body
 from .cloth import Solver
 from .cut import Cut, cut_garment
 from .garments import Garment, garment_from_mesh
-from .motion_sources import SPLITS, Dances, DancesOfSplits, MotionSource, check_integers
+from .motion_sources import SPLITS, Dances, DancesOfSplits, MotionSource
 from .quality import Gate
 from .simulator import VERSION
 
@@ -174,11 +174,7 @@ class DataSet:
     set: tuple[ParameterSet, ...] = ()
 
     def __post_init__(self) -> None:
-        if not 1 <= self.fps <= 120:
-            raise InputError("fps", "1 to 120", self.fps)
-        if not 0 <= self.perturbation <= 0.1:
-            raise InputError("perturbation", "0 to 0.1", self.perturbation)
-        check_integers(self)
+        check_numbers(self, fps=(1, 120), perturbation=(0, 0.1))
         if (self.motions is None) == (self.motion is None):
             raise InputError("motion, motions", "one of the two", "both" if self.motion else "none")
         if "dance" in [group.name for group in self.further]:
