@@ -30,8 +30,6 @@ _DENSITY = 0.2
 _LEAF = 4
 # Joints of one side that move the trunk, so that their triangles do not count as a limb.
 _TRUNK = ("collar_l", "collar_r")
-# Substeps for which the pairs of the self-contact are kept.
-_PAIR_STEPS = 4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -152,7 +150,6 @@ class Cloth:
             push=REAL(s.push),
             reach=REAL(s.reach),
             thickness=REAL(s.thickness),
-            pair_steps=_PAIR_STEPS,
         )
         shift = np.zeros((n, 3), REAL) if moved is None else np.asarray(moved, REAL)
         out = np.empty((len(joints) - first, n, 3), np.float32)
