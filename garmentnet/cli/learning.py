@@ -235,9 +235,8 @@ def reproduce(
 
     def simulate(name: str, path: Path) -> None:
         data_set = load_data_set(name)
-        if motion is not None and name == "dress":
-            data_set = data_set.with_motions(recorded_motions(motion, data_set))
-        make_data_set(data_set, path)
+        recorded = recorded_motions(motion, data_set) if motion and name == "dress" else ()
+        make_data_set(data_set, path, recorded=recorded)
 
     folder = output or output_folder() / "reproduction"
     with progress_bar() as show:

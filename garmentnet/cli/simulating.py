@@ -50,14 +50,13 @@ def dataset(
     stem = Path(name).stem + ("-recorded" if motion else "")
     target = output or output_folder() / f"{stem}.clips"
     data_set = load_data_set(name)
-    if motion is not None:
-        data_set = data_set.with_motions(recorded_motions(motion, data_set))
-    scenes = data_set.scenes()
+    recorded = recorded_motions(motion, data_set) if motion else ()
+    scenes = data_set.scenes(recorded)
     frames = sum(s.motion.frames for s in scenes)
     typer.echo(f"{data_set.name}: {len(scenes)} clips, {frames} frames, to {target}", err=True)
     with progress_bar() as show:
         show("simulating", 0.0)
-        store = make_data_set(data_set, target, workers=workers, progress=show)
+        store = make_data_set(data_set, target, recorded=recorded, workers=workers, progress=show)
     typer.echo(f"{store.path.name}: {store.n_vertices} vertices", err=True)
     typer.echo(aligned(quality_rows(store)), err=True)
     for clip in store.clips(accepted=False, perturbed=None):

@@ -25,6 +25,7 @@ from ssdr.errors import InputError, is_real
 from ssdr.kernels.closest import fit_boxes, tree_order
 from ssdr.parallel import chunk_bounds, run_chunks
 
+from ..data.clip_files import check_finite
 from .kernels import push_frame, signed_distances
 
 __all__ = ["INSIDE", "MARGIN", "PushOut", "PushedOut", "is_closed"]
@@ -218,10 +219,8 @@ class PushOut:
         shape = (len(v), self.body.n_bones, 3, 4)
         if m.shape != shape:
             raise InputError("joints", f"shape {shape}", f"shape {m.shape}")
-        for name, values in (("vertices", v), ("joints", m)):
-            bad = ~np.isfinite(values).reshape(len(values), -1).all(axis=1)
-            if bad.any():
-                raise InputError(name, "finite numbers", f"NaN or Inf in frame {bad.argmax()}")
+        check_finite(v, "vertices")
+        check_finite(m, "joints")
         return v, m
 
     def _posed(self, joints: NDArray[np.float64]) -> NDArray[np.float64]:

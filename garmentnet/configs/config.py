@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
-from importlib import resources
 from pathlib import Path
 from typing import Literal
 
@@ -30,6 +29,9 @@ __all__ = [
     "override",
     "preset_names",
 ]
+
+
+_PRESETS = Path(__file__).parent
 
 
 @dataclasses.dataclass(frozen=True)
@@ -195,8 +197,7 @@ def preset_names() -> list[str]:
     >>> preset_names()
     ['faithful', 'rooted', 'tiny']
     """
-    files = resources.files(__package__).iterdir()
-    return sorted(f.name[:-5] for f in files if f.name.endswith(".toml"))
+    return sorted(path.stem for path in _PRESETS.glob("*.toml"))
 
 
 def load_config(path: Path | str) -> Config:
@@ -214,15 +215,11 @@ def load_config(path: Path | str) -> Config:
     >>> load_config("rooted").low.rotation
     'sixd'
     """
-    name = str(path)
-    if name in preset_names():
-        text = resources.files(__package__).joinpath(f"{name}.toml").read_text("utf-8")
-        return from_table(Config, parse_toml(text, name), file=name)
-    file = Path(path)
+    file = _PRESETS / f"{path}.toml" if str(path) in preset_names() else Path(path)
     if not file.is_file():
         presets = ", ".join(preset_names())
-        raise InputError("config", f"a TOML file or one of {presets}", name)
-    return from_table(Config, read_toml(file), file=name)
+        raise InputError("config", f"a TOML file or one of {presets}", str(path))
+    return from_table(Config, read_toml(file), file=str(file))
 
 
 def override(config: Config, changes: Sequence[str]) -> Config:

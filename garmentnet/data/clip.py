@@ -96,7 +96,7 @@ class Clip:
         shape = (self.n_frames, self.outfit.skeleton.n_joints, 3, 4)
         with reading(self.path):
             values = np.asarray(open_array(self.path, "joints", shape)[:])
-            check_finite(values, "joints", 0)
+            check_finite(values, "joints")
         if self.is_mirrored:
             values = mirror_transforms(values, self.outfit.skeleton.mirror())
         return values

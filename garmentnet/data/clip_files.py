@@ -11,7 +11,6 @@ and compress to about an eighth of float32.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -20,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssdr.errors import FormatError, InputError
-from ssdr.io.atomic import free_name, remove
+from ssdr.io.atomic import atomic_path
 from ssdr.io.registry import import_optional as require
 from ssdr.io.registry import reading
 
@@ -66,12 +65,11 @@ def write_clip(
     step : float
         Step, metres, to whose multiples coordinates are rounded; 0: they are stored as float32.
     """
-    temporary = free_name(target)
     frames = len(arrays["vertices"])
     stored = dict(arrays)
     if step > 0:
         stored["steps"] = encode_steps(stored.pop("vertices"), step)
-    try:
+    with atomic_path(target, flush=False) as temporary:
         group = zarr().create_group(
             store=str(temporary), attributes=dict(metadata) | {"step": step}
         )
@@ -90,10 +88,6 @@ def write_clip(
                 ),
             )
             array[:] = values
-        os.replace(temporary, target)
-    except BaseException:
-        remove(temporary)
-        raise
 
 
 def encode_steps(vertices: NDArray[np.floating], step: float) -> NDArray[np.uint32]:
@@ -183,7 +177,8 @@ class Frames:
         first, rest = (index[0], index[1:]) if isinstance(index, tuple) else (index, ())
         with reading(self._path):
             block = self._decoded(first) if self._step > 0 else np.asarray(self._array[first])
-            check_finite(block, "vertices", first if isinstance(first, int) else 0)
+            one = isinstance(first, int)
+            check_finite(block[None] if one else block, "vertices", first if one else 0)
         if self._permutation is not None:
             block = block[..., self._permutation, :] * np.array([-1, 1, 1], dtype=np.float32)
         if rest:
@@ -223,12 +218,12 @@ def compressors(itemsize: int = 4, shuffle: str = "shuffle") -> Sequence[Any]:
     )
 
 
-def check_finite(values: NDArray[np.floating], what: str, first: int) -> None:
+def check_finite(values: NDArray[np.floating], what: str, first: int = 0) -> None:
     """Check that every number is finite.
 
     Parameters
     ----------
-    values : (F, ..., ...) array
+    values : (F, ...) array
     what : str
         Name of the array, for the error.
     first : int
@@ -241,8 +236,8 @@ def check_finite(values: NDArray[np.floating], what: str, first: int) -> None:
 
     Examples
     --------
-    >>> check_finite(np.zeros((2, 4, 3)), "vertices", 0)
+    >>> check_finite(np.zeros((2, 4, 3)), "vertices")
     """
-    if not np.isfinite(values).all():
-        frames = np.flatnonzero(~np.isfinite(values.reshape(-1, *values.shape[-2:])).all((1, 2)))
-        raise InputError(what, "finite numbers", f"NaN or Inf from frame {first + frames[0]} on")
+    bad = ~np.isfinite(values).reshape(len(values), -1).all(axis=1)
+    if bad.any():
+        raise InputError(what, "finite numbers", f"NaN or Inf in frame {first + bad.argmax()}")

@@ -72,9 +72,6 @@ class Motion:
     def n_frames(self) -> int:
         return len(self.joints)
 
-    def __len__(self) -> int:
-        return self.n_frames
-
     def cut(self, start: int, stop: int) -> Motion:
         """Motion with the frames from `start` up to, but not including, `stop`."""
         if not 0 <= start < stop <= self.n_frames:

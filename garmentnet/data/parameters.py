@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ssdr.errors import InputError
+from ssdr.errors import InputError, is_real
 
 __all__ = ["RANGES", "SimulationParameters"]
 
@@ -51,12 +50,11 @@ class SimulationParameters:
     time_scale: float = 1.0
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
-            if not (number and math.isfinite(value) and value > 0):
-                raise InputError(field.name, "a positive number", repr(value))
-            object.__setattr__(self, field.name, float(value))
+        for name in RANGES:
+            value = getattr(self, name)
+            if not (is_real(value) and value > 0):
+                raise InputError(name, "a positive number", repr(value))
+            object.__setattr__(self, name, float(value))
 
     def __str__(self) -> str:
         return f"bending {self.bending:g}, density {self.density:g}, time scale {self.time_scale:g}"
@@ -72,7 +70,7 @@ class SimulationParameters:
         >>> SimulationParameters(bending=2.0, density=0.1, time_scale=1.3).normalised()
         array([ 1., -1.,  1.])
         """
-        low, high = np.log(np.array([RANGES[f.name] for f in dataclasses.fields(self)])).T
+        low, high = np.log(np.array(list(RANGES.values()))).T
         value = np.log([self.bending, self.density, self.time_scale])
         return np.asarray(2 * (value - low) / (high - low) - 1)
 
@@ -85,5 +83,4 @@ class SimulationParameters:
         ('bending',)
         """
         beyond = np.abs(self.normalised()) > 1 + 1e-9  # rounded ends of the range are inside
-        names = (f.name for f in dataclasses.fields(self))
-        return tuple(n for n, far in zip(names, beyond, strict=True) if far)
+        return tuple(n for n, far in zip(RANGES, beyond, strict=True) if far)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,14 +90,8 @@ def retarget(bvh: Bvh, skeleton: Skeleton, *, fps: float = 30.0) -> Motion:
     # Rounded to the nearest axes of the file, since the figure in a zero pose may lean a little.
     up, left = _axis(up), _axis(left)
     ours = np.stack([left, up, np.cross(left, up)])
-    legs = sum(
-        float(np.linalg.norm(zero[source[f"{b}_l"]] - zero[source[f"{a}_l"]]))
-        for a, b in (("thigh", "shin"), ("shin", "foot"))
-    )
-    own_legs = sum(
-        float(np.linalg.norm(_rest(skeleton, f"{b}_l") - _rest(skeleton, f"{a}_l")))
-        for a, b in (("thigh", "shin"), ("shin", "foot"))
-    )
+    rest = dict(zip(skeleton.names, skeleton.rest, strict=True))
+    legs = _leg_length({name: zero[j] for name, j in source.items()})
     first = _first_frame(bvh, world)
     turned = ours @ world[first:] @ ours.T
     count = len(turned)
@@ -111,18 +106,18 @@ def retarget(bvh: Bvh, skeleton: Skeleton, *, fps: float = 30.0) -> Motion:
         if bone in _LIMBS:
             a, b = f"{bone}_{side}", f"{_LIMBS[bone]}_{side}"
             theirs = ours @ (zero[source[b]] - zero[source[a]])
-            align = _arc(_rest(skeleton, b) - _rest(skeleton, a), theirs)
+            align = _arc(rest[b] - rest[a], theirs)
         rotations[:, j] = turned[:, source[joint]] @ align
     local = rotations.copy()
     for j, parent in enumerate(skeleton.parents):
         if parent >= 0:
             local[:, j] = rotations[:, parent].swapaxes(-1, -2) @ rotations[:, j]
-    path: Float = bvh.root[first:] @ ours.T * (own_legs / legs)
+    path: Float = bvh.root[first:] @ ours.T * (_leg_length(rest) / legs)
     path -= [path[0, 0], 0.0, path[0, 2]]
     joints = skeleton.transforms(path, local)
     soles = skeleton.positions(joints)[:, [skeleton.index(n) for n in ("foot_l", "foot_r")], 1]
     # The second percentile, not the minimum: a few frames of noise may lie below the floor.
-    joints[..., 1, 3] -= np.percentile(soles.min(axis=1), 2) - _rest(skeleton, "foot_l")[1]
+    joints[..., 1, 3] -= np.percentile(soles.min(axis=1), 2) - rest["foot_l"][1]
     # 1e-3 of a frame is added, so that a frame time written as 0.0333333 s keeps the last frame.
     frames = max(1, math.floor((count - 1) * fps / bvh.fps + 1e-3) + 1)
     at = np.arange(frames, dtype=np.float64) * (bvh.fps / fps)
@@ -182,8 +177,9 @@ def _first_frame(bvh: Bvh, world: Float) -> int:
     return int(fast.argmin()) if not fast.all() else lead
 
 
-def _rest(skeleton: Skeleton, name: str) -> Float:
-    return np.asarray(skeleton.rest[skeleton.index(name)])
+def _leg_length(joints: Mapping[str, Float]) -> float:
+    hip, knee, ankle = (joints[n] for n in ("thigh_l", "shin_l", "foot_l"))
+    return float(np.linalg.norm(knee - hip)) + float(np.linalg.norm(ankle - knee))
 
 
 def _axis(v: Float) -> Float:

@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import ssdr
+from ssdr.checks import check_mask
 from ssdr.errors import FormatError, InputError, check_choice
-from ssdr.io.atomic import free_name, remove
+from ssdr.io.atomic import atomic_path, remove
 from ssdr.io.registry import check, reading
 from ssdr.sequence import MeshSequence
 from ssdr.skinning import Skinning
@@ -91,7 +92,6 @@ class ClipStore(Outfit):
         fps: float = 30.0,
         mirror_vertices: ArrayLike | None = None,
         pinned: ArrayLike | None = None,
-        attributes: Mapping[str, Any] | None = None,
     ) -> ClipStore:
         """Make an empty store, or open an existing one of the same garment and body.
 
@@ -108,8 +108,6 @@ class ClipStore(Outfit):
         mirror_vertices : (V,) int array, optional
         pinned : (V,) bool array, optional
             Mask of the vertices that follow the body; by default none does.
-        attributes : mapping, optional
-            Further information to store, plain JSON.
 
         Raises
         ------
@@ -122,16 +120,14 @@ class ClipStore(Outfit):
         if body.names() != skeleton.names:
             raise InputError("skeleton", f"the body's joints {body.names()}", skeleton.names)
         count = garment.n_vertices
-        mask = np.zeros(count, bool) if pinned is None else np.asarray(pinned, dtype=bool)
-        if mask.shape != (count,):
-            raise InputError("pinned", f"shape ({count},)", mask.shape)
+        mask = check_mask(pinned, "pinned", count)
         outfit = Outfit(
             rest=np.asarray(garment.vertices[0]),
             faces=garment.faces,
             body=body,
             skeleton=skeleton,
             fps=garment.fps,
-            pinned=mask,
+            pinned=np.zeros(count, bool) if mask is None else mask,
             mirror_vertices=(
                 None if mirror_vertices is None else _checked_mirror(mirror_vertices, garment)
             ),
@@ -142,22 +138,15 @@ class ClipStore(Outfit):
                 expected = "a new folder or a store of this garment and body"
                 raise InputError("path", expected, there.path)
             return there
-        if not target.parent.is_dir():
-            raise InputError("path", "a folder in a folder that exists", str(target))
         metadata = {
             "format": _FORMAT,
             "version": _VERSION,
             "fps": outfit.fps,
-            "root": 0,
             "parents": skeleton.parents.tolist(),
             "joint_rest": skeleton.rest.tolist(),
-            "joint_names": list(skeleton.names),
-            "mirror_joints": skeleton.mirror().tolist(),
             "classes": list(CLASSES),
-            "made_by": json.loads(json.dumps(dict(attributes or {}))),
         }
-        temporary = free_name(target)
-        try:
+        with atomic_path(target, flush=False) as temporary:
             group = zarr().create_group(store=str(temporary), attributes=metadata)
             for name in _ARRAYS:
                 values = getattr(outfit, name)
@@ -165,10 +154,6 @@ class ClipStore(Outfit):
                     group.create_array(name, data=values, compressors=compressors())
             (temporary / "clips").mkdir()
             ssdr.save(body, temporary / "body.npz")
-            os.replace(temporary, target)
-        except BaseException:
-            remove(temporary)
-            raise
         return cls.open(target)
 
     @classmethod
@@ -367,7 +352,7 @@ class ClipStore(Outfit):
         if c.shape != (frames,) or c.min() < 0 or c.max() >= len(CLASSES):
             raise InputError("classes", f"{frames} indices below {len(CLASSES)}", c)
         if accepted:
-            check_finite(v, "vertices", 0)
+            check_finite(v, "vertices")
         metadata = {
             "frames": frames,
             "fps": self.fps,

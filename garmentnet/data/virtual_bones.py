@@ -134,10 +134,12 @@ def virtual_bones(
     options: BoneOptions,
     *,
     subject: Subject | None = None,
-    folder: Path | str | None = None,
     progress: Progress | None = None,
 ) -> VirtualBones:
     """Virtual bones of a store, which are read if they were computed before.
+
+    They are kept in ``<store>.bones`` beside the store, in a subfolder for each set of options and
+    training clips.
 
     Parameters
     ----------
@@ -145,9 +147,6 @@ def virtual_bones(
     options : BoneOptions
     subject : Subject, optional
         Garment and body of a trained network, whose bones are used.
-    folder : path, optional
-        Folder for the results, with a subfolder for each set of options and training clips;
-        ``<store>.bones`` beside the store by default.
     progress : callable, optional
         Called with a description of the current step and the fraction that is done.
 
@@ -179,8 +178,7 @@ def virtual_bones(
     if subject is not None:
         record["bones"] = mesh_identity(subject.garment.rest, subject.garment.indices)
     key = hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()[:12]
-    home = Path(folder) if folder else store.path.with_name(store.path.name + ".bones")
-    place = home / key
+    place = store.path.with_name(store.path.name + ".bones") / key
     place.mkdir(parents=True, exist_ok=True)
     skinning_file, report_file = place / "bones.npz", place / "bones.json"
     if not (skinning_file.is_file() and report_file.is_file()):
@@ -221,11 +219,10 @@ def _decompose(
 ) -> tuple[Skinning, dict[str, Any]]:
     began = time.perf_counter()
     smoother = LaplacianSmoother(store.rest, store.faces, options.length)
-    parts, squares = [], 0.0
-    for clip, here in store.sample(names, options.frames):
-        block = clip.sequence.frames(here)
-        parts.append(np.asarray(smoother.smooth(block), np.float32))
-        squares += float(((block - parts[-1]).astype(np.float64) ** 2).sum())
+    parts = [
+        np.asarray(smoother.smooth(clip.sequence.frames(here)), np.float32)
+        for clip, here in store.sample(names, options.frames)
+    ]
     frames = np.concatenate(parts)
 
     def follow(p: Any) -> None:
@@ -244,9 +241,7 @@ def _decompose(
     still = np.tile(np.eye(3, 4), (1, s.n_bones, 1, 1))
     skinning = dataclasses.replace(s, transforms=still, fps=store.fps, keyframes=None)
     report = {
-        "decomposed_frames": len(frames),
         "rmse": result.rmse,
-        "high_rms": float(np.sqrt(squares / (len(frames) * store.n_vertices))),
         "seconds": time.perf_counter() - began,
         "stop_reason": result.stop_reason,
     }

@@ -191,7 +191,6 @@ def _create(
         body=rig.body,
         skeleton=rig.skeleton,
         fps=cloth.fps,
-        attributes={"data_set": "imported"},
     )
 
 

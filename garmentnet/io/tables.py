@@ -1,4 +1,4 @@
-"""Reading of TOML and JSON tables into frozen dataclasses, with checks of every key and type.
+"""Reading of TOML and JSON tables into frozen dataclasses, with checks of keys, types and numbers.
 
 Configurations of training and scene files use it.
 """
@@ -11,9 +11,10 @@ import types
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
-from ssdr.errors import FormatError, InputError
+from ssdr.checks import LARGEST
+from ssdr.errors import FormatError, InputError, is_real, is_whole
 
-__all__ = ["from_table", "parse_toml", "read_toml"]
+__all__ = ["check_numbers", "from_table", "parse_toml", "read_toml"]
 
 T = TypeVar("T")
 _KINDS = {bool: "true or false", int: "an integer", float: "a number", str: "a string"}
@@ -56,8 +57,9 @@ def from_table(kind: type[T], table: Any, *, file: str, name: str = "") -> T:
     """Instance of a dataclass, read from a table; keys that are left out get the defaults.
 
     Fields may be bool, int, float (an integer will do), str, a ``Literal``, ``dict[str, Any]``
-    (any table), another dataclass (a table of its own), a tuple of one of these (a list), and
-    one of these or None.
+    (any table), another dataclass (a table of its own), a tuple of one of these (a list), one of
+    these or None, and one of several dataclasses: the first that has all keys of the table, or the
+    first of all.
 
     Parameters
     ----------
@@ -110,13 +112,33 @@ def from_table(kind: type[T], table: Any, *, file: str, name: str = "") -> T:
         raise InputError(argument, error.expected, error.got) from error
 
 
+def check_numbers(values: Any, **limits: tuple[float, float]) -> None:
+    """Check the numbers of a dataclass: each from 0 on, or within its `limits`.
+
+    Raises
+    ------
+    InputError
+        If a number is out of its range or not finite, or an integer is none.
+    """
+    for field in dataclasses.fields(values):
+        if field.type not in ("int", "float"):
+            continue
+        value, (low, high) = getattr(values, field.name), limits.get(field.name, (0, LARGEST))
+        if not (is_whole(value) if field.type == "int" else is_real(value)):
+            raise InputError(field.name, _KINDS[int if field.type == "int" else float], repr(value))
+        if not low <= value <= high:
+            raise InputError(field.name, f"a number from {low:g} to {high:g}", value)
+
+
 def _value(hint: Any, value: Any, file: str, key: str) -> Any:
     if get_origin(hint) is Literal:
         if value not in get_args(hint):
             raise _error(file, key, f"one of {get_args(hint)}", repr(value))
         return value
     if get_origin(hint) is types.UnionType:
-        return None if value is None else _value(get_args(hint)[0], value, file, key)
+        kinds = get_args(hint)
+        hint = next((k for k in kinds if _has_keys(k, value)), kinds[0])
+        return None if value is None else _value(hint, value, file, key)
     if get_origin(hint) is tuple:
         if not isinstance(value, (list, tuple)):
             raise _error(file, key, "a list", repr(value))
@@ -136,6 +158,11 @@ def _value(hint: Any, value: Any, file: str, key: str) -> Any:
     if type(value) is not hint:
         raise _error(file, key, _KINDS[hint], repr(value))
     return value
+
+
+def _has_keys(kind: Any, table: Any) -> bool:
+    names = {f.name for f in dataclasses.fields(kind)} if dataclasses.is_dataclass(kind) else set()
+    return isinstance(table, dict) and set(table) <= names
 
 
 def _error(file: str, key: str, expected: str, got: str) -> FormatError:

@@ -10,15 +10,14 @@ from __future__ import annotations
 import dataclasses
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+import ssdr
 from ssdr.errors import InputError
-from ssdr.io.arrays.archive import read_arrays, write_arrays
+from ssdr.io.registry import check, reading
 from ssdr.io.registry import import_optional as require
-from ssdr.io.registry import reading
 from ssdr.skinning import Skinning
 
 from ..data.skeleton import Skeleton
@@ -29,7 +28,15 @@ __all__ = ["Body", "default_body", "load_body", "make_body", "save_body"]
 _DEFAULT = Path(__file__).with_name("body.npz")
 _TOPOLOGY = "notoes_collapse10pc"  # anny's name of the reduced mesh
 _INFLUENCES = 4  # joints per vertex, as many as engines support
-_KEYS = ("rest", "faces", "joints", "weights", "names", "parents", "joint_rest")
+# Phenotype of the body that ships.
+_BUILD = {
+    "gender": 1.0,
+    "age": 0.6,
+    "muscle": 0.5,
+    "weight": 0.35,
+    "height": 0.5,
+    "proportions": 0.8,
+}
 # Joint, parent, the bone of anny at whose start it lies, and other bones of anny merged into it.
 _SPINE: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
     ("pelvis", "", "root", ("pelvis.L", "pelvis.R")),
@@ -88,87 +95,55 @@ def default_body() -> Body:
 
 
 def load_body(path: str | os.PathLike[str]) -> Body:
-    """Read a body that :func:`save_body` wrote.
+    """Read a body: a model of one frame, at rest, whose bones are the joints of a skeleton.
+
+    Parameters
+    ----------
+    path : path
+        Any file that :func:`ssdr.load_skinning` reads.
 
     Raises
     ------
     FormatError
         If the file is damaged or does not hold a body.
     """
-    source = Path(path)
-    a = read_arrays(source, required=_KEYS)
-    with reading(source):
-        names = tuple(str(n) for n in a["names"])
-        skinning = _at_rest(a["rest"], a["faces"], a["joints"], a["weights"], names)
-        return Body(skinning, Skeleton(names, a["parents"], a["joint_rest"]))
+    model = ssdr.load_skinning(path)
+    with reading(Path(path)):
+        check(model.parents is not None, "bones without a skeleton")
+        skeleton = Skeleton(model.names(), model.parents, model.joint_positions)
+        return Body(dataclasses.replace(model, parents=None, joint_positions=None), skeleton)
 
 
 def save_body(body: Body, path: str | os.PathLike[str]) -> None:
-    """Write a body to one file (``.npz``)."""
-    rig, tree = body.skinning, body.skeleton
-    arrays = (
-        rig.rest,
-        rig.faces,
-        rig.indices,
-        rig.weights,
-        np.array(tree.names),
-        tree.parents,
-        tree.rest,
-    )
-    write_arrays(Path(path), dict(zip(_KEYS, arrays, strict=True)))
+    """Write a body to a file (``.npz``)."""
+    tree = body.skeleton
+    model = dataclasses.replace(body.skinning, parents=tree.parents, joint_positions=tree.rest)
+    ssdr.save(model, path)
 
 
-def _at_rest(
-    rest: NDArray[Any],
-    faces: NDArray[Any],
-    indices: NDArray[Any],
-    weights: NDArray[Any],
-    names: tuple[str, ...],
-) -> Skinning:
-    """A skinned mesh in its rest pose: one frame, every transform the identity."""
-    identity = np.broadcast_to(np.eye(3, 4, dtype=np.float32), (1, len(names), 3, 4))
-    return Skinning(rest, indices, weights, identity, faces=faces, bone_names=names, name="body")
-
-
-def make_body(
-    *,
-    gender: float = 1.0,
-    age: float = 0.6,
-    muscle: float = 0.5,
-    weight: float = 0.35,
-    height: float = 0.5,
-    proportions: float = 0.8,
-) -> Body:
+def make_body(**build: float) -> Body:
     """Make a body with anny.
 
     Parameters
     ----------
-    gender, age, muscle, weight, height, proportions : float
-        Phenotype parameters of anny, each from 0 to 1.
+    gender, age, muscle, weight, height, proportions : float, optional
+        Phenotype parameters of anny, each from 0 to 1; by default those of the body that ships.
 
     Raises
     ------
     InputError
-        If a number is not in [0, 1].
+        If a number is not in [0, 1], or anny has no such parameter.
     MissingDependencyError
         If anny is not installed.
     """
-    shape = {
-        "gender": gender,
-        "age": age,
-        "muscle": muscle,
-        "weight": weight,
-        "height": height,
-        "proportions": proportions,
-    }
-    for name, value in shape.items():
-        if not 0 <= value <= 1:
-            raise InputError(name, "a number from 0 to 1", value)
+    for name, value in build.items():
+        if name not in _BUILD or not 0 <= value <= 1:
+            raise InputError(name, f"{', '.join(_BUILD)}, each from 0 to 1", value)
     anny = require("anny", "garmentnet[scenes]", "a body")
     torch = require("torch", "garmentnet[scenes]", "a body")
     model = anny.Anny(topology=_TOPOLOGY)
     with torch.no_grad():
-        out = model(phenotype_kwargs=shape)
+        out = model(phenotype_kwargs=_BUILD | build)
     labels = list(model.bone_labels)
     vertices = _y_up(out["rest_vertices"][0].double().numpy())
     heads = _y_up(out["rest_bone_heads"][0].double().numpy())
@@ -197,12 +172,14 @@ def make_body(
     rest = (rest + rest[tree.mirror()] * [-1, 1, 1]) / 2
     floor = np.array([0.0, vertices[:, 1].min(), 0.0])
     floor[2] = rest[0, 2]
-    skinning = _at_rest(
+    skinning = Skinning(
         (vertices - floor).astype(np.float32),
-        np.asarray(model.faces.numpy(), dtype=np.int32),
         order,
         weights.astype(np.float32),
-        names,
+        np.eye(3, 4, dtype=np.float32)[None, None].repeat(len(names), axis=1),
+        faces=np.asarray(model.faces.numpy(), dtype=np.int32),
+        bone_names=names,
+        name="body",
     )
     return Body(skinning, Skeleton(names, tree.parents, rest - floor))
 

@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ssdr.checks import LARGEST
 from ssdr.errors import InputError
 from ssdr.kernels.closest import tree_order
 
 from ..data.motion import interpolate
 from ..data.parameters import SimulationParameters
+from ..io.tables import check_numbers
 from .body import Body
 from .garments import Garment
 from .xpbd.chunks import colour, pack
@@ -26,14 +28,10 @@ __all__ = ["Cloth", "Solver"]
 
 # Density at which `drag` is stated, kg/m².
 _DENSITY = 0.2
-# Upper limit of every number of the solver, against typing errors.
-_LARGEST = 1e8
 # Approximate number of triangles in a leaf of the body's tree.
 _LEAF = 4
 # Joints of one side that move the trunk, so that their triangles do not count as a limb.
 _TRUNK = ("collar_l", "collar_r")
-# Substeps for which the pairs of the self-contact are kept.
-_PAIR_STEPS = 4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,13 +93,7 @@ class Solver:
     settle: int = 40
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            least = 1 if field.name in ("substeps", "blocks") else 0
-            if field.type == "int" and type(value) is not int:
-                raise InputError(field.name, "an integer", repr(value))
-            if not (math.isfinite(value) and least <= value <= _LARGEST):
-                raise InputError(field.name, f"a number >= {least}", repr(value))
+        check_numbers(self, substeps=(1, LARGEST), blocks=(1, LARGEST))
         if self.substeps % self.blocks:
             raise InputError("blocks", f"a divisor of substeps, {self.substeps}", self.blocks)
 
@@ -161,7 +153,6 @@ class Cloth:
             push=REAL(s.push),
             reach=REAL(s.reach),
             thickness=REAL(s.thickness),
-            pair_steps=_PAIR_STEPS,
         )
         shift = np.zeros((n, 3), REAL) if moved is None else np.asarray(moved, REAL)
         out = np.empty((len(joints) - first, n, 3), np.float32)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ssdr.errors import InputError
 
+from ..io.tables import check_numbers
 from .body import Body
 from .garments import Garment, arm_weight, follow
 from .outline import LEVEL, Outline, find_outline, section
@@ -91,17 +92,16 @@ class Cut:
                 f"rising fractions of the height from 0.02 to {highest}",
                 (self.hem, self.waist, self.top),
             )
-        for name, low, high in (
-            ("vertices", 200, 200_000),
-            ("flare", 0, 2),
-            ("pleats", 0, 40),
-            ("pleat_depth", 0, 0.4),
-            ("clearance", 0.003, 0.1),
-            ("pinned", 0, self.top),
-            ("sleeves", 0.5 * bool(self.armpit), bool(self.armpit)),
-        ):
-            if not low <= getattr(self, name) <= high:
-                raise InputError(name, f"{low} to {high}", getattr(self, name))
+        check_numbers(
+            self,
+            vertices=(200, 200_000),
+            flare=(0, 2),
+            pleats=(0, 40),
+            pleat_depth=(0, 0.4),
+            clearance=(0.003, 0.1),
+            pinned=(0, self.top),
+            sleeves=(0.5 * bool(self.armpit), bool(self.armpit)),
+        )
         if self.armpit and not self.waist + 0.02 < self.armpit < self.top - 0.04:
             raise InputError("armpit", "a height between waist and top, or 0", self.armpit)
 

@@ -7,8 +7,7 @@ import contextlib
 import dataclasses
 import json
 import os
-import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from ssdr.errors import InputError
@@ -20,14 +19,14 @@ from ..data.retarget import retarget
 from ..data.store import ClipStore
 from ..io.files import writing
 from .cloth import Cloth
-from .scene import DataSet, MotionSource, Scene
+from .motion_sources import MotionSource
+from .scene_file import DataSet, Scene
 from .simulator import simulate
 
-__all__ = ["STEP", "make_data_set", "open_store", "recorded_motions"]
+__all__ = ["STEP", "make_data_set", "recorded_motions"]
 
 # Step of stored coordinates, metres: rounding to its multiples moves no vertex by more than 0.2 mm.
 STEP = 2.3e-4
-_VERTEX = 12  # bytes of a vertex in one frame, float32
 _LOCK = "writing.lock"
 
 
@@ -71,33 +70,11 @@ def recorded_motions(
     return tuple(sources)
 
 
-def open_store(data_set: DataSet, path: str | os.PathLike[str]) -> ClipStore:
-    """Store of a data set, which is created if it does not exist.
-
-    Raises
-    ------
-    InputError
-        If the store exists with another garment or body.
-    """
-    body = data_set.make_body()
-    garment = data_set.make_garment(body)
-    return ClipStore.create(
-        path,
-        rest=garment.rest,
-        faces=garment.faces,
-        body=body.skinning,
-        skeleton=body.skeleton,
-        fps=data_set.fps,
-        mirror_vertices=garment.mirror,
-        pinned=garment.pinned,
-        attributes={"data_set": data_set.name},
-    )
-
-
 def make_data_set(
     data_set: DataSet,
     path: str | os.PathLike[str],
     *,
+    recorded: Sequence[MotionSource] = (),
     workers: int | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> ClipStore:
@@ -110,7 +87,9 @@ def make_data_set(
     ----------
     data_set : DataSet
     path : path
-        Path of the store.
+        Path of the store, which is created if it does not exist.
+    recorded : sequence of MotionSource
+        Further motions under the base parameters, from :func:`recorded_motions`.
     workers : int, optional
         Number of threads; by default that of :func:`ssdr.parallel.get_threads`, all cores.
     progress : callable, optional
@@ -125,8 +104,8 @@ def make_data_set(
     Raises
     ------
     InputError
-        If the store has a clip of the same name from another scene, another process writes to
-        the store, or the disk is too small.
+        If the store has another garment or body, or a clip of the same name from another scene,
+        or another process writes to the store.
     SsdrError
         If a clip could not be written.
     """
@@ -134,48 +113,45 @@ def make_data_set(
     if count < 1:
         raise InputError("workers", "at least 1", workers)
     Path(path).parent.mkdir(parents=True, exist_ok=True)
-    store = open_store(data_set, path)
-    scenes = data_set.scenes()
+    body = data_set.make_body()
+    garment = data_set.make_garment(body)
+    store = ClipStore.create(
+        path,
+        rest=garment.rest,
+        faces=garment.faces,
+        body=body.skinning,
+        skeleton=body.skeleton,
+        fps=data_set.fps,
+        mirror_vertices=garment.mirror,
+        pinned=garment.pinned,
+    )
+    scenes = data_set.scenes(recorded)
+    lead = data_set.solver.approach + data_set.solver.settle
+    # The simulator runs without the GIL, so that threads use all cores.
+    pool = concurrent.futures.ThreadPoolExecutor(count, thread_name_prefix="simulation")
     with _writing(store):
         store.sweep()
         todo = [s for s in scenes if not _is_there(store, s)]
         # The base parameters come first, and of their clips those that training needs to begin.
-        todo.sort(key=lambda s: (s.parameters != data_set.base, bool(s.repeat_of), _order(s)))
-        _check_space(store, todo)
-        if todo:
-            _simulate_all(store, todo, len(scenes), min(count, len(todo)), progress)
+        order = ("validation", "train", "test").index
+        todo.sort(
+            key=lambda s: (s.parameters.name != "base", bool(s.repeat_of), order(s.motion.split))
+        )
+        total, frames = sum(s.motion.frames + lead for s in todo), 0
+        cloth = Cloth(body, garment, data_set.solver)
+        try:
+            waiting = {pool.submit(_add, cloth, scene, store): scene for scene in todo}
+            done = concurrent.futures.as_completed(waiting)
+            for number, future in enumerate(done, start=len(scenes) - len(todo) + 1):
+                future.result()
+                scene = waiting[future]
+                frames += scene.motion.frames + lead
+                if progress is not None:
+                    text = f"simulated {scene.name}, clip {number}/{len(scenes)}"
+                    progress(text, frames / total)
+        finally:
+            pool.shutdown(cancel_futures=True)
     return store
-
-
-def _simulate_all(
-    store: ClipStore,
-    scenes: list[Scene],
-    clips_total: int,
-    workers: int,
-    progress: Callable[[str, float], None] | None,
-) -> None:
-    """Simulate scenes of one data set in parallel, in this order, and add them to its store.
-
-    The simulator runs without the GIL, so that threads use all cores.
-    """
-    data_set = scenes[0].data_set
-    body = data_set.make_body()
-    cloth = Cloth(body, data_set.make_garment(body), data_set.solver)
-    lead = data_set.solver.approach + data_set.solver.settle
-    total = sum(s.motion.frames + lead for s in scenes)
-    frames = 0
-    pool = concurrent.futures.ThreadPoolExecutor(workers, thread_name_prefix="simulation")
-    try:
-        waiting = {pool.submit(_add, cloth, scene, store): scene for scene in scenes}
-        for number, future in enumerate(concurrent.futures.as_completed(waiting), start=1):
-            scene = waiting[future]
-            future.result()
-            frames += scene.motion.frames + lead
-            if progress is not None:
-                clips = clips_total - len(scenes) + number
-                progress(f"simulated {scene.name}, clip {clips}/{clips_total}", frames / total)
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 def _add(cloth: Cloth, scene: Scene, store: ClipStore) -> None:
@@ -206,11 +182,6 @@ def _add(cloth: Cloth, scene: Scene, store: ClipStore) -> None:
         )
 
 
-def _order(scene: Scene) -> int:
-    order: tuple[Split, ...] = ("validation", "train", "test")
-    return order.index(scene.motion.split)
-
-
 def _is_there(store: ClipStore, scene: Scene) -> bool:
     if scene.name not in store:
         return False
@@ -232,35 +203,20 @@ def _is_there(store: ClipStore, scene: Scene) -> bool:
     return True
 
 
-def _check_space(store: ClipStore, todo: list[Scene]) -> None:
-    # The size without compression, which roughly halves it: the other half is a reserve.
-    need = sum(s.motion.frames for s in todo) * store.n_vertices * _VERTEX
-    free = shutil.disk_usage(store.path).free
-    if need > free:
-        raise InputError(
-            "path", f"a disk with {need >> 20} MiB to spare", f"{free >> 20} MiB at {store.path}"
-        )
-
-
 @contextlib.contextmanager
 def _writing(store: ClipStore) -> Iterator[None]:
     """Allow one writer at a time, by a lock file; the lock of an ended process is ignored."""
     path = store.path / _LOCK
-    while True:
-        try:
-            handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY)
-            break
-        except FileExistsError:
-            text = path.read_text(errors="replace").strip() if path.exists() else ""
-            if text.isdigit() and _alive(int(text)):
-                raise InputError(
-                    "path",
-                    "a store that nobody writes to",
-                    f"process {text} does (if that is no garmentnet, remove {path})",
-                ) from None
-            path.unlink(missing_ok=True)
-    os.write(handle, str(os.getpid()).encode())
-    os.close(handle)
+    text = path.read_text(errors="replace").strip() if path.exists() else ""
+    if text.isdigit() and _alive(int(text)):
+        raise InputError(
+            "path",
+            "a store that nobody writes to",
+            f"process {text} does (if that is no garmentnet, remove {path})",
+        )
+    path.unlink(missing_ok=True)
+    with open(path, "x") as file:  # an error if another process is as fast
+        file.write(str(os.getpid()))
     try:
         yield
     finally:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from typing import Any
 
 import numpy as np
+import trimesh
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.spatial import cKDTree
@@ -25,8 +27,10 @@ _INFLUENCES = 6
 _NEAREST = 4
 # Added to distances, metres, so that a vertex on the skin has no infinite weight.
 _CLOSEST = 1e-3
-# Twice the area of a triangle, metres², below which it counts as 0.
-_NO_AREA = 1e-12
+# Largest distance, metres, of a vertex from the mirror image of its partner.
+_MIRRORED = 1e-5
+# Area of a triangle, metres², up to which it counts as 0.
+_NO_AREA = 5e-13
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -108,14 +112,9 @@ def garment_from_mesh(body: Body, path: str | os.PathLike[str], *, pinned_above:
             f"a height between {rest[:, 1].min():.3f} and {rest[:, 1].max():.3f}",
             pinned_above,
         )
-    area = np.linalg.norm(
-        np.cross(rest[faces[:, 1]] - rest[faces[:, 0]], rest[faces[:, 2]] - rest[faces[:, 0]]),
-        axis=1,
-    )
-    if not (area > _NO_AREA).all():
-        raise InputError(
-            "path", "triangles with an area", f"{int((area <= _NO_AREA).sum())} without"
-        )
+    flat = int((trimesh.triangles.area(rest[faces]) <= _NO_AREA).sum())
+    if flat:
+        raise InputError("path", "triangles with an area", f"{flat} without")
     mirror = mirror_permutation(rest, faces)
     indices, weights = follow(body, rest, mirror)
     return Garment(
@@ -123,18 +122,8 @@ def garment_from_mesh(body: Body, path: str | os.PathLike[str], *, pinned_above:
     )
 
 
-def mirror_permutation(
-    rest: ArrayLike, faces: ArrayLike, *, tolerance: float = 1e-5
-) -> NDArray[np.int32] | None:
-    """Mirror image ``(V,)`` of each vertex; None if the mesh is not symmetric.
-
-    Parameters
-    ----------
-    rest : (V, 3) array
-    faces : (T, 3) int array
-    tolerance : float
-        Largest distance, metres, of a vertex from the mirror image of its partner in the plane
-        x = 0.
+def mirror_permutation(rest: ArrayLike, faces: ArrayLike) -> NDArray[np.int32] | None:
+    """Image ``(V,)`` of each vertex in the plane x = 0; None if the mesh is not symmetric.
 
     Examples
     --------
@@ -142,10 +131,9 @@ def mirror_permutation(
     [1, 0, 2]
     """
     points, triangles = np.asarray(rest, dtype=np.float64), np.asarray(faces)
-    distance, nearest = _nearest(points, points * [-1, 1, 1], 1)
-    distance, nearest = distance[:, 0], nearest[:, 0]
-    order = np.arange(len(points))
-    if distance.max() > tolerance or not np.array_equal(nearest[nearest], order):
+    tree: Any = cKDTree(points)
+    distance, nearest = tree.query(points * [-1, 1, 1])
+    if distance.max() > _MIRRORED or not np.array_equal(nearest[nearest], np.arange(len(points))):
         return None
     turned = {tuple(sorted(f)) for f in nearest[triangles].tolist()}
     if turned != {tuple(sorted(f)) for f in triangles.tolist()}:
@@ -158,13 +146,6 @@ def arm_weight(body: Body) -> NDArray[np.float64]:
     dense = body.skinning.dense_weights()
     arms = [body.skinning.names().index(n) for n in _ARMS]
     return np.asarray(dense[:, arms].sum(axis=1), dtype=np.float64)
-
-
-def _nearest(
-    points: NDArray[np.float64], at: NDArray[np.float64], count: int
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    distance, index = cKDTree(points).query(at, k=np.arange(1, count + 1))
-    return np.asarray(distance, dtype=np.float64), np.asarray(index, dtype=np.int64)
 
 
 def follow(
@@ -181,7 +162,8 @@ def follow(
     rig = body.skinning
     dense = rig.dense_weights().astype(np.float64)
     usable = np.flatnonzero((arm_weight(body) < 0.5) | shoulders)
-    distance, nearest = _nearest(rig.rest[usable].astype(np.float64), rest, _NEAREST)
+    tree: Any = cKDTree(rig.rest[usable].astype(np.float64))
+    distance, nearest = tree.query(rest, k=_NEAREST)
     near = 1 / (distance + _CLOSEST)
     weights = (dense[usable][nearest] * near[..., None]).sum(axis=1) / near.sum(axis=1)[:, None]
     if mirror is not None:

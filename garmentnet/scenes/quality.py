@@ -21,30 +21,30 @@ _MARGIN = 1e-3
 
 @dataclasses.dataclass(frozen=True)
 class Gate:
-    """Limits beyond which a clip is rejected.
+    """Limits beyond which a clip is rejected, by the names in its :class:`Quality`.
 
     Parameters
     ----------
     stretch_p99, stretch_max : float
         Length of an edge divided by its length at rest.
-    inside : float
+    inside_fraction : float
         Fraction of the vertices inside the body, over all frames.
-    depth : float
+    depth_max : float
         Greatest depth of a vertex inside the body, metres.
-    speed : float
+    speed_max : float
         Greatest speed of a vertex, m/s.
 
     Examples
     --------
-    >>> Gate(depth=0.02).stretch_max
+    >>> Gate(depth_max=0.02).stretch_max
     4.0
     """
 
     stretch_p99: float = 1.5
     stretch_max: float = 4.0
-    inside: float = 0.02
-    depth: float = 0.05
-    speed: float = 40.0
+    inside_fraction: float = 0.02
+    depth_max: float = 0.05
+    speed_max: float = 40.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,7 +110,6 @@ def judge(
         Metres below the skin, from :func:`outside`.
     gate : Gate, optional
     """
-    limit = gate or Gate()
     if not np.isfinite(vertices).all():
         frame = int((~np.isfinite(vertices)).any(axis=(1, 2)).argmax())
         return Quality(False, f"NaN from frame {frame} on", *(0.0,) * 7)
@@ -119,28 +118,20 @@ def judge(
     stretch = _lengths(vertices, edges) / _lengths(garment.rest[None], edges)[0]
     p50, p99 = (float(v) for v in np.percentile(stretch, [50, 99]))
     inside = (depth > INSIDE).mean(axis=1)
-    speed = 0.0
-    if len(vertices) > 1:
-        step = np.linalg.norm(np.diff(vertices, axis=0), axis=2)
-        speed = float(step.max()) * motion.fps
+    step = np.linalg.norm(np.diff(vertices, axis=0), axis=2)
     measured = {
         "stretch_p50": p50,
         "stretch_p99": p99,
         "stretch_max": float(stretch.max()),
-        "inside_fraction": float(inside.mean()),
-        "inside_worst_frame": float(inside.max()),
-        "depth_max": max(0.0, float(depth.max())),
-        "speed_max": speed,
+        "inside_fraction": inside.mean(),
+        "inside_worst_frame": inside.max(),
+        "depth_max": max(0.0, depth.max()),
+        "speed_max": float(step.max(initial=0.0)) * motion.fps,
     }
+    limits = dataclasses.asdict(gate or Gate())
     reasons = [
         f"{name} {measured[name]:.4g} > {most:g}"
-        for name, most in (
-            ("stretch_p99", limit.stretch_p99),
-            ("stretch_max", limit.stretch_max),
-            ("inside_fraction", limit.inside),
-            ("depth_max", limit.depth),
-            ("speed_max", limit.speed),
-        )
+        for name, most in limits.items()
         if measured[name] > most
     ]
     # Six digits, so that the stored numbers do not depend on the order of a sum.

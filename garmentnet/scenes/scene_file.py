@@ -1,28 +1,253 @@
-"""Reading of a scene or a data set from a TOML file."""
+"""Scenes and data sets: what a TOML file says of them, and the clips that they consist of.
+
+A :class:`DataSet` is one garment on one body with any number of motions and parameter sets.  It
+expands to one :class:`Scene` for each clip, in a fixed order and with fixed names.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import functools
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from ssdr.errors import FormatError, InputError
 
 from ..data.clip_files import Split
 from ..data.parameters import SimulationParameters
-from ..io.tables import from_table, read_toml
+from ..io.tables import check_numbers, from_table, read_toml
+from .body import Body, default_body, load_body
 from .cloth import Solver
-from .cut import Cut
-from .dance.choreography import Repertoire
+from .cut import Cut, cut_garment
+from .garments import Garment, garment_from_mesh
+from .motion_sources import SPLITS, Dances, DancesOfSplits, MotionSource
 from .quality import Gate
-from .scene import DataSet, MeshGarment, MotionSource, ParameterSet, check_integers
+from .simulator import VERSION
 
-__all__ = ["load_data_set", "presets"]
+__all__ = ["DataSet", "MeshGarment", "ParameterSet", "Scene", "load_data_set", "presets"]
 
 _PRESETS = Path(__file__).with_name("presets")
-# Distance between the first seeds of the splits, and of the further parameter sets after them, so
-# that one can grow without changing the others.
-_SEEDS_OF_A_SPLIT = 1000
+# Suffix of the name of a perturbed clip.
+_PERTURBED = "-moved"
+
+
+@dataclasses.dataclass(frozen=True)
+class ParameterSet(SimulationParameters):
+    """Simulation parameters with a name, and their split for the ensemble.
+
+    Parameters
+    ----------
+    bending, density, time_scale : float
+    name : str
+    split : {"train", "validation", "test"}
+        Split of the parameter set; networks are trained only on "train".
+    """
+
+    name: str = ""
+    split: Split = "train"
+
+    @property
+    def parameters(self) -> SimulationParameters:
+        """The numbers alone."""
+        return SimulationParameters(self.bending, self.density, self.time_scale)
+
+
+@dataclasses.dataclass(frozen=True)
+class Scene:
+    """Description of one clip: a garment on a body, a motion, and parameters.
+
+    Attributes
+    ----------
+    name : str
+        Name of the clip in its store.
+    data_set : DataSet
+        Garment, body, solver and gate.
+    motion : MotionSource
+    parameters : ParameterSet
+    perturbation : float
+        RMS displacement of the settled garment before the first frame, metres.
+    repeat_of : str
+        For a perturbed clip, the name of the same clip without perturbation.
+    """
+
+    name: str
+    data_set: DataSet
+    motion: MotionSource
+    parameters: ParameterSet
+    perturbation: float = 0.0
+    repeat_of: str = ""
+
+    @property
+    def seed(self) -> int:
+        return self.data_set.seed + self.motion.seed
+
+    def provenance(self) -> dict[str, Any]:
+        """Plain JSON with everything from which the clip can be simulated again."""
+        motion = dataclasses.asdict(self.motion)
+        # Only the file's name: with its path, the stored bytes would depend on the machine.
+        motion["file"] = Path(self.motion.file).name
+        return {
+            "data_set": self.data_set.name,
+            # Fields that have no effect are left out, so that older stores are still recognised.
+            "garment": {k: v for k, v in dataclasses.asdict(self.data_set.garment).items() if v},
+            "solver": dataclasses.asdict(self.data_set.solver),
+            "motion": motion,
+            "parameter_set": self.parameters.name,
+            "parameter_split": self.parameters.split,
+            "repeat_of": self.repeat_of,
+            "simulator": VERSION,
+        }
+
+
+@dataclasses.dataclass(frozen=True)
+class MeshGarment:
+    """A garment from a mesh file.
+
+    Parameters
+    ----------
+    mesh : str
+        Path of the mesh; if it stands in a scene file, relative to that file.
+    pinned_above : float
+        Height in metres; vertices at or above it follow the body.
+    """
+
+    mesh: str
+    pinned_above: float
+
+
+@dataclasses.dataclass(frozen=True)
+class DataSet:
+    """Description of a data set: clips of one garment on one body; what a scene file may hold.
+
+    Parameters
+    ----------
+    name : str
+    fps : float
+    seed : int
+        Added to the seeds of `motions` and of the perturbations.
+    perturbation : float
+        RMS displacement, metres, of the perturbed start from which test clips are simulated a
+        second time; with 0 they are not.
+    perturb_sets : bool
+        Whether this is done for test clips of the further parameter sets, too.
+    garment : Cut or MeshGarment
+    body : str
+        Path of a body file; empty: the one that ships.
+    solver : Solver
+    gate : Gate
+    base : SimulationParameters
+        Parameters with which every motion is simulated.
+    motions : DancesOfSplits, optional
+    motion : MotionSource, optional
+        A single motion, instead of `motions`.
+    further : tuple of Dances
+        More dances under the base parameters.
+    set : tuple of ParameterSet
+        Further parameter sets.
+
+    Raises
+    ------
+    InputError
+        If a number is out of its range or there are no motions.
+
+    Examples
+    --------
+    >>> tiny = load_data_set("tiny")
+    >>> tiny.scenes()[0].name
+    'base-dance-0000'
+    """
+
+    name: str = ""
+    fps: float = 30.0
+    seed: int = 0
+    perturbation: float = 0.0
+    perturb_sets: bool = True
+    garment: Cut | MeshGarment = dataclasses.field(default_factory=Cut)
+    body: str = ""
+    solver: Solver = dataclasses.field(default_factory=Solver)
+    gate: Gate = dataclasses.field(default_factory=Gate)
+    base: SimulationParameters = dataclasses.field(default_factory=SimulationParameters)
+    motions: DancesOfSplits | None = None
+    motion: MotionSource | None = None
+    further: tuple[Dances, ...] = ()
+    set: tuple[ParameterSet, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_numbers(self, fps=(1, 120), perturbation=(0, 0.1))
+        if (self.motions is None) == (self.motion is None):
+            raise InputError("motion, motions", "one of the two", "both" if self.motion else "none")
+        if "dance" in [group.name for group in self.further]:
+            raise InputError("further", 'another name than that of [motions], "dance"', "dance")
+
+    @property
+    def sets(self) -> tuple[ParameterSet, ...]:
+        """The parameter sets, the base first, each with its name."""
+        named = (
+            dataclasses.replace(s, name=s.name or f"set{k:02d}") for k, s in enumerate(self.set, 1)
+        )
+        return (ParameterSet(**dataclasses.asdict(self.base), name="base"), *named)
+
+    @functools.cached_property
+    def sources(self) -> tuple[tuple[MotionSource, ...], ...]:
+        """Motions of each of the `sets`."""
+        further = [m for group in self.further for m in group.sources()]
+        table = self.motions
+        if table is None:
+            assert self.motion is not None
+            one = self.motion
+            stem = Path(one.file).name.split(".")[0] if one.file else f"dance-{one.seed:04d}"
+            named = dataclasses.replace(one, name=one.name or stem)
+            return ((named, *further), *(() for _ in self.set))
+        base = {
+            split: table.sources(split, self.seed, k, getattr(table, split))
+            for k, split in enumerate(SPLITS)
+        }
+        found = [tuple(m for dances in (*base.values(), further) for m in dances)]
+        most = table.set_frames or max(table.frames, table.train_frames)
+        for k, parameters in enumerate(self.set, start=len(SPLITS)):
+            some = {split: base[split][: getattr(table, f"set_{split}")] for split in SPLITS}
+            if table.set_own and parameters.split == "train":
+                some["train"] = table.sources("train", self.seed, k, table.set_own)
+            found.append(
+                tuple(
+                    dataclasses.replace(m, frames=most, whole=m.frames) if m.frames > most else m
+                    for dances in some.values()
+                    for m in dances
+                )
+            )
+        return tuple(found)
+
+    def scenes(self, recorded: Sequence[MotionSource] = ()) -> tuple[Scene, ...]:
+        """One scene for each clip: base parameters, their perturbed test clips, other sets.
+
+        `recorded` are further motions under the base parameters.
+        """
+        scenes: list[Scene] = []
+        for k, (parameters, sources) in enumerate(zip(self.sets, self.sources, strict=True)):
+            motions = sources if k else (*sources, *recorded)
+            plain = [Scene(f"{parameters.name}-{m.name}", self, m, parameters) for m in motions]
+            scenes += plain
+            if self.perturbation and (k == 0 or self.perturb_sets):
+                scenes += [
+                    dataclasses.replace(
+                        scene,
+                        name=scene.name + _PERTURBED,
+                        perturbation=self.perturbation,
+                        repeat_of=scene.name,
+                    )
+                    for scene in plain
+                    if scene.motion.split == "test"
+                ]
+        return tuple(scenes)
+
+    def make_body(self) -> Body:
+        return load_body(self.body) if self.body else default_body()
+
+    def make_garment(self, body: Body) -> Garment:
+        if isinstance(self.garment, Cut):
+            return cut_garment(body, self.garment)
+        return garment_from_mesh(body, self.garment.mesh, pinned_above=self.garment.pinned_above)
 
 
 def presets() -> tuple[str, ...]:
@@ -60,9 +285,21 @@ def load_data_set(source: str | Path) -> DataSet:
     if not path.is_file():
         raise FormatError(f"{path}: no such file, nor a preset ({', '.join(presets())})")
     try:
-        return _data_set(from_table(_File, _table(path), file=str(path)), path)
+        read = from_table(DataSet, _table(path), file=str(path))
     except InputError as error:
         raise FormatError(str(error)) from error
+    garment, motion = read.garment, read.motion
+    if isinstance(garment, MeshGarment):
+        garment = dataclasses.replace(garment, mesh=str(path.parent / garment.mesh))
+    if motion is not None and motion.file:
+        motion = dataclasses.replace(motion, file=str(path.parent / motion.file))
+    return dataclasses.replace(
+        read,
+        name=read.name or path.stem,
+        garment=garment,
+        motion=motion,
+        body=str(path.parent / read.body) if read.body else "",
+    )
 
 
 def _table(path: Path) -> dict[str, Any]:
@@ -78,175 +315,3 @@ def _table(path: Path) -> dict[str, Any]:
         both = isinstance(value, dict) and isinstance(base.get(key), dict)
         base[key] = base[key] | value if both else value
     return base
-
-
-@dataclasses.dataclass(frozen=True)
-class _Motions:
-    """Table ``[motions]``: dances made by the generator."""
-
-    train: int
-    validation: int = 0
-    test: int = 0
-    frames: int = 300
-    seed: int = 0
-    repertoire: Repertoire = "basic"
-    # Frames of a training dance, which may be longer, since settling takes as long for a short one;
-    # 0 stands for `frames`.
-    train_frames: int = 0
-    # Numbers of the base's dances in each split that further parameter sets repeat, and how many
-    # frames of each.
-    set_train: int = 0
-    set_validation: int = 0
-    set_test: int = 0
-    set_frames: int = 0
-    # Number of dances that each further training set has for itself, instead of the base's first.
-    set_own: int = 0
-
-    def __post_init__(self) -> None:
-        check_integers(self, positive=("train", "frames"))
-        for split in get_args(Split):
-            count, most = getattr(self, f"set_{split}"), getattr(self, split)
-            if count > most:
-                raise InputError(f"set_{split}", f"at most {most}, as {split}", count)
-
-
-@dataclasses.dataclass(frozen=True)
-class _Further:
-    """Table ``[[further]]``: more dances under the base parameters, with another name."""
-
-    name: str
-    split: Split = "test"
-    count: int = 1
-    frames: int = 300
-    seed: int = 0
-    repertoire: Repertoire = "basic"
-
-    def __post_init__(self) -> None:
-        check_integers(self, positive=("count", "frames"))
-        if not self.name.isidentifier() or self.name == "dance":
-            raise InputError("name", 'letters, digits and _, not "dance"', self.name)
-
-    def sources(self) -> list[MotionSource]:
-        seeds = range(self.seed, self.seed + self.count)
-        return _dances(self.name, self.split, seeds, self.frames, self.repertoire)
-
-
-@dataclasses.dataclass(frozen=True)
-class _Set(SimulationParameters):
-    """Table ``[[set]]``: a further parameter set."""
-
-    name: str = ""
-    split: Split = "train"
-
-    def __post_init__(self) -> None:
-        self.parameters()
-
-    def parameters(self) -> SimulationParameters:
-        return SimulationParameters(self.bending, self.density, self.time_scale)
-
-
-@dataclasses.dataclass(frozen=True)
-class _File:
-    """Everything that a scene file may hold."""
-
-    name: str = ""
-    fps: float = 30.0
-    seed: int = 0
-    perturbation: float = 0.0
-    perturb_sets: bool = True
-    garment: dict[str, Any] = dataclasses.field(default_factory=dict)
-    body: str = ""  # file of another body than the one that ships
-    solver: Solver = dataclasses.field(default_factory=Solver)
-    gate: Gate = dataclasses.field(default_factory=Gate)
-    base: SimulationParameters = dataclasses.field(default_factory=SimulationParameters)
-    motions: _Motions | None = None
-    motion: MotionSource | None = None
-    further: tuple[_Further, ...] = ()
-    set: tuple[_Set, ...] = ()
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.fps <= 120:
-            raise InputError("fps", "1 to 120", self.fps)
-        if not 0 <= self.perturbation <= 0.1:
-            raise InputError("perturbation", "0 to 0.1", self.perturbation)
-        check_integers(self)
-        if (self.motions is None) == (self.motion is None):
-            raise InputError("motion, motions", "one of the two", "both" if self.motion else "none")
-
-
-def _data_set(content: _File, path: Path) -> DataSet:
-    garment: Cut | MeshGarment
-    if "mesh" in content.garment:
-        read = from_table(MeshGarment, content.garment, file=str(path), name="garment")
-        garment = dataclasses.replace(read, mesh=str(path.parent / read.mesh))
-    else:
-        garment = from_table(Cut, content.garment, file=str(path), name="garment")
-    sets = tuple(
-        ParameterSet(s.name or f"set{k + 1:02d}", s.split, s.parameters())
-        for k, s in enumerate(content.set)
-    )
-    motions = tuple(_base_motions(content, path))
-    further = [m for group in content.further for m in group.sources()]
-    return DataSet(
-        name=content.name or path.stem,
-        fps=content.fps,
-        seed=content.seed,
-        garment=garment,
-        body=str(path.parent / content.body) if content.body else "",
-        solver=content.solver,
-        gate=content.gate,
-        base=ParameterSet("base", "train", content.base),
-        motions=(*motions, *further),
-        sets=sets,
-        set_motions=tuple(_set_motions(content, s.split, k, motions) for k, s in enumerate(sets)),
-        perturbation=content.perturbation,
-        perturb_sets=content.perturb_sets,
-    )
-
-
-def _base_motions(content: _File, path: Path) -> list[MotionSource]:
-    """Motions of the base parameters."""
-    if content.motion is not None:
-        one = content.motion
-        file = str(path.parent / one.file) if one.file else ""
-        stem = Path(one.file).name.split(".")[0] if one.file else f"dance-{one.seed:04d}"
-        return [dataclasses.replace(one, name=one.name or stem, file=file)]
-    assert content.motions is not None
-    g = content.motions
-    motions: list[MotionSource] = []
-    for k, split in enumerate(get_args(Split)):
-        seeds = _seeds(g, content.seed, k, getattr(g, split))
-        frames = (split == "train" and g.train_frames) or g.frames
-        motions += _dances("dance", split, seeds, frames, g.repertoire)
-    return motions
-
-
-def _set_motions(
-    content: _File, split: Split, k: int, motions: tuple[MotionSource, ...]
-) -> tuple[MotionSource, ...]:
-    """Motions of the `k`-th further parameter set, given those of the base."""
-    g = content.motions
-    if g is None:
-        return ()
-    train, validation, test = (
-        [m for m in motions if m.split == s][: getattr(g, f"set_{s}")] for s in get_args(Split)
-    )
-    if g.set_own and split == "train":
-        seeds = _seeds(g, content.seed, len(get_args(Split)) + k, g.set_own)
-        train = _dances("dance", "train", seeds, g.train_frames or g.frames, g.repertoire)
-    most = g.set_frames or max(g.frames, g.train_frames)
-    return tuple(
-        dataclasses.replace(m, frames=most, whole=m.frames) if m.frames > most else m
-        for m in train + validation + test
-    )
-
-
-def _dances(
-    name: str, split: Split, seeds: range, frames: int, repertoire: Repertoire
-) -> list[MotionSource]:
-    return [MotionSource(f"{name}-{s:04d}", split, s, frames, repertoire=repertoire) for s in seeds]
-
-
-def _seeds(g: _Motions, seed: int, block: int, count: int) -> range:
-    first = g.seed + seed + _SEEDS_OF_A_SPLIT * block
-    return range(first, first + count)

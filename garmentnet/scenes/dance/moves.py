@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections import defaultdict
 from collections.abc import Callable
 
 import numpy as np
@@ -111,8 +112,7 @@ def _spin(rng: np.random.Generator, t: Float, length: float, state: State) -> Co
 
 
 def _kick(rng: np.random.Generator, t: Float, length: float, state: State) -> Controls:
-    out: Controls = {}
-    zero = np.zeros(len(t))
+    out: Controls = defaultdict(lambda: np.zeros(len(t)))
     count = max(1, round(length / rng.uniform(0.75, 1.2)))
     side = str(rng.choice(["l", "r"]))
     for k in range(count):
@@ -141,7 +141,7 @@ def _kick(rng: np.random.Generator, t: Float, length: float, state: State) -> Co
             ("reach_l", 0.5 * peak),
             ("reach_r", 0.5 * peak),
         ):
-            out[name] = out.get(name, zero) + values
+            out[name] += values
         if rng.random() < 0.75:
             side = "r" if side == "l" else "l"
     return out
@@ -169,10 +169,7 @@ def _squat(rng: np.random.Generator, t: Float, length: float, state: State) -> C
 
 
 def _jump(rng: np.random.Generator, t: Float, length: float, state: State) -> Controls:
-    out: Controls = {name: np.zeros(len(t)) for name in ("air", "lift", "turn", "bend")}
-    for side in "lr":
-        for name in ("free", "flex", "open", "knee", "reach"):
-            out[f"{name}_{side}"] = np.zeros(len(t))
+    out: Controls = defaultdict(lambda: np.zeros(len(t)))
     count = max(1, round(length / rng.uniform(1.0, 1.5)))
     for k in range(count):
         begin, end = k * length / count, (k + 1) * length / count

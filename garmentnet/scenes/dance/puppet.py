@@ -33,6 +33,7 @@ CHANNELS = (
     "reach_l", "sweep_l", "elbow_l", "reach_r", "sweep_r", "elbow_r",  # arms
     "free_l", "flex_l", "open_l", "knee_l", "free_r", "flex_r", "open_r", "knee_r",  # legs
 )  # fmt: skip
+_DOWN, _FRONT = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 _LEG = 0.807  # metres, hip to ankle of the body for which the moves were designed
 _FOOT = 0.13  # metres, ankle to ball of the foot
 _STRIDE = 0.11  # distance of a foot from its place at which it steps, metres, for that leg
@@ -79,140 +80,125 @@ def pose_joints(skeleton: Skeleton, controls: dict[str, Float], heading: float) 
     yaw = heading + np.cumsum(c["turn"]) / RATE
     velocity = _turn(yaw, c["side"], c["forward"]) * scale
     path = np.cumsum(velocity, axis=0) / RATE
-    feet = {
-        side: _Foot(sign * (0.5 * _STANCE + 0.5 * c["width"]) * scale, sign * c["turnout"])
-        for side, sign in (("l", 1.0), ("r", -1.0))
-    }
-    _walk(feet, c, path, velocity, yaw, scale)
+    feet = _walk(c, path, velocity, yaw, scale)
     pelvis = Rotation.from_euler("YXZ", np.stack([yaw + c["twist"], c["pitch"], c["roll"]], axis=1))
     root = np.empty((len(yaw), 3))
     root[:, [0, 2]] = path + _turn(yaw, c["shift_x"], c["shift_z"]) * scale
     ankle = rest["foot_l"][1]
     root[:, 1] = rest["pelvis"][1] + (c["lift"] - _CROUCH) * scale
-    hips = {s: pelvis.apply(rest[f"thigh_{s}"] - rest["pelvis"]) for s in "lr"}
+    hips = [pelvis.apply(rest[f"thigh_{foot.side}"] - rest["pelvis"]) for foot in feet]
     longest = _STRETCHED * (upper + lower)
     too_high = np.zeros(len(yaw))
-    for side, foot in feet.items():
-        flat = np.linalg.norm(foot.place - (root + hips[side])[:, [0, 2]], axis=1)
+    for foot, hip in zip(feet, hips, strict=True):
+        flat = np.linalg.norm(foot.place - (root + hip)[:, [0, 2]], axis=1)
         reach = np.sqrt(np.maximum(longest**2 - flat**2, _LOWEST**2)) + _TIPTOE * scale
-        over = (root + hips[side])[:, 1] - (foot.height + ankle + reach)
-        too_high = np.maximum(too_high, np.where(c[f"free_{side}"] > _RAISED[0], 0.0, over))
+        over = (root + hip)[:, 1] - (foot.height + ankle + reach)
+        too_high = np.maximum(too_high, np.where(c[f"free_{foot.side}"] > _RAISED[0], 0.0, over))
     # 0.2 s ahead and smoothly: the hips sink before the step that needs it.
     window = RATE // 5
     root[:, 1] -= gaussian_filter1d(maximum_filter1d(too_high, window), window / 4)
     root[:, 1] += c["air"] * scale
-    local = _upper_body(skeleton, c, pelvis)
-    for side, foot in feet.items():
-        _leg(local, skeleton, side, foot, c, pelvis, root, hips[side], yaw, ankle)
+    local = _upper_body(rest, c, pelvis)
+    for foot, hip in zip(feet, hips, strict=True):
+        local |= _leg(rest, foot, c, pelvis, root + hip, yaw)
     rotations = np.stack([local[n].as_matrix() for n in skeleton.names], axis=1)
     return skeleton.transforms(root, rotations)
 
 
 @dataclasses.dataclass(eq=False)
 class _Foot:
-    """A foot: its place beside the hips, and its position, direction and height at every sample."""
+    """A foot: where it should be and is at every sample, and what it does now."""
 
-    home: Float
-    turnout: Float
-    place: Float = dataclasses.field(init=False)
-    yaw: Float = dataclasses.field(init=False)
-    height: Float = dataclasses.field(init=False)
+    side: str
+    goal: Float  # (n, 2) place beside the hips, ahead of a body that moves
+    facing: Float
+    place: Float  # (n, 2)
+    yaw: Float
+    height: Float
+    now: Float  # place and direction at the present sample
+    turned: float
+    # A step: sample, place and direction at which it began, and its seconds; None: it stands.
+    step: tuple[int, Float, float, float] | None = None
+
+    def far(self, k: int, scale: float) -> float:
+        """Distance from place and direction at sample `k`, relative to that at which it steps."""
+        off = self.goal[k] - self.now
+        askew = abs(math.remainder(self.facing[k] - self.turned, math.tau))
+        return math.hypot(*off) / (_STRIDE * scale) + askew / _ASKEW
 
 
 def _walk(
-    feet: dict[str, _Foot],
-    c: dict[str, Float],
-    path: Float,
-    velocity: Float,
-    yaw: Float,
-    scale: float,
-) -> None:
-    """Move both feet (in place): they stand still, and step when the body is too far from them."""
+    c: dict[str, Float], path: Float, velocity: Float, yaw: Float, scale: float
+) -> tuple[_Foot, _Foot]:
+    """Left and right foot: they stand still, and step when the body is too far from them."""
     count = len(yaw)
     speed = np.linalg.norm(velocity, axis=1)
     duration = np.clip(_STEP[1] - _HURRY * speed, *_STEP)
     airborne = c["air"] > 1e-3  # metres
-    goal, facing, placed, turned, swing = {}, {}, {}, {}, {}
-    for side, foot in feet.items():
-        # Half a stride ahead of the body, so that the foot is under it in mid-stance.
-        ahead = velocity * (0.5 * duration + _AHEAD)[:, None]
-        goal[side] = path + _turn(yaw, foot.home, np.zeros(count)) + ahead
-        facing[side] = yaw + foot.turnout
-        placed[side], turned[side] = goal[side][0].copy(), float(facing[side][0])
-        swing[side] = (-1.0, placed[side], turned[side], 0.0)
-        foot.place, foot.height = np.empty((count, 2)), np.zeros(count)
-        foot.yaw = np.empty(count)
+    # Half a stride ahead of the body, so that the foot is under it in mid-stance.
+    ahead = velocity * (0.5 * duration + _AHEAD)[:, None]
+
+    def foot_of(side: str, sign: float) -> _Foot:
+        home = sign * (0.5 * _STANCE + 0.5 * c["width"]) * scale
+        goal = path + _turn(yaw, home, np.zeros(count)) + ahead
+        facing, place = yaw + sign * c["turnout"], np.empty((count, 2))
+        return _Foot(
+            side, goal, facing, place, np.empty(count), np.zeros(count), goal[0], facing[0]
+        )
+
+    left, right = foot_of("l", 1.0), foot_of("r", -1.0)
     for k in range(count):
-        for side, other in (("l", "r"), ("r", "l")):
-            foot = feet[side]
+        for foot, other in ((left, right), (right, left)):
             step_yaw = yaw[k] - yaw[k - 1] if k else 0.0
             follow = 1.0 if airborne[k] else float(c["pivot"][k])
-            begun, start, start_yaw, length = swing[side]
-            if begun < 0:
+            if foot.step is None:
                 if follow > 0 and k:
-                    arm = placed[side] - path[k - 1]
+                    arm = foot.now - path[k - 1]
                     turn = _turn(np.array([step_yaw * follow]), arm[:1], arm[1:])[0]
-                    placed[side] = path[k - 1] + turn
-                    placed[side] = placed[side] + follow * (path[k] - path[k - 1])
-                    turned[side] += step_yaw * follow
-                if c[f"free_{side}"][k] > _RAISED[1]:
+                    foot.now = path[k - 1] + turn
+                    foot.now = foot.now + follow * (path[k] - path[k - 1])
+                    foot.turned += step_yaw * follow
+                if c[f"free_{foot.side}"][k] > _RAISED[1]:
                     # A raised leg comes down at its place beside the hips.
-                    placed[side], turned[side] = goal[side][k].copy(), float(facing[side][k])
-                far = _far(side, goal, facing, placed, turned, k, scale)
-                partner = _far(other, goal, facing, placed, turned, k, scale)
-                free = swing[other][0] < 0 and c[f"free_{other}"][k] < _RAISED[0]
-                if far > 1 and far >= partner and free and not airborne[k]:
-                    swing[side] = (k, placed[side].copy(), turned[side], duration[k])
-            if swing[side][0] >= 0:
-                begun, start, start_yaw, length = swing[side]
+                    foot.now, foot.turned = foot.goal[k], foot.facing[k]
+                far = foot.far(k, scale)
+                free = other.step is None and c[f"free_{other.side}"][k] < _RAISED[0]
+                if far > 1 and far >= other.far(k, scale) and free and not airborne[k]:
+                    foot.step = (k, foot.now, foot.turned, duration[k])
+            if foot.step is not None:
+                begun, start, start_yaw, length = foot.step
                 t = min(1.0, (k - begun) / (length * RATE))
                 s = t * t * (3 - 2 * t)
-                placed[side] = (1 - s) * start + s * goal[side][k]
-                turn_by = math.remainder(facing[side][k] - start_yaw, math.tau)
-                turned[side] = start_yaw + s * turn_by
-                stride = math.hypot(*(goal[side][k] - start))
+                foot.now = (1 - s) * start + s * foot.goal[k]
+                turn_by = math.remainder(foot.facing[k] - start_yaw, math.tau)
+                foot.turned = start_yaw + s * turn_by
+                stride = math.hypot(*(foot.goal[k] - start))
                 rise = _LIFT[0] + _LIFT[1] * min(stride, _STRIDES)
                 foot.height[k] = rise * math.sin(math.pi * t) ** 2
                 if t >= 1:
-                    swing[side] = (-1.0, placed[side], turned[side], 0.0)
-            foot.place[k], foot.yaw[k] = placed[side], turned[side]
-    for foot in feet.values():
+                    foot.step = None
+            foot.place[k], foot.yaw[k] = foot.now, foot.turned
+    for foot in (left, right):
         foot.height = foot.height * scale + c["air"] * scale
-
-
-def _far(
-    side: str,
-    goal: dict[str, Float],
-    facing: dict[str, Float],
-    placed: dict[str, Float],
-    turned: dict[str, float],
-    k: int,
-    scale: float,
-) -> float:
-    """Distance of a foot from its place and direction, relative to that at which it steps."""
-    off = goal[side][k] - placed[side]
-    askew = abs(math.remainder(facing[side][k] - turned[side], math.tau))
-    return math.hypot(*off) / (_STRIDE * scale) + askew / _ASKEW
+    return left, right
 
 
 def _leg(
-    local: dict[str, Rotation],
-    skeleton: Skeleton,
-    side: str,
+    rest: dict[str, Float],
     foot: _Foot,
     c: dict[str, Float],
     pelvis: Rotation,
-    root: Float,
     hip: Float,
     yaw: Float,
-    ankle: float,
-) -> None:
-    rest = {n: skeleton.rest[skeleton.index(f"{n}_{side}")] for n in ("thigh", "shin", "foot")}
+) -> dict[str, Rotation]:
+    """Rotations of a leg's joints that bring its foot from the hip to its place."""
+    side = foot.side
     sign = 1.0 if side == "l" else -1.0
-    bone = [rest["shin"] - rest["thigh"], rest["foot"] - rest["shin"]]
+    ankle = rest[f"foot_{side}"]
+    bone = [rest[f"shin_{side}"] - rest[f"thigh_{side}"], ankle - rest[f"shin_{side}"]]
     upper, lower = (float(np.linalg.norm(b)) for b in bone)
-    target = np.stack([foot.place[:, 0], ankle + foot.height, foot.place[:, 1]], axis=1)
-    way = target - (root + hip)
+    target = np.stack([foot.place[:, 0], ankle[1] + foot.height, foot.place[:, 1]], axis=1)
+    way = target - hip
     distance = np.linalg.norm(way, axis=1)
     longest = _STRETCHED * (upper + lower)
     raised = np.maximum(distance - longest, 0.0)
@@ -236,17 +222,22 @@ def _leg(
     swing = pelvis * Rotation.from_euler(
         "ZX", np.stack([sign * c[f"open_{side}"], -c[f"flex_{side}"]], axis=1)
     )
-    thigh = _blend(thigh, swing * _straight(bone[0]), free)
-    free_shin = swing * Rotation.from_euler("x", c[f"knee_{side}"][:, None]) * _straight(bone[1])
+    thigh = _blend(thigh, swing * _aim(bone[0], _DOWN, _FRONT), free)
+    free_shin = swing * Rotation.from_euler("x", c[f"knee_{side}"][:, None])
+    free_shin = free_shin * _aim(bone[1], _DOWN, _FRONT)
     shin = _blend(shin, free_shin, free)
     pointed = free_shin * Rotation.from_euler("x", np.full((len(yaw), 1), 0.5))
     foot_world = _blend(flat, pointed, free)
-    local[f"thigh_{side}"] = pelvis.inv() * thigh
-    local[f"shin_{side}"] = thigh.inv() * shin
-    local[f"foot_{side}"] = shin.inv() * foot_world
+    return {
+        f"thigh_{side}": pelvis.inv() * thigh,
+        f"shin_{side}": thigh.inv() * shin,
+        f"foot_{side}": shin.inv() * foot_world,
+    }
 
 
-def _upper_body(skeleton: Skeleton, c: dict[str, Float], pelvis: Rotation) -> dict[str, Rotation]:
+def _upper_body(
+    rest: dict[str, Float], c: dict[str, Float], pelvis: Rotation
+) -> dict[str, Rotation]:
     third = np.stack([c["wring"], c["bend"], c["lean"]], axis=1) / 3
     spine = Rotation.from_euler("YXZ", third)
     half = Rotation.from_euler("YX", np.stack([c["look"], c["nod"]], axis=1) / 2)
@@ -259,8 +250,7 @@ def _upper_body(skeleton: Skeleton, c: dict[str, Float], pelvis: Rotation) -> di
         "head": half,
     }
     for side, sign in (("l", 1.0), ("r", -1.0)):
-        rest = {n: skeleton.rest[skeleton.index(f"{n}_{side}")] for n in ("arm", "forearm", "hand")}
-        upper = _unit(rest["forearm"] - rest["arm"])
+        upper = _unit(rest[f"forearm_{side}"] - rest[f"arm_{side}"])
         reach, sweep = c[f"reach_{side}"] + 0.75, c[f"sweep_{side}"]
         # From straight down, outward or forward, to straight up.
         toward = np.stack(
@@ -305,16 +295,8 @@ def _frame(along: Float, pole: Float) -> Float:
 
 def _aim(rest: Float, along: Float, pole: Float) -> Rotation:
     """World rotations of a bone's rest direction to `along` and of its front towards `pole`."""
-    base = _frame(rest, np.array([0.0, 0.0, 1.0]))
+    base = _frame(rest, _FRONT)
     return Rotation.from_matrix(_frame(along, pole) @ base.T)
-
-
-def _straight(bone: Float) -> Rotation:
-    """Rotation of a bone's rest direction to straight down."""
-    return Rotation.from_matrix(
-        _frame(np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0]))
-        @ _frame(bone, np.array([0.0, 0.0, 1.0])).T
-    )
 
 
 def _arc(a: Float, b: Float) -> Rotation:

@@ -19,6 +19,7 @@ __all__ = ["BodyArrays", "ClothArrays", "Step", "simulate_frames"]
 
 _GRAVITY = REAL(9.81)  # m/s², along -y
 _PAIRS = 20  # most pairs of the self-contact, per vertex
+_PAIR_STEPS = 4  # substeps for which they are kept
 
 
 class BodyArrays(NamedTuple):
@@ -61,7 +62,6 @@ class Step(NamedTuple):
     push: Any  # the longest push out of the body in a substep
     reach: Any  # distance within which contact is searched
     thickness: Any  # distance that the cloth keeps from itself; 0: no self-contact
-    pair_steps: int  # substeps for which the pairs of the self-contact are kept
 
 
 @kernel
@@ -131,7 +131,7 @@ def simulate_frames(
                 bend(x, previous, cloth.hinges, step.damping, buffer)
                 stretch(x, cloth.edges, buffer)
                 if step.thickness > 0:
-                    if (block * per_block + substep) % step.pair_steps == 0:
+                    if (block * per_block + substep) % _PAIR_STEPS == 0:
                         n_pairs = find_pairs(
                             x, cloth.weights, cloth.near, cloth.near_starts, step.thickness, pairs
                         )

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -19,25 +20,9 @@ def rigid(vertices, faces, joints=None, count=1):
     return Skinning(vertices, j[:, None], np.ones((len(j), 1)), still, faces=faces)
 
 
-def sphere(rings=12, columns=16, radius=1.0, centre=(0, 0, 0)):
-    angle = 2 * np.pi * np.arange(columns) / columns
-    tilt = np.pi * np.arange(1, rings) / rings
-    ring = [
-        np.stack(
-            [np.sin(t) * np.cos(angle), np.sin(t) * np.sin(angle), np.full(columns, np.cos(t))], -1
-        )
-        for t in tilt
-    ]
-    v = np.concatenate([*ring, [[0, 0, 1], [0, 0, -1]]])
-    top, bottom, faces = len(v) - 2, len(v) - 1, []
-    last = (rings - 2) * columns
-    for c in range(columns):
-        d = (c + 1) % columns
-        faces += [[top, c, d], [bottom, last + d, last + c]]
-        for r in range(rings - 2):
-            a, b = r * columns, (r + 1) * columns
-            faces += [[a + c, b + c, b + d], [a + c, b + d, a + d]]
-    return radius * v + np.array(centre), np.array(faces)
+def sphere(rings=12, columns=16, radius=1.0):
+    mesh = trimesh.creation.uv_sphere(radius, (rings, columns))
+    return mesh.vertices, mesh.faces
 
 
 def two_spheres(distance):
@@ -60,25 +45,12 @@ def plane(n, size, z=0.0):
 
 
 def naive_signed_distance(points, vertices, faces):
-    """All pairs: closest point by every feature in turn, sign by the sum of solid angles."""
+    """All pairs: trimesh's closest points, sign by the sum of solid angles."""
     out = np.empty(len(points))
     tri = vertices[faces]
     for i, p in enumerate(points):
-        best = np.linalg.norm(tri - p, axis=2).min()
-        for a, b in ((0, 1), (1, 2), (2, 0)):
-            u = tri[:, b] - tri[:, a]
-            s = (((p - tri[:, a]) * u).sum(1) / (u * u).sum(1)).clip(0, 1)
-            best = min(best, np.linalg.norm(tri[:, a] + s[:, None] * u - p, axis=1).min())
-        n = np.cross(tri[:, 1] - tri[:, 0], tri[:, 2] - tri[:, 0])
-        n /= np.linalg.norm(n, axis=1)[:, None]
-        h = ((p - tri[:, 0]) * n).sum(1)
-        foot = p - h[:, None] * n
-        over = np.ones(len(tri), bool)
-        for a, b in ((0, 1), (1, 2), (2, 0)):
-            side = np.cross(tri[:, b] - tri[:, a], foot - tri[:, a])
-            over &= (side * n).sum(1) >= 0
-        if over.any():
-            best = min(best, np.abs(h[over]).min())
+        closest = trimesh.triangles.closest_point(tri, np.tile(p, (len(tri), 1)))
+        best = np.linalg.norm(closest - p, axis=1).min()
         a, b, c = (tri[:, k] - p for k in range(3))
         la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
         det = (a * np.cross(b, c)).sum(1)

@@ -56,7 +56,6 @@ def store(tmp_path: Path) -> ClipStore:
         skeleton=SKELETON,
         mirror_vertices=MIRROR,
         pinned=[False, False, False, False, True],
-        attributes={"scene": "strip"},
     )
 
 

@@ -117,9 +117,9 @@ def test_what_the_body_carries_is_found_in_rounded_clips(toy_store, tmp_path, st
     assert found.index.tolist() == bound.tolist()
 
 
-def test_bones_of_named_clips_alone(toy_store, tmp_path):
+def test_bones_of_named_clips_alone(toy_store):
     some = {"count": 4, "influences": 2, "effort": "fast", "frames": 40}
     for motions, expected in (("base-*", {"base"}), ("train-0", {"base", "set0", "set3"})):
-        bones = virtual_bones(toy_store, BoneOptions(motions=motions, **some), folder=tmp_path)
+        bones = virtual_bones(toy_store, BoneOptions(motions=motions, **some))
         assert expected <= {name.split("-")[0] for name in bones.report["clips"]}
         assert motions != "base-*" or all(n.startswith("base-") for n in bones.report["clips"])

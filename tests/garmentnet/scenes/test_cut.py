@@ -131,6 +131,13 @@ def test_a_trouser_leg_stays_on_its_leg_where_legs_cross() -> None:
 @pytest.mark.parametrize(
     "change",
     [
+        {"vertices": 10},
+        {"hem": 0.7},
+        {"top": 0.9},
+        {"flare": -1.0},
+        {"pleats": 100},
+        {"pleat_depth": 0.9},
+        {"clearance": 0.0},
         {"armpit": 0.9},
         {"armpit": 0.735, "sleeves": 0.2},
         {"sleeves": 0.5},

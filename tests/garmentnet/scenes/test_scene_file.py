@@ -13,8 +13,7 @@ pytest.importorskip("zarr")
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.scenes.cut import Cut
 from garmentnet.scenes.dataset import recorded_motions
-from garmentnet.scenes.scene import DataSet
-from garmentnet.scenes.scene_file import load_data_set
+from garmentnet.scenes.scene_file import DataSet, load_data_set
 from ssdr.errors import FormatError
 
 SCENE = """
@@ -53,23 +52,21 @@ def test_presets_hold_what_is_promised() -> None:
     small = load_data_set("small")
     assert isinstance(small.garment, Cut)
     assert 2000 <= small.garment.vertices <= 3000
-    assert len(small.motions) >= 30
-    assert sum(m.frames for m in small.motions) >= 9000
-    names = [m.name for m in small.motions]
+    assert len(small.sources[0]) >= 30
+    assert sum(m.frames for m in small.sources[0]) >= 9000
+    names = [m.name for m in small.sources[0]]
     assert len(set(names)) == len(names)
-    assert {m.split for m in small.motions} == {"train", "validation", "test"}
-    splits = [s.split for s in small.sets]
+    assert {m.split for m in small.sources[0]} == {"train", "validation", "test"}
+    splits = [s.split for s in small.set]
     assert (splits.count("train"), splits.count("validation"), splits.count("test")) == (9, 1, 2)
     for split, least in (("train", 500), ("test", 200)):
-        for motions in small.set_motions:
+        for motions in small.sources[1:]:
             assert sum(m.frames for m in motions if m.split == split) >= least
-    every = [s.parameters for s in (*small.sets, small.base)]
+    every = [s.parameters for s in small.sets]
     assert len(set(every)) == 13
     assert all(p.outside() == () for p in every)
     # Training sets reach every end of the range; tests lie between.
-    learnt = np.array(
-        [p.parameters.normalised() for p in (*small.sets, small.base) if p.split == "train"]
-    )
+    learnt = np.array([p.normalised() for p in small.sets if p.split == "train"])
     asked = np.array([p.parameters.normalised() for p in small.sets if p.split == "test"])
     np.testing.assert_allclose(learnt.min(axis=0), -1, atol=1e-9)
     np.testing.assert_allclose(learnt.max(axis=0), 1, atol=1e-9)
@@ -81,29 +78,31 @@ def test_presets_hold_what_is_promised() -> None:
 
 def test_medium_holds_what_is_promised() -> None:
     medium, small = load_data_set("medium"), load_data_set("small")
-    base = [s for s in medium.scenes() if s.parameters == medium.base]
+    base = [s for s in medium.scenes() if s.parameters.name == "base"]
     frames = {
         split: sum(s.motion.frames for s in base if s.motion.split == split)
         for split in ("train", "validation")
     }
     assert frames["train"] >= 64_000
-    seeds = [m.seed for m in medium.motions]
+    seeds = [m.seed for m in medium.sources[0]]
     assert len(set(seeds)) == len(seeds)
-    of_split = {k: [m for m in medium.motions if m.split == k] for k in ("validation", "test")}
+    of_split = {k: [m for m in medium.sources[0] if m.split == k] for k in ("validation", "test")}
     assert len(of_split["validation"]) == 8
     test = [m for m in of_split["test"] if m.name.startswith("dance")]
     assert len(test) == 24
     # The second test: the motions of small's test clips.
     second = [m for m in of_split["test"] if m.name.startswith("small")]
     body = medium.make_body()
-    for ours, theirs in zip(second, [m for m in small.motions if m.split == "test"], strict=True):
+    for ours, theirs in zip(
+        second, [m for m in small.sources[0] if m.split == "test"], strict=True
+    ):
         np.testing.assert_array_equal(
             ours.make(body, medium.fps).joints, theirs.make(body, small.fps).joints
         )
     # Training sets: motions of their own; the others: motions that the base trains on.
-    assert len(medium.sets) == 12
-    used = {m.seed for m in medium.motions if m.split != "test"}
-    for parameters, motions in zip(medium.sets, medium.set_motions, strict=True):
+    assert len(medium.set) == 12
+    used = {m.seed for m in medium.sources[0] if m.split != "test"}
+    for parameters, motions in zip(medium.set, medium.sources[1:], strict=True):
         assert tuple(m for m in motions if m.split == "test") == tuple(test[:3])
         own = [m for m in motions if m.split == "train"]
         if parameters.split == "train":
@@ -111,10 +110,12 @@ def test_medium_holds_what_is_promised() -> None:
             assert not used & {m.seed for m in own}
             used |= {m.seed for m in own}
         else:
-            assert {m.seed for m in own} <= {m.seed for m in medium.motions if m.split == "train"}
+            assert {m.seed for m in own} <= {
+                m.seed for m in medium.sources[0] if m.split == "train"
+            }
     moved = [s for s in medium.scenes() if s.perturbation]
     assert len(moved) == 30
-    assert all(s.parameters == medium.base for s in moved)
+    assert all(s.parameters.name == "base" for s in moved)
 
 
 @pytest.mark.parametrize(
@@ -123,21 +124,19 @@ def test_medium_holds_what_is_promised() -> None:
 def test_garments_share_their_motions(name: str) -> None:
     data_set, medium = load_data_set(name), load_data_set("medium")
     assert data_set.name == name
-    assert data_set.motions == load_data_set("dress").motions
-    assert set(data_set.motions) < set(medium.motions)
-    assert sum(m.frames for m in data_set.motions if m.split == "train") >= 40_000
-    tests = [m for m in medium.motions if m.split == "test" and m.name.startswith("dance")]
-    assert [m for m in data_set.motions if m.split == "test"] == tests
+    assert data_set.sources[0] == load_data_set("dress").sources[0]
+    assert set(data_set.sources[0]) < set(medium.sources[0])
+    assert sum(m.frames for m in data_set.sources[0] if m.split == "train") >= 40_000
+    tests = [m for m in medium.sources[0] if m.split == "test" and m.name.startswith("dance")]
+    assert [m for m in data_set.sources[0] if m.split == "test"] == tests
     assert data_set.base == medium.base
 
 
 def test_parameter_sets_share_their_motions() -> None:
     found = load_data_set("parameters")
-    assert [s.split for s in found.sets] == ["train"] * 7 + ["test"] * 2
-    assert all(motions == found.motions for motions in found.set_motions)
-    learnt = np.array(
-        [s.parameters.normalised() for s in (found.base, *found.sets) if s.split == "train"]
-    )
+    assert [s.split for s in found.set] == ["train"] * 7 + ["test"] * 2
+    assert all(motions == found.sources[0] for motions in found.sources[1:])
+    learnt = np.array([s.parameters.normalised() for s in found.sets if s.split == "train"])
     np.testing.assert_allclose(learnt.min(axis=0), -1, atol=1e-9)
     np.testing.assert_allclose(learnt.max(axis=0), 1, atol=1e-9)
     unseen = [s.parameters for s in found.sets if s.split == "test"]
@@ -147,12 +146,12 @@ def test_parameter_sets_share_their_motions() -> None:
 
 def test_live_is_large_and_a_part_of_parameters() -> None:
     live, large, whole = (load_data_set(n) for n in ("live", "large", "parameters"))
-    assert set(live.motions) < set(large.motions)
-    assert [m for m in large.motions if m not in live.motions] == [
-        m for m in large.motions if m.name.startswith("small")
+    assert set(live.sources[0]) < set(large.sources[0])
+    assert [m for m in large.sources[0] if m not in live.sources[0]] == [
+        m for m in large.sources[0] if m.name.startswith("small")
     ]
-    assert live.sets == whole.sets
-    assert all(set(some) < set(whole.motions) for some in live.set_motions)
+    assert live.set == whole.set
+    assert all(set(some) < set(whole.sources[0]) for some in live.sources[1:])
 
 
 def test_a_file_like_a_preset(tmp_path: Path) -> None:
@@ -168,10 +167,10 @@ def test_a_file_like_a_preset(tmp_path: Path) -> None:
 
 def test_large_is_medium_and_more() -> None:
     large, medium = load_data_set("large"), load_data_set("medium")
-    assert set(medium.motions) < set(large.motions)
-    train = [m for m in large.motions if m.split == "train"]
+    assert set(medium.sources[0]) < set(large.sources[0])
+    train = [m for m in large.sources[0] if m.split == "train"]
     assert sum(m.frames for m in train) >= 1_000_000
-    assert len({m.seed for m in large.motions}) == len(large.motions)
+    assert len({m.seed for m in large.sources[0]}) == len(large.sources[0])
     assert [s.name for s in large.scenes() if s.perturbation] == [
         s.name for s in medium.scenes() if s.perturbation
     ]
@@ -180,8 +179,8 @@ def test_large_is_medium_and_more() -> None:
 def test_short_motions_begin_the_long_ones() -> None:
     tiny = load_data_set("tiny")
     body = tiny.make_body()
-    for short in tiny.set_motions[0]:
-        (whole,) = (m for m in tiny.motions if m.name == short.name)
+    for short in tiny.sources[1]:
+        (whole,) = (m for m in tiny.sources[0] if m.name == short.name)
         long = whole.make(body, tiny.fps)
         np.testing.assert_array_equal(
             short.make(body, tiny.fps).joints, long.joints[: short.frames]
@@ -191,7 +190,7 @@ def test_short_motions_begin_the_long_ones() -> None:
 def test_test_clips_are_paired() -> None:
     tiny = load_data_set("tiny")
     moved = [s for s in tiny.scenes() if s.perturbation > 0]
-    assert len(moved) == 1 + len(tiny.sets)
+    assert len(moved) == 1 + len(tiny.set)
     names = {s.name: s for s in tiny.scenes()}
     for scene in moved:
         assert names[scene.repeat_of].motion == scene.motion
@@ -211,9 +210,9 @@ def test_recorded_motions_reach_every_split(data_dir: Path) -> None:
     assert all(len(splits) == 1 for splits in by_file.values())
     motion = found[1].make(tiny.make_body(), tiny.fps)
     assert motion.n_frames == found[1].frames
-    assert len(tiny.with_motions(found).scenes()) > len(tiny.scenes())
+    assert len(tiny.scenes(found)) > len(tiny.scenes())
     # No path of the machine in what is stored.
-    scene = tiny.with_motions(found).scenes()[len(tiny.motions)]
+    scene = tiny.scenes(found)[len(tiny.sources[0])]
     assert str(folder) not in str(scene.provenance())
 
 

@@ -127,7 +127,7 @@ def test_perturbation_has_its_size_and_is_smooth() -> None:
 def test_the_gate_says_why(spin: Motion) -> None:
     made = simulate(CLOTH, spin, BASE).vertices
     none = np.full(made.shape[:2], -1.0)
-    strict = judge(DRESS, spin, made, none, Gate(stretch_p99=1.0, speed=0.0))
+    strict = judge(DRESS, spin, made, none, Gate(stretch_p99=1.0, speed_max=0.0))
     assert not strict.accepted
     assert "stretch_p99" in strict.reason
     assert "speed" in strict.reason

@@ -1,0 +1,183 @@
+"""Where the motions of a data set come from: the generator of dances, or BVH files."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import get_args
+
+from ssdr.checks import LARGEST
+from ssdr.errors import InputError
+
+from ..data.bvh import read_bvh
+from ..data.clip_files import Split
+from ..data.motion import Motion
+from ..data.retarget import retarget
+from ..io.tables import check_numbers
+from .body import Body
+from .dance.choreography import DANCE_CLASSES, Repertoire, dance
+
+__all__ = ["SPLITS", "Dances", "DancesOfSplits", "MotionSource"]
+
+SPLITS: tuple[Split, ...] = get_args(Split)
+_SEEDS_OF_A_BLOCK = 1000
+_FROM_1 = (1, LARGEST)
+
+
+@dataclasses.dataclass(frozen=True)
+class MotionSource:
+    """Source of a motion: the generator of dances or a BVH file.
+
+    Parameters
+    ----------
+    name : str
+        Name of the motion, which all clips with this motion share.
+    split : {"train", "validation", "test"}
+    seed : int
+        Seed of the generator.
+    frames : int
+    classes : tuple of str
+        Classes of motion for the generator; empty: drawn from the seed.
+    file : str
+        A BVH file, used instead of the generator.
+    start : int
+        First frame of the file, at the scene's frame rate.
+    whole : int
+        Number of frames to generate, of which the first `frames` are used; 0 stands for `frames`.
+        It matters because a shorter dance is not the beginning of a longer one.
+    repertoire : {"basic", "wide"}
+        Repertoire of the generator.
+
+    Raises
+    ------
+    InputError
+        If a number or a class is not usable.
+
+    Examples
+    --------
+    >>> spin = MotionSource("spin", "train", seed=1, frames=20, classes=("spin",))
+    >>> from garmentnet.scenes.body import default_body
+    >>> spin.make(default_body(), fps=30.0).n_frames
+    20
+    """
+
+    name: str = ""
+    split: Split = "train"
+    seed: int = 0
+    frames: int = 300
+    classes: tuple[str, ...] = ()
+    file: str = ""
+    start: int = 0
+    whole: int = 0
+    repertoire: Repertoire = "basic"
+
+    def __post_init__(self) -> None:
+        for c in self.classes:
+            if c not in DANCE_CLASSES:
+                raise InputError("classes", f"some of {', '.join(DANCE_CLASSES)}", c)
+        check_numbers(self, frames=_FROM_1)
+
+    def make(self, body: Body, fps: float) -> Motion:
+        """Generate or read the motion."""
+        if self.file:
+            whole = retarget(read_bvh(self.file), body.skeleton, fps=fps)
+            stop = min(whole.n_frames, self.start + self.frames)
+            return whole.cut(self.start, stop)
+        danced = dance(
+            body.skeleton,
+            seed=self.seed,
+            frames=max(self.frames, self.whole),
+            fps=fps,
+            classes=self.classes or None,
+            repertoire=self.repertoire,
+        )
+        return danced.cut(0, self.frames)
+
+
+@dataclasses.dataclass(frozen=True)
+class Dances:
+    """Dances of the generator whose seeds follow each other.
+
+    Parameters
+    ----------
+    name : str
+        A dance has this name and its seed.
+    split : {"train", "validation", "test"}
+    count, frames : int
+        Number of dances, and the length of each.
+    seed : int
+        Seed of the first.
+    repertoire : {"basic", "wide"}
+    """
+
+    name: str
+    split: Split = "test"
+    count: int = 1
+    frames: int = 300
+    seed: int = 0
+    repertoire: Repertoire = "basic"
+
+    def __post_init__(self) -> None:
+        check_numbers(self, frames=_FROM_1)
+        if not self.name.isidentifier():
+            raise InputError("name", "letters, digits and _", self.name)
+
+    def sources(self) -> list[MotionSource]:
+        """One source for each dance."""
+        split, frames, repertoire = self.split, self.frames, self.repertoire
+        return [
+            MotionSource(f"{self.name}-{seed:04d}", split, seed, frames, repertoire=repertoire)
+            for seed in range(self.seed, self.seed + self.count)
+        ]
+
+
+@dataclasses.dataclass(frozen=True)
+class DancesOfSplits:
+    """Dances for all splits, and those that further parameter sets repeat.
+
+    Parameters
+    ----------
+    train, validation, test : int
+        Numbers of dances under the base parameters.
+    frames : int
+    seed : int
+    repertoire : {"basic", "wide"}
+    train_frames : int
+        Frames of a training dance, which may be longer, since settling takes as long for a short
+        one; 0 stands for `frames`.
+    set_train, set_validation, set_test : int
+        Numbers of the base's dances in each split that a further parameter set repeats.
+    set_frames : int
+        How many frames of each; 0: all.
+    set_own : int
+        Number of dances that a further training set has for itself, instead of the base's first.
+    """
+
+    train: int
+    validation: int = 0
+    test: int = 0
+    frames: int = 300
+    seed: int = 0
+    repertoire: Repertoire = "basic"
+    train_frames: int = 0
+    set_train: int = 0
+    set_validation: int = 0
+    set_test: int = 0
+    set_frames: int = 0
+    set_own: int = 0
+
+    def __post_init__(self) -> None:
+        check_numbers(self, train=_FROM_1, frames=_FROM_1)
+        for split in SPLITS:
+            count, most = getattr(self, f"set_{split}"), getattr(self, split)
+            if count > most:
+                raise InputError(f"set_{split}", f"at most {most}, as {split}", count)
+
+    def sources(self, split: Split, seed: int, block: int, count: int) -> list[MotionSource]:
+        """So many dances of a split.
+
+        Each split, and each further parameter set after them, has a `block` of seeds of its own, so
+        that one can grow without changing the others.
+        """
+        frames = (split == "train" and self.train_frames) or self.frames
+        first = self.seed + seed + _SEEDS_OF_A_BLOCK * block
+        return Dances("dance", split, count, frames, first, self.repertoire).sources()
