@@ -355,13 +355,15 @@ def _curve(run: Reproduction) -> str:
 
 
 def _bones(run: Reproduction) -> str:
-    """Error by number of virtual bones."""
-    rows = []
+    """Error by number of virtual bones, on the first dress."""
+    store, usual, rows = _DRESSES[0], run.config("rooted", _EQUAL), []
     for count in _BONES:
-        config = run.config("rooted", _EQUAL, f"bones.count={count}")
-        name = f"bones-{count}"
-        methods = [run.method("large", name, config), run.bound("large", config)]
-        network, bound = (r["all"] for r in run.scores("large", name, config, methods)["rows"])
+        config = override(usual, [f"bones.count={count}"])
+        # With the usual number it is the network of table 2.
+        name = "rooted" if config == usual else f"bones-{count}"
+        methods = [run.method(store, name, config), run.bound(store, config)]
+        record = run.scores(store, f"bones-{count}", config, methods)
+        network, bound = (r["all"] for r in record["rows"])
         figures = [network["low"]["rmse"], network["high"]["rmse"], bound["low"]["rmse"]]
         rows.append([str(count), *(f"{x:.2f}" for x in figures)])
     return markdown(["bones", "low RMSE", "high RMSE", "LBS itself"], rows) + "\n"
