@@ -358,7 +358,7 @@ def _bones(run: Reproduction) -> str:
     """Error by number of virtual bones, on the first dress."""
     store, usual, rows = _DRESSES[0], run.config("rooted", _EQUAL), []
     for count in _BONES:
-        config = override(usual, [f"bones.count={count}"])
+        config = run.config("rooted", _EQUAL, f"bones.count={count}")
         # With the usual number it is the network of table 2.
         name = "rooted" if config == usual else f"bones-{count}"
         methods = [run.method(store, name, config), run.bound(store, config)]
