@@ -12,10 +12,6 @@ from ssdr.errors import InputError
 from ..data.motion import Motion
 from ..data.parameters import SimulationParameters
 from ..data.subject import Subject
-from ..prediction.output import save_prediction
-from ..prediction.prediction import predict_live
-from ..prediction.rigged import rigged, save_rigged
-from ..runtime import load_live
 from ..scenes.body import default_body
 from ..scenes.dance.choreography import dance
 from .progress import Show
@@ -56,7 +52,7 @@ def made_dance(
 
 
 def run_demo(folder: Path | str, *, progress: Show | None = None) -> dict[str, Any]:
-    """Dress a dance with the garment that ships; needs neither simulation, training nor torch.
+    """Dress a dance with the garment that ships; needs neither simulation nor training.
 
     Parameters
     ----------
@@ -70,15 +66,20 @@ def run_demo(folder: Path | str, *, progress: Show | None = None) -> dict[str, A
     dict
         ``seconds`` of every step and the ``files``.
     """
+    from ..networks.checkpoint import load_checkpoint
+    from ..prediction.output import save_prediction
+    from ..prediction.prediction import predict
+    from ..prediction.rigged import rigged, save_rigged
+
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     show = progress or (lambda text, done: None)
     times = [time.perf_counter()]
     show("predicting", 0.0)
-    garment = load_live("dress")
-    joints = made_dance(garment.subject).joints
-    result = predict_live(garment, joints, SimulationParameters(), name="dress")
-    save_rigged(rigged(result, garment.subject.skeleton), folder / "dress.glb")
+    checkpoint = load_checkpoint("dress")
+    joints = made_dance(checkpoint.subject).joints
+    result = predict(checkpoint, joints, SimulationParameters(), name="dress")
+    save_rigged(rigged(result, checkpoint.subject.skeleton), folder / "dress.glb")
     times.append(time.perf_counter())
     files = [folder / f"dress.{suffix}" for suffix in ("png", "npz", "mp4")]
     for path in files:
@@ -118,6 +119,7 @@ def run_pipeline(folder: Path | str, *, progress: Show | None = None) -> dict[st
     from ..evaluation.scores import evaluate
     from ..evaluation.tables import score_table
     from ..networks.checkpoint import load_checkpoint
+    from ..prediction.output import save_prediction
     from ..prediction.prediction import predict
     from ..scenes.dataset import make_data_set
     from ..scenes.scene_file import load_data_set

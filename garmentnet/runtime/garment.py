@@ -199,14 +199,6 @@ class LiveGarment:
             skin(transforms, frame, rest, indices, weights, where, added, out)
         return out
 
-    def transforms(self, state: LiveState, pose: NDArray[np.float64]) -> NDArray[np.float64]:
-        """World transforms ``(B, 3, 4)`` of the virtual bones in a state, on a body in a pose."""
-        frame = np.empty((3, 4))
-        moving_frame(pose, self.subject.skeleton.rest, self._frame, frame)
-        moved = frame[:, :3] @ state.bones.reshape(-1, 3, 4)
-        moved[..., 3] += frame[:, 3]
-        return np.asarray(moved, np.float64)
-
     def _weigh(self, parameters: SimulationParameters | None) -> tuple[Single, Single]:
         if not self.reads_parameters:
             return np.ones(1, np.float32), np.zeros(0, np.float32)
