@@ -163,7 +163,7 @@ def predict(
 
     from ..collision.push_out import is_closed
     from ..networks.checkpoint import load_checkpoint
-    from ..prediction.motion_file import read_clip, read_joints
+    from ..prediction.motion_file import read_motion
     from ..prediction.output import check_output, save_prediction
     from ..prediction.prediction import chosen_parameters
     from ..prediction.prediction import predict as run
@@ -173,8 +173,9 @@ def predict(
     model = load_checkpoint(checkpoint)
     entered = entered_parameters(bending, density, time_scale)
     parameters = chosen_parameters(model, entered)
-    joints = read_joints(motion, model)
-    clip = read_clip(motion, model) if truth else None
+    joints, clip = read_motion(motion, model)
+    if not truth:
+        clip = None
     began = time.perf_counter()
     with warnings.catch_warnings():
         warnings.showwarning = lambda message, *_: typer.echo(f"warning: {message}", err=True)
