@@ -1,4 +1,4 @@
-"""Checks that a cloth belongs to a rig: its place, unit, axes and time."""
+"""Check that a cloth belongs to a rig: its place, unit and axes."""
 
 from __future__ import annotations
 
@@ -12,14 +12,12 @@ from ssdr.hierarchy.transforms import rest_diagonal
 
 from .rig import Rig
 
-__all__ = ["check_place", "doubt"]
+__all__ = ["check_place"]
 
 _LOOKED_AT = 8  # number of frames in which the cloth must be at the body
 _FAR = 0.25  # largest median distance from the body, relative to the larger size of the two
 _SMALLEST, _LARGEST = 0.05, 5.0  # bounds of a cloth's size, relative to the body's
 _HUGE = 20.0  # size from which a skeleton's unit cannot be the metre
-_LAGS = 60  # most frames of delay that are tried
-_MOVES = 0.03  # deviation of the root, relative to the body's size, that a cloth must follow
 
 
 def check_place(vertices: NDArray[np.float32], rig: Rig) -> None:
@@ -62,28 +60,3 @@ def check_place(vertices: NDArray[np.float32], rig: Rig) -> None:
         f"a garment on the body, which is {size:.3g} m large, in its unit, axes and place",
         f"one {large:.3g} m large, {far:.3g} m away from it{hint}",
     )
-
-
-def doubt(vertices: NDArray[np.float32], rig: Rig) -> str:
-    """Warning about a cloth ``(F, V, 3)`` that does not move with the rig's root, or ""."""
-    root, middle = rig.skeleton.positions(rig.joints)[:, 0], vertices.mean(axis=1, dtype=np.float64)
-    count = len(middle)
-
-    def deviation(points: NDArray[np.float64]) -> float:
-        return float(np.sqrt(points.var(axis=0).sum()))
-
-    def spread(lag: int) -> float:
-        t = np.arange(max(0, -lag), min(count, count - lag))
-        turn = rig.joints[t + lag, 0, :, :3]
-        return deviation(np.einsum("fba,fb->fa", turn, middle[t] - root[t + lag]))
-
-    most = min(_LAGS, count // 3)
-    best = min(range(-most, most + 1), key=spread)
-    if spread(best) < spread(0) / 2:
-        return (
-            f"it would follow its rig better with its start moved by about {best / rig.fps:.2f} s"
-        )
-    far = deviation(root) > _MOVES * rest_diagonal(rig.body.rest)
-    if far and spread(0) > deviation(middle):
-        return "it does not move with its rig, which may be of another motion"
-    return ""

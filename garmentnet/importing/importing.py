@@ -22,7 +22,7 @@ from ..data.clip_files import Split
 from ..data.motion import CLASSES
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
-from .checks import check_place, doubt
+from .checks import check_place
 from .rig import Rig, rig_of
 from .scene_files import Say, Source, read_cloth, read_rig
 
@@ -121,9 +121,6 @@ def import_clips(
             check_place(vertices, rig)
         except InputError as error:
             raise InputError(error.argument, error.expected, f"{error.got} ({name})") from error
-        doubtful = doubt(vertices, rig)
-        if doubtful:
-            say(f"warning: {name}: {doubtful}")
         if store is None:
             store = _create(target, cloth, rig, o, rest, say)
         _add(store, name, vertices, rig.joints, o, files, say)

@@ -34,13 +34,11 @@ class Rig:
         mesh, it has a vertex at every joint and no faces.
     joints : (F, J, 3, 4) float64
         World transforms from the rest pose.
-    fps : float
     """
 
     skeleton: Skeleton
     body: Skinning
     joints: NDArray[np.float64]
-    fps: float
 
     def is_lying(self) -> bool:
         """Whether the skeleton at rest is longest along z, so that z is probably up."""
@@ -74,7 +72,7 @@ class Rig:
         m = self.joints[:, order]
         shift = m[..., :3] @ turn[:, 3] + m[..., 3]
         moved = np.concatenate([m[..., :3] @ turn[:, :3], shift[..., None]], axis=-1)
-        return Rig(skeleton, body, moved, self.fps)
+        return Rig(skeleton, body, moved)
 
 
 def rig_of(model: Skinning) -> Rig:
@@ -113,7 +111,6 @@ def rig_of(model: Skinning) -> Rig:
         Skeleton(names, above, rest),
         _body(model, np.flatnonzero(moves[:, alone].any(axis=1)), place, rest, names),
         _rigid(transforms, rest, names),
-        model.fps,
     )
 
 
