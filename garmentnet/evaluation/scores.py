@@ -240,12 +240,8 @@ class _Scorer:
         low, high = method.split(clip, self.bones)
         true_low, true_high = self.bones.split(clip.name)
         truth, predicted = true_low + true_high, low + high
-        pairs = {
-            "low": (true_low, low),
-            "high": (truth, true_low + high),
-            "overall": (truth, predicted),
-        }
-        scores = {part: self._compare(*pair) for part, pair in pairs.items()}
+        pairs = (true_low, low), (truth, true_low + high), (truth, predicted)
+        whole, free = zip(*(self._compare(*pair) for pair in pairs), strict=True)
         square = _squares(truth, predicted)
         per_class = {}
         for label in np.unique(clip.classes):
@@ -258,8 +254,8 @@ class _Scorer:
         return Scores(
             clip.name,
             clip.n_frames,
-            Parts(**{part: found[0] for part, found in scores.items()}),
-            Parts(**{part: found[1] for part, found in scores.items()}),
+            Parts(*whole),
+            Parts(*free),
             per_class,
             float(inside.mean()),
             float(inside[:, self.free].mean()),

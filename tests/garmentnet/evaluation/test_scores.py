@@ -69,14 +69,6 @@ def test_known_errors(toy_bones):
     assert "| truth " in score_table([truth, off])
 
 
-def test_low_and_high_add_up_to_the_clip(toy_bones, toy_store):
-    low, high = toy_bones.split(CLIP)
-    whole = toy_store.clip(CLIP).sequence.frames(slice(None))
-    assert np.abs(low + high - whole).max() < 1e-6
-    expected = toy_bones.smoother.smooth(whole)
-    assert np.abs(low - expected).max() < 1e-6
-
-
 def test_mirrored_parts_are_those_of_the_mirrored_clip(toy_bones, toy_store):
     mirrored = toy_store.clip(CLIP).mirrored()
     whole = mirrored.sequence.frames(slice(None))
