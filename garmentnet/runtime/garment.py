@@ -213,7 +213,7 @@ class LiveGarment:
         return (weights / weights.sum()).astype(np.float32), np.zeros(0, np.float32)
 
 
-def _skin_arrays(subject: Subject, detailed: bool) -> tuple[NDArray[Any], ...]:
+def _skin_arrays(subject: Subject, detailed: bool) -> tuple[Single, NDArray[np.int64], Single]:
     # Rest pose (3, V), bones (V, 8) and weights (V, 8), as the kernel takes them.
     rest, bones, weights = subject.skin(smooth=not detailed)
     missing = _INFLUENCES - bones.shape[1]
