@@ -87,8 +87,6 @@ def test_train_then_evaluate_then_predict(toy_store, tmp_path, monkeypatch):
     options = ["--pictures", 0, "--clips", "*-test-1", "--against", "ridge"]
     out = call("evaluate", checkpoint, "--store", toy_store.path, *options)
     assert "Ratios are to ridge." in out
-    with pytest.raises(InputError, match="clips: expected a pattern of test clips"):
-        call("evaluate", checkpoint, "--store", toy_store.path, "--clips", "base-dance-*")
 
     motion = toy_store.path / "clips" / "base-test-0"
     out = call("predict", checkpoint, motion, "-o", tmp_path / "dress.npz")
