@@ -22,7 +22,6 @@ from ..data.clip_files import Split
 from ..data.motion import CLASSES
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
-from .checks import check_place
 from .rig import Rig, rig_of
 from .scene_files import Say, Source, read_cloth, read_rig
 
@@ -118,7 +117,7 @@ def import_clips(
                 _check_faces(cloth, store.faces)
                 rig = rig.matched(store.skeleton, store.body)
             vertices = np.asarray(cloth.vertices, np.float32)
-            check_place(vertices, rig)
+            rig.check_cloth(vertices)
         except InputError as error:
             raise InputError(error.argument, error.expected, f"{error.got} ({name})") from error
         if store is None:
