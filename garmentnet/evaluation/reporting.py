@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import json
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -34,6 +33,7 @@ __all__ = ["fit_baselines", "group_of", "report"]
 
 _NUMBER = re.compile(r"[-_]\d+\Z")
 RECORDED = "recorded"
+_MOTIONS = "unseen motions, "  # beginning of the titles of sections; their groups follow
 # Below so many clips, an interval of the bootstrap is mostly too narrow.
 _FEW_CLIPS = 8
 Progress = Callable[[str, float], None]
@@ -90,7 +90,7 @@ def report(
     first = networks[0].checkpoint
     config, base = first.networks[0].config, _base(first, store)
     reading = [n for n in networks if n.checkpoint.reads_parameters]
-    motions, others = _test_clips(store, base, bool(reading), clips)
+    sections = _sections(store, base, bool(reading), clips)
     fitted = (MeanShape, BodySkinned, Ridge, SANTESTEBAN) if baselines else ()
     names = [m.name for m in (BonesThemselves, *networks, *fitted)]
     against = against or (SANTESTEBAN.name if baselines else networks[0].name)
@@ -108,14 +108,15 @@ def report(
         "groups": {},
     }
     lines = ["RMSE and Hausdorff distance in mm, intervals of 95 % (paired bootstrap over clips)"]
-    for title, names in (motions | others).items():
+    for title, names in sections.items():
         # Baselines do not read parameters.
-        entered = methods if title in motions else [bound, *reading]
+        entered = methods if title.startswith(_MOTIONS) else [bound, *reading]
         rows = evaluate(bones, entered, names, progress=progress)
         lines += _section(title, rows, against, document)
     lines += _chaos(bones, document)
+    motions = [n for title in sections if title.startswith(_MOTIONS) for n in sections[title]]
     for network in networks:
-        for name in list(itertools.chain(*motions.values()))[:pictures]:
+        for name in motions[:pictures]:
             clip, file = store.clip(name), folder / f"{network.name}-{name}.png"
             with writing(file):
                 draw_clip(clip, network.predict(clip), file)
@@ -186,35 +187,30 @@ def group_of(clip: Clip) -> str:
     return _NUMBER.sub("", clip.motion)
 
 
-def _test_clips(
+def _sections(
     store: ClipStore, base: SimulationParameters, unseen_parameters: bool, patterns: Sequence[str]
-) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
-    """Names of the test clips by the title of their section: of motions, and of parameters."""
-    motions: dict[str, list[str]] = {}
+) -> dict[str, list[str]]:
+    """Names of the clips of each section of the report, by its title."""
+    found: dict[str, list[str]] = {}
     for clip in store.clips("test", base):
-        motions.setdefault(f"unseen motions, {group_of(clip)}", []).append(clip.name)
-    if not motions:
+        found.setdefault(_MOTIONS + group_of(clip), []).append(clip.name)
+    if not found:
         raise InputError("store", f"test clips of {base}", str(store.path))
-    others: dict[str, list[str]] = {}
     roles = parameter_roles(store)
     for split in ("train", "test") if unseen_parameters else ():
         of_test = [c.name for c in store.clips(split) if roles[c.parameters] == "test"]
-        others[f"unseen parameters {split}"] = of_test
-    known = sorted({n for names in (motions | others).values() for n in names})
+        found[f"unseen parameters {split}"] = of_test
+    known = sorted({n for names in found.values() for n in names})
     for pattern in patterns:
         if not any(fnmatchcase(name, pattern) for name in known):
             some = ", ".join(known[:8]) + (f" and {len(known) - 8} more" if len(known) > 8 else "")
             raise InputError("clips", f"a pattern of test clips ({some})", repr(pattern))
-
-    def chosen(sections: dict[str, list[str]]) -> dict[str, list[str]]:
-        wanted = patterns or ("*",)
-        found = {
-            title: [n for n in names if any(fnmatchcase(n, p) for p in wanted)]
-            for title, names in sections.items()
-        }
-        return {title: names for title, names in found.items() if names}
-
-    return chosen(motions), chosen(others)
+    wanted = patterns or ("*",)
+    chosen = {
+        title: [n for n in names if any(fnmatchcase(n, p) for p in wanted)]
+        for title, names in found.items()
+    }
+    return {title: names for title, names in chosen.items() if names}
 
 
 def _section(
@@ -224,7 +220,7 @@ def _section(
     names = [r.name for r in rows]
     # If `against` is not scored here, errors are divided by those of the first checkpoint.
     found = intervals(rows, against if against in names else names[1])
-    group, count = title.removeprefix("unseen motions, "), len(rows[0].clips)
+    group, count = title.removeprefix(_MOTIONS), len(rows[0].clips)
     document["groups"][group] = {"rows": [r.as_dict() for r in rows], "intervals": found}
     lines = ["", f"## {title}: {count} clips, {rows[0].frames} frames", ""]
     pinned = any(r.free != r.all for r in rows)
