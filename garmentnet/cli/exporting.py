@@ -41,7 +41,7 @@ def export(
     if suffix not in (".glb", ".gltf"):
         raise InputError("--output", "a file .onnx, .glb or .gltf", str(output))
     from ..networks.checkpoint import load_checkpoint
-    from ..prediction.motion_file import read_joints
+    from ..prediction.motion_file import read_motion
     from ..prediction.prediction import chosen_parameters, predict
     from ..prediction.rigged import rigged, save_rigged
     from .demo import made_dance
@@ -49,7 +49,7 @@ def export(
     checkpoint = load_checkpoint(model)
     parameters = chosen_parameters(checkpoint, entered_parameters(bending, density, time_scale))
     subject = checkpoint.subject
-    joints = read_joints(motion, checkpoint) if motion else made_dance(subject).joints
+    joints = read_motion(motion, checkpoint)[0] if motion else made_dance(subject).joints
     name = motion.stem if motion else "dance"
     result = predict(checkpoint, joints, parameters, push_out=push_out, name=name)
     typer.echo(f"{output}: {save_rigged(rigged(result, subject.skeleton, shapes=shapes), output)}")

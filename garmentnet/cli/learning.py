@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import os
-import time
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,6 +20,12 @@ __all__ = [
     "predict",
     "reproduce",
     "train",
+]
+
+Folder = Annotated[Path | None, typer.Option("--output", "-o", help="Folder; else one in ./out.")]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="SECTION.NAME=VALUE", help="Change a setting; repeatable."),
 ]
 
 
@@ -45,9 +49,7 @@ def train(
     store: Annotated[
         Path | None, typer.Option("--store", "-s", help="Folder of clips; else data.store.")
     ] = None,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Folder of the run.")
-    ] = None,
+    output: Folder = None,
     ensemble: Annotated[
         bool, typer.Option("--ensemble", help="A network for every training set, and the kernel.")
     ] = False,
@@ -55,10 +57,7 @@ def train(
         Path | None,
         typer.Option("--start", help="Checkpoint to start from; the base of --ensemble."),
     ] = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="SECTION.NAME=VALUE", help="Change a setting; repeatable."),
-    ] = None,
+    settings: Settings = None,
 ) -> None:
     """Train networks on a store; the same command again goes on where it was stopped."""
     from ..configs.config import load_config, override
@@ -101,9 +100,7 @@ def evaluate(
         list[Path], typer.Argument(metavar="CHECKPOINT...", help="One or more to compare.")
     ],
     store: Annotated[Path, typer.Option("--store", "-s", help="Folder of clips.")],
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Folder for tables and pictures.")
-    ] = None,
+    output: Folder = None,
     baselines: Annotated[
         bool, typer.Option(help="Train and score what the networks must beat.")
     ] = True,
@@ -163,7 +160,7 @@ def predict(
 
     from ..collision.push_out import is_closed
     from ..networks.checkpoint import load_checkpoint
-    from ..prediction.motion_file import read_clip, read_joints
+    from ..prediction.motion_file import read_motion
     from ..prediction.output import check_output, save_prediction
     from ..prediction.prediction import chosen_parameters
     from ..prediction.prediction import predict as run
@@ -173,18 +170,16 @@ def predict(
     model = load_checkpoint(checkpoint)
     entered = entered_parameters(bending, density, time_scale)
     parameters = chosen_parameters(model, entered)
-    joints = read_joints(motion, model)
-    clip = read_clip(motion, model) if truth else None
-    began = time.perf_counter()
+    joints, clip = read_motion(motion, model)
+    if not truth:
+        clip = None
     with warnings.catch_warnings():
         warnings.showwarning = lambda message, *_: typer.echo(f"warning: {message}", err=True)
         warnings.simplefilter("always", SsdrWarning)
         result = run(model, joints, parameters, detail=detail, push_out=push_out, name=motion.stem)
-    seconds = time.perf_counter() - began
-    rate = 1e3 * seconds / len(joints)
     shown = parameters or model.parameters[0]
     of = f" of {shown}" if shown else ""
-    typer.echo(f"{len(joints)} frames{of} in {seconds:.1f} s, {rate:.1f} ms a frame", err=True)
+    typer.echo(f"{len(joints)} frames{of}", err=True)
     if clip is not None and shown is not None and clip.parameters != shown:
         typer.echo(f"the clip's cloth is not shown: it is of {clip.parameters}", err=True)
         clip = None
@@ -210,9 +205,7 @@ def predict(
 
 
 def reproduce(
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Folder for trainings and tables.")
-    ] = None,
+    output: Folder = None,
     data: Annotated[
         Path | None, typer.Option("--data", help="Where the data sets lie, or are simulated.")
     ] = None,
@@ -223,10 +216,7 @@ def reproduce(
     motion: Annotated[
         Path | None, typer.Option("--motion", help="BVH files, which the dress dances, too.")
     ] = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="SECTION.NAME=VALUE", help="Change a setting; repeatable."),
-    ] = None,
+    settings: Settings = None,
 ) -> None:
     """The paper's tables on data sets of our own; what is there is not trained again."""
     from ..evaluation.reproduce import TABLES, Reproduction
@@ -252,9 +242,7 @@ def reproduce(
 
 
 def demo(
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Folder; ./out/demo by default.")
-    ] = None,
+    output: Folder = None,
     train: Annotated[
         bool, typer.Option("--train", help="Simulate, decompose and train first, all small.")
     ] = False,
@@ -264,8 +252,8 @@ def demo(
 
     folder, run = output or output_folder() / "demo", run_pipeline if train else run_demo
     with progress_bar() as show:
-        done = run(folder, progress=show)
-    typer.echo(json.dumps(done, indent=1))
+        files = run(folder, progress=show)
+    typer.echo("\n".join(map(str, files)))
 
 
 def _epoch(p: Any) -> str:

@@ -34,25 +34,16 @@ def progress_bar() -> Iterator[Show]:
 
 
 def _seldom() -> Show:
-    """Function that prints a line of progress, at most every few seconds.
-
-    The remaining time is estimated from the rate since the fraction last fell, which it does when a
-    new step begins.
-    """
+    """Function that prints a line of progress, at most every few seconds."""
     began = time.monotonic()
-    last, since, first, before = began - _EVERY, began, 0.0, 1.0
+    last = began - _EVERY
 
     def show(text: str, fraction: float) -> None:
-        nonlocal last, since, first, before
+        nonlocal last
         now = time.monotonic()
-        if fraction < before:
-            since, first = now, fraction
-        before = fraction
         if now - last >= _EVERY:
-            last, times = now, f"{now - began:.0f} s"
-            if fraction > first:
-                left = (now - since) * (1 - fraction) / (fraction - first)
-                times += f", {left:.0f} s left"
-            print(f"{100 * fraction:3.0f} %  {text}  {times}", file=sys.stderr, flush=True)
+            last = now
+            line = f"{100 * fraction:3.0f} %  {text}  {now - began:.0f} s"
+            print(line, file=sys.stderr, flush=True)
 
     return show

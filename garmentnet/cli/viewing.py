@@ -99,11 +99,10 @@ def _dances(subject: Subject) -> list[Take]:
     from ..viewer import Take
     from .demo import made_dance
 
-    made = {
-        name: made_dance(subject, seed=seed, seconds=_SECONDS, classes=classes)
+    return [
+        Take(name, made_dance(subject, seed=seed, seconds=_SECONDS, classes=classes).joints)
         for name, seed, classes in _DANCES
-    }
-    return [Take(name, motion.joints) for name, motion in made.items()]
+    ]
 
 
 def _read(
@@ -116,20 +115,21 @@ def _read(
     import dataclasses
 
     from ..networks.checkpoint import load_checkpoint
-    from ..prediction.motion_file import read_clip, read_joints
+    from ..prediction.motion_file import read_motion
     from ..viewer import Take
 
     checkpoint = load_checkpoint(model)
-    clips = [read_clip(path, checkpoint) if truth else None for path in motions]
+    joints, found = zip(*(read_motion(path, checkpoint) for path in motions), strict=True)
+    clips = [clip if truth else None for clip in found]
     own = next((clip.parameters for clip in clips if clip is not None), None)
     usual = dataclasses.asdict(own) if own and reads else {}
     parameters = _parameters(usual | entered)
     trained_on = parameters if reads else checkpoint.parameters[0]
     takes = []
-    for path, clip in zip(motions, clips, strict=True):
+    for path, moved, clip in zip(motions, joints, clips, strict=True):
         if clip is not None and trained_on is not None and clip.parameters != trained_on:
             typer.echo(f"{path}: its cloth is not shown, it is of {clip.parameters}", err=True)
             clip = None
         seen = None if clip is None else clip.sequence.frames(slice(None))
-        takes.append(Take(path.stem, read_joints(path, checkpoint), seen))
+        takes.append(Take(path.stem, moved, seen))
     return takes, parameters

@@ -28,6 +28,7 @@ from .methods import Method
 __all__ = ["BodySkinned", "MeanShape", "Ridge", "body_skinning"]
 
 _INFLUENCES = 8  # joints per vertex, as many as engines support
+_NEIGHBOURS = 8  # body vertices from which a weight is interpolated
 # Least distance, metres, of a body vertex in its weight, so that no weight is infinite.
 _CLOSEST = 1e-4
 # Penalties per frame that are tried, from a negligible to a dominant one.
@@ -72,20 +73,14 @@ class MeanShape(Method):
         return np.asarray(apply_frame(frame, self.shape), np.float32)
 
 
-def body_skinning(store: ClipStore, *, neighbours: int = 8) -> Skinning:
+def body_skinning(store: ClipStore) -> Skinning:
     """Skinning of the garment's rest pose by the body's joints.
 
     Weights are interpolated from the closest body vertices in the rest pose, by inverse squared
     distance, which is how riggers start.
-
-    Parameters
-    ----------
-    store : ClipStore
-    neighbours : int
-        Number of body vertices from which a weight is interpolated.
     """
     body = store.body
-    count = min(neighbours, body.n_vertices)
+    count = min(_NEIGHBOURS, body.n_vertices)
     distance, index = cKDTree(body.rest).query(store.rest, k=np.arange(1, count + 1))
     near = 1 / np.maximum(distance, _CLOSEST) ** 2
     near /= near.sum(axis=1, keepdims=True)

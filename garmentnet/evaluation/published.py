@@ -7,14 +7,11 @@ clips are of one body and one garment.
 from __future__ import annotations
 
 import copy
-import json
 from collections.abc import Callable
 from pathlib import Path
 
 import torch
 from torch import Tensor, nn
-
-from ssdr.io.atomic import write_bytes
 
 from ..networks.checkpoint import Checkpoint
 from ..networks.detail_basis import DetailBasis
@@ -122,7 +119,7 @@ def train_chen(
         network.high = TransformerDetail(
             inputs, len(network.free), hidden=hidden, rank=o.high.rank
         ).to(network.device)
-    history = fit(
+    fit(
         DetailObjective(network, tracks, validation),
         o.train,
         name="high",
@@ -132,5 +129,4 @@ def train_chen(
         folder=folder,
         callback=callback,
     )
-    write_bytes(folder / "history.json", json.dumps({"high": history}, indent=1).encode())
     return Network("Chen 2021", Checkpoint((network,), model.parameters, None))

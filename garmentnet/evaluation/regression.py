@@ -8,7 +8,6 @@ two hundred numbers instead of 3 V.  This changes the time of training, but no e
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -19,7 +18,6 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 import ssdr
-from ssdr.io.atomic import write_bytes
 
 from ..configs.config import Config, load_config, override
 from ..data.clip import MIRRORED, Clip
@@ -166,13 +164,12 @@ class Regression(Method):
 
     def __init__(
         self,
-        variant: Variant,
+        name: str,
         reader: PoseReader,
         space: Unposed | None,
         nets: dict[Part, tuple[nn.Module, ShapeBasis]],
     ) -> None:
-        self.name, self.variant, self.reader, self.space = variant.name, variant, reader, space
-        self.nets = nets
+        self.name, self.reader, self.space, self.nets = name, reader, space, nets
 
     @torch.no_grad()
     def _parts(self, clip: Clip) -> dict[Part, Array]:
@@ -239,7 +236,6 @@ def train_regression(
     space = Unposed(bones) if variant.unposed else None
     tracks, held = (load_tracks(reader, bones, n) for n in (names, validation))
     nets: dict[Part, tuple[nn.Module, ShapeBasis]] = {}
-    history = {}
     for part in variant.parts:
         target = _Target(bones, reader, space, part)
         basis = target.basis(names)
@@ -255,7 +251,7 @@ def train_regression(
             tracks=[target.track(t, basis) for t in tracks],
             validation=[target.track(t, basis) for t in held],
         )
-        history[part] = fit(
+        fit(
             objective,
             config.train,
             name=part,
@@ -265,8 +261,7 @@ def train_regression(
             callback=callback,
         )
         nets[part] = net, basis
-    write_bytes(folder / "history.json", json.dumps(history, indent=1).encode())
-    return Regression(variant, reader, space, nets)
+    return Regression(variant.name, reader, space, nets)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -26,13 +26,14 @@ from .baselines import BodySkinned, MeanShape, Ridge
 from .methods import BonesThemselves, Method, Network
 from .published import SANTESTEBAN
 from .regression import train_regression
-from .scores import VERTICES, Scores, chaos_floor, evaluate, pool
+from .scores import VERTICES, Scores, chaos_floor, evaluate
 from .tables import class_table, interval_table, intervals, markdown, score_table
 
 __all__ = ["fit_baselines", "group_of", "report"]
 
 _NUMBER = re.compile(r"[-_]\d+\Z")
 RECORDED = "recorded"
+_MOTIONS = "unseen motions, "  # beginning of the titles of sections; their groups follow
 # Below so many clips, an interval of the bootstrap is mostly too narrow.
 _FEW_CLIPS = 8
 Progress = Callable[[str, float], None]
@@ -65,7 +66,6 @@ def report(
         Test clips to draw for every checkpoint.
     clips : sequence of str
         Patterns of clip names as in a shell, such as ``base-small-*``; all test clips by default.
-        Clips of other splits may be named, too.
     against : str, optional
         Method by whose errors those of the others are divided; by default the baseline of
         Santesteban et al. 2019 if it is scored, otherwise the first checkpoint.
@@ -90,7 +90,7 @@ def report(
     first = networks[0].checkpoint
     config, base = first.networks[0].config, _base(first, store)
     reading = [n for n in networks if n.checkpoint.reads_parameters]
-    parts = _test_clips(store, base, bool(reading), clips)
+    sections = _sections(store, base, bool(reading), clips)
     fitted = (MeanShape, BodySkinned, Ridge, SANTESTEBAN) if baselines else ()
     names = [m.name for m in (BonesThemselves, *networks, *fitted)]
     against = against or (SANTESTEBAN.name if baselines else networks[0].name)
@@ -108,29 +108,15 @@ def report(
         "groups": {},
     }
     lines = ["RMSE and Hausdorff distance in mm, intervals of 95 % (paired bootstrap over clips)"]
-    others = [n for n in parts["unseen_motions"] if store.clip(n).split != "test"]
-    if others:
-        lines += ["", f"Of other splits than test: {', '.join(others)}"]
-    for key, chosen in parts.items():
-        if not chosen:
-            continue
-        seen = key == "unseen_motions"
+    for title, names in sections.items():
         # Baselines do not read parameters.
-        entered = methods if seen else [bound, *reading]
-        found = evaluate(bones, entered, chosen, progress=progress)
-        document[key] = [r.as_dict() for r in found]
-        if not seen:
-            lines += _section(key.replace("_", " "), found, against, document)
-            continue
-        groups: dict[str, list[str]] = {}
-        for name in chosen:
-            groups.setdefault(group_of(store.clip(name)), []).append(name)
-        for group, members in groups.items():
-            part = [pool(r.name, [c for c in r.clips if c.name in members]) for r in found]
-            lines += _section(f"unseen motions, {group}", part, against, document)
-    lines += _chaos(bones, base, document)
+        entered = methods if title.startswith(_MOTIONS) else [bound, *reading]
+        rows = evaluate(bones, entered, names, progress=progress)
+        lines += _section(title, rows, against, document)
+    lines += _chaos(bones, document)
+    motions = [n for title in sections if title.startswith(_MOTIONS) for n in sections[title]]
     for network in networks:
-        for name in parts["unseen_motions"][:pictures]:
+        for name in motions[:pictures]:
             clip, file = store.clip(name), folder / f"{network.name}-{name}.png"
             with writing(file):
                 draw_clip(clip, network.predict(clip), file)
@@ -201,31 +187,30 @@ def group_of(clip: Clip) -> str:
     return _NUMBER.sub("", clip.motion)
 
 
-def _test_clips(
+def _sections(
     store: ClipStore, base: SimulationParameters, unseen_parameters: bool, patterns: Sequence[str]
 ) -> dict[str, list[str]]:
-    """Names of the clips of each section of the report; of other splits only those asked for."""
-
-    def named(clip: Clip) -> bool:
-        return any(fnmatchcase(clip.name, p) for p in patterns)
-
-    clips = list(store.clips())
-    found = {"unseen_motions": [c for c in clips if c.parameters == base]}
-    test = [c for c in found["unseen_motions"] if c.split == "test" or named(c)]
-    if not test:
+    """Names of the clips of each section of the report, by its title."""
+    found: dict[str, list[str]] = {}
+    for clip in store.clips("test", base):
+        found.setdefault(_MOTIONS + group_of(clip), []).append(clip.name)
+    if not found:
         raise InputError("store", f"test clips of {base}", str(store.path))
-    found["unseen_motions"] = test
     roles = parameter_roles(store)
     for split in ("train", "test") if unseen_parameters else ():
-        found[f"unseen_parameters_{split}"] = [
-            c for c in clips if c.split == split and roles[c.parameters] == "test"
-        ]
-    known = sorted({c.name for part in found.values() for c in part})
+        of_test = [c.name for c in store.clips(split) if roles[c.parameters] == "test"]
+        found[f"unseen parameters {split}"] = of_test
+    known = sorted({n for names in found.values() for n in names})
     for pattern in patterns:
         if not any(fnmatchcase(name, pattern) for name in known):
             some = ", ".join(known[:8]) + (f" and {len(known) - 8} more" if len(known) > 8 else "")
             raise InputError("clips", f"a pattern of test clips ({some})", repr(pattern))
-    return {k: [c.name for c in part if not patterns or named(c)] for k, part in found.items()}
+    wanted = patterns or ("*",)
+    chosen = {
+        title: [n for n in names if any(fnmatchcase(n, p) for p in wanted)]
+        for title, names in found.items()
+    }
+    return {title: names for title, names in chosen.items() if names}
 
 
 def _section(
@@ -235,32 +220,26 @@ def _section(
     names = [r.name for r in rows]
     # If `against` is not scored here, errors are divided by those of the first checkpoint.
     found = intervals(rows, against if against in names else names[1])
-    left = [{k: v for k, v in r.as_dict().items() if k != "clips"} for r in rows]
-    clips = [c.name for c in rows[0].clips]
-    document["groups"][title.removeprefix("unseen motions, ")] = {
-        "clips": clips,
-        "rows": left,
-        "intervals": found,
-    }
-    lines = ["", f"## {title}: {len(clips)} clips, {rows[0].frames} frames", ""]
+    group, count = title.removeprefix(_MOTIONS), len(rows[0].clips)
+    document["groups"][group] = {"rows": [r.as_dict() for r in rows], "intervals": found}
+    lines = ["", f"## {title}: {count} clips, {rows[0].frames} frames", ""]
     pinned = any(r.free != r.all for r in rows)
     for vertices in VERTICES if pinned else VERTICES[:1]:
         lines += [score_table(rows, vertices), "", class_table(rows, vertices), ""]
-        rough = " Intervals of so few clips are rough." if len(clips) < _FEW_CLIPS else ""
+        rough = " Intervals of so few clips are rough." if count < _FEW_CLIPS else ""
         lines += [f"Ratios are to {found['reference']}.{rough}", ""]
         lines += [interval_table(found, vertices), ""]
     return lines
 
 
-def _chaos(bones: VirtualBones, base: SimulationParameters, document: dict[str, Any]) -> list[str]:
+def _chaos(bones: VirtualBones, document: dict[str, Any]) -> list[str]:
     store = bones.store
-    pairs: dict[SimulationParameters, list[tuple[str, str]]] = {}
+    pairs: dict[str, list[tuple[str, str]]] = {}
     for pair in store.pairs():
-        pairs.setdefault(store.clip(pair[0]).parameters, []).append(pair)
+        pairs.setdefault(str(store.clip(pair[0]).parameters), []).append(pair)
     # Soft cloth has a higher floor than stiff cloth, so every parameter set has its own.
-    floors = {p: chaos_floor(bones, names) for p, names in pairs.items()}
-    document["chaos_floor"] = floors.get(base, {})
-    found = document["chaos_floor"] | {str(p): f["all"] for p, f in floors.items() if p != base}
+    found = {parameters: chaos_floor(bones, names) for parameters, names in pairs.items()}
+    document["chaos_floor"] = found
     keys = ("overall", "low", "overall_free", "low_free")
     lines = [[k, *(f"{v[x]:.2f}" for x in keys), f"{v['frames']:.0f}"] for k, v in found.items()]
     head = ["chaos floor, mm", "overall", "low", "overall, free", "low, free", "frames"]

@@ -11,7 +11,6 @@ distance and STED of the free ones are those of the triangles whose corners are 
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
@@ -182,9 +181,7 @@ def pool(name: str, clips: Sequence[Scores]) -> Scores:
     )
 
 
-def chaos_floor(
-    bones: VirtualBones, pairs: Iterable[tuple[str, str]] | None = None
-) -> dict[str, dict[str, float]]:
+def chaos_floor(bones: VirtualBones, pairs: Iterable[tuple[str, str]]) -> dict[str, float]:
     """RMSE / √2, mm, between clips and the same clips from a perturbed first frame.
 
     Two such runs differ by √2 times their distance from the mean of all runs, and no function of
@@ -193,38 +190,29 @@ def chaos_floor(
     Parameters
     ----------
     bones : VirtualBones
-    pairs : pairs of names, optional
-        :meth:`ClipStore.pairs` by default.
+    pairs : pairs of names
+        As of :meth:`ClipStore.pairs`.
 
     Returns
     -------
     dict
-        For each class of motion and for "all": RMSE / √2 ``low`` and ``overall``, over free
-        vertices ``low_free`` and ``overall_free``, and the number of ``frames``; empty without
-        pairs.
+        RMSE / √2 ``low`` and ``overall``, over free vertices ``low_free`` and ``overall_free``, and
+        the number of ``frames``.
     """
-    keys = ("low", "overall", "low_free", "overall_free")
-    free = ~np.asarray(bones.store.pinned, bool)
-    sums: dict[str, NDArray[np.float64]] = {}
-    smoother = bones.smoother
-    for first, second in bones.store.pairs() if pairs is None else pairs:
+    free, squares, count = ~np.asarray(bones.store.pinned, bool), np.zeros(4), 0
+    for first, second in pairs:
         a, b = bones.store.clip(first), bones.store.clip(second)
         frames = min(a.n_frames, b.n_frames)
         gap = a.sequence.frames(slice(0, frames)) - b.sequence.frames(slice(0, frames))
         # Smoothing is linear: the difference of the low parts is the smoothed difference.
-        low = np.asarray(smoother.smooth(gap))
+        low = np.asarray(bones.smoother.smooth(gap))
         of_vertices = [(x.astype(np.float64) ** 2).sum(-1) for x in (low, gap)]
-        means = [x[:, part].mean(-1) for part in (slice(None), free) for x in of_vertices]
-        squares = np.stack([*means, np.ones(frames)])
-        for label in [-1, *np.unique(a.classes[:frames])]:
-            chosen = a.classes[:frames] == label if label >= 0 else slice(None)
-            key = CLASSES[int(label)] if label >= 0 else "all"
-            sums[key] = sums.get(key, np.zeros(5)) + squares[:, chosen].sum(axis=1)
-    return {
-        name: {k: _MM * math.sqrt(x / s[4] / 2) for k, x in zip(keys, s[:4], strict=True)}
-        | {"frames": float(s[4])}
-        for name, s in sums.items()
-    }
+        parts = [x[:, part] for part in (slice(None), free) for x in of_vertices]
+        squares += [x.mean(-1).sum() for x in parts]
+        count += frames
+    keys = ("low", "overall", "low_free", "overall_free")
+    errors = _MM * np.sqrt(squares / count / 2)
+    return dict(zip(keys, errors.tolist(), strict=True)) | {"frames": count}
 
 
 def _root_mean(values: Sequence[float], weights: Sequence[int]) -> float:
@@ -252,12 +240,8 @@ class _Scorer:
         low, high = method.split(clip, self.bones)
         true_low, true_high = self.bones.split(clip.name)
         truth, predicted = true_low + true_high, low + high
-        pairs = {
-            "low": (true_low, low),
-            "high": (truth, true_low + high),
-            "overall": (truth, predicted),
-        }
-        scores = {part: self._compare(*pair) for part, pair in pairs.items()}
+        pairs = (true_low, low), (truth, true_low + high), (truth, predicted)
+        whole, free = zip(*(self._compare(*pair) for pair in pairs), strict=True)
         square = _squares(truth, predicted)
         per_class = {}
         for label in np.unique(clip.classes):
@@ -270,8 +254,8 @@ class _Scorer:
         return Scores(
             clip.name,
             clip.n_frames,
-            Parts(**{part: found[0] for part, found in scores.items()}),
-            Parts(**{part: found[1] for part, found in scores.items()}),
+            Parts(*whole),
+            Parts(*free),
             per_class,
             float(inside.mean()),
             float(inside[:, self.free].mean()),

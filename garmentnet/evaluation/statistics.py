@@ -20,11 +20,11 @@ _LEVEL = 0.95
 
 
 class Interval(NamedTuple):
-    """A figure with its 95 % confidence interval, which is NaN for a single clip."""
+    """A figure with its 95 % confidence interval, which a single clip does not have."""
 
     value: float
-    low: float
-    high: float
+    low: float | None = None
+    high: float | None = None
 
 
 def paired_ratio(
@@ -73,7 +73,7 @@ def paired_ratio(
     above, below = (weights * np.asarray(x, float) ** power for x in (a, b))
     value = float((above.sum() / below.sum()) ** (1 / power))
     if n < 2:
-        return Interval(value, math.nan, math.nan)
+        return Interval(value)
     drawn = np.random.default_rng(rng).multinomial(n, np.full(n, 1 / n), size=resamples)
     found = (drawn @ above / (drawn @ below)) ** (1 / power)
     # Plain percentiles are too narrow for few clips, like a normal quantile in place of Student's t

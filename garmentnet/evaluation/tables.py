@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Sequence
 from typing import Any
 
 from .scores import PARTS, VERTICES, Scores
-from .statistics import Interval, paired_ratio
+from .statistics import paired_ratio
 
 __all__ = ["class_table", "interval_cell", "interval_table", "intervals", "markdown", "score_table"]
 
@@ -88,12 +87,12 @@ def intervals(rows: Sequence[Scores], reference: str) -> dict[str, Any]:
         for vertices, part in itertools.product(VERTICES, PARTS):
             errors = figures(row, vertices, part, "rmse")
             error = paired_ratio(errors, [1.0] * len(errors), frames=frames)
-            found = {"error": _plain(error)}
+            found: dict[str, Any] = {"error": list(error)}
             for figure, power in _POWERS.items():
                 own, other = (figures(r, vertices, part, figure) for r in (row, against))
-                known = min(other) > _NOTHING
-                ratio = paired_ratio(own, other, frames=frames, power=power) if known else None
-                found[figure] = _plain(ratio)
+                found[figure] = [None] * 3
+                if min(other) > _NOTHING:
+                    found[figure] = list(paired_ratio(own, other, frames=frames, power=power))
             methods.setdefault(row.name, {}).setdefault(vertices, {})[part] = found
     return {"reference": reference, "methods": methods}
 
@@ -108,11 +107,6 @@ def interval_table(document: dict[str, Any], vertices: str) -> str:
             [name, *(interval_cell(value, 2 if k == "error" else 3) for k, value in cells)]
         )
     return markdown([f"overall, {vertices} vertices", *head], lines)
-
-
-def _plain(found: Interval | None) -> list[float | None]:
-    # JSON has no NaN.
-    return [x if math.isfinite(x) else None for x in found] if found else [None] * 3
 
 
 def interval_cell(found: list[float | None], digits: int) -> str:

@@ -22,7 +22,6 @@ from ..data.clip_files import Split
 from ..data.motion import CLASSES
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
-from .checks import check_place, doubt
 from .rig import Rig, rig_of
 from .scene_files import Say, Source, read_cloth, read_rig
 
@@ -118,12 +117,9 @@ def import_clips(
                 _check_faces(cloth, store.faces)
                 rig = rig.matched(store.skeleton, store.body)
             vertices = np.asarray(cloth.vertices, np.float32)
-            check_place(vertices, rig)
+            rig.check_cloth(vertices)
         except InputError as error:
             raise InputError(error.argument, error.expected, f"{error.got} ({name})") from error
-        doubtful = doubt(vertices, rig)
-        if doubtful:
-            say(f"warning: {name}: {doubtful}")
         if store is None:
             store = _create(target, cloth, rig, o, rest, say)
         _add(store, name, vertices, rig.joints, o, files, say)

@@ -6,8 +6,9 @@ import dataclasses
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from ssdr import Skinning, kabsch
+from ssdr import Skinning, kabsch, skin
 from ssdr.errors import InputError
 from ssdr.hierarchy.transforms import parents_first, rest_diagonal
 from ssdr.rigid import nearest_rotation
@@ -20,6 +21,10 @@ __all__ = ["Rig", "rig_of"]
 _ROUNDING = 0.02
 # Distance, relative to the skeleton's size, below which two joints at rest coincide.
 _SAME_PLACE = 2e-3
+_LOOKED_AT = 8  # number of frames in which the cloth must be at the body
+_FAR = 0.25  # largest median distance from the body, relative to the larger size of the two
+_SMALLEST, _LARGEST = 0.05, 5.0  # bounds of a cloth's size, relative to the body's
+_HUGE = 20.0  # size from which a skeleton's unit cannot be the metre
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -34,18 +39,59 @@ class Rig:
         mesh, it has a vertex at every joint and no faces.
     joints : (F, J, 3, 4) float64
         World transforms from the rest pose.
-    fps : float
     """
 
     skeleton: Skeleton
     body: Skinning
     joints: NDArray[np.float64]
-    fps: float
 
     def is_lying(self) -> bool:
         """Whether the skeleton at rest is longest along z, so that z is probably up."""
         x, y, z = np.ptp(self.skeleton.rest, axis=0)
         return bool(z > 1.2 * max(x, y))
+
+    def check_cloth(self, vertices: NDArray[np.float32]) -> None:
+        """Check that a cloth ``(F, V, 3)`` is on the body.
+
+        Raises
+        ------
+        InputError
+            If the cloth is far away or of another size; the message says which unit or axis would
+            fit.
+        """
+        body, size = self.body, rest_diagonal(self.body.rest)
+        chosen = np.unique(np.linspace(0, len(self.joints) - 1, _LOOKED_AT).astype(int))
+        cloth = vertices[chosen].astype(np.float64)
+        posed = skin(body.rest, body.indices, body.weights, self.joints[chosen])
+        trees = [cKDTree(v) for v in posed]
+
+        def measure(v: NDArray[np.float64]) -> tuple[float, float]:
+            far = np.median([tree.query(x)[0] for tree, x in zip(trees, v, strict=True)])
+            return float(far), rest_diagonal(v[0])
+
+        def fits(v: NDArray[np.float64]) -> bool:
+            far, large = measure(v)
+            return far < _FAR * max(size, large) and _SMALLEST * size < large < _LARGEST * size
+
+        if fits(cloth):
+            return
+        lying = self.is_lying()
+        # A quarter turn about x, from y up to z up or back.
+        turned = cloth[..., [0, 2, 1]] * ((1, -1, 1) if lying else (1, 1, -1))
+        found = []
+        for axis, v in (("", cloth), ("rig-up z" if lying else "cloth-up z", turned)):
+            for factor in (1, 0.01, 100, 0.001, 1000):
+                if fits(factor * v):
+                    which, by = ("rig", 1 / factor) if size > _HUGE else ("cloth", factor)
+                    scale = f"{which}-scale {by:g}" if factor != 1 else ""
+                    found.append(" and ".join(filter(None, (axis, scale))))
+        far, large = measure(cloth)
+        hint = f"; {found[0]} would fit" if found else ""
+        raise InputError(
+            "cloth",
+            f"a garment on the body, which is {size:.3g} m large, in its unit, axes and place",
+            f"one {large:.3g} m large, {far:.3g} m away from it{hint}",
+        )
 
     def matched(self, skeleton: Skeleton, body: Skinning) -> Rig:
         """Rig with this motion for a skeleton with the same joints in any order, and its body.
@@ -74,7 +120,7 @@ class Rig:
         m = self.joints[:, order]
         shift = m[..., :3] @ turn[:, 3] + m[..., 3]
         moved = np.concatenate([m[..., :3] @ turn[:, :3], shift[..., None]], axis=-1)
-        return Rig(skeleton, body, moved, self.fps)
+        return Rig(skeleton, body, moved)
 
 
 def rig_of(model: Skinning) -> Rig:
@@ -113,7 +159,6 @@ def rig_of(model: Skinning) -> Rig:
         Skeleton(names, above, rest),
         _body(model, np.flatnonzero(moves[:, alone].any(axis=1)), place, rest, names),
         _rigid(transforms, rest, names),
-        model.fps,
     )
 
 

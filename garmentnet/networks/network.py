@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -75,17 +76,8 @@ class Motion:
 class Predictor:
     """What a network and a checkpoint share: whole motions and single frames from :meth:`run`."""
 
-    def run(
-        self,
-        joints: Any,
-        state: Any = None,
-        *,
-        parameters: Any = None,
-        detail: bool = True,
-        frames: Any = None,
-    ) -> tuple[Motion, Any]:
-        """Prediction of consecutive frames that follow `state`, and the state after them."""
-        raise NotImplementedError
+    # Prediction of consecutive frames that follow a state, and the state after them.
+    run: Callable[..., tuple[Motion, Any]]
 
     def motions(
         self, joints: Any, parameters: Any = None, *, detail: bool = True, frames: Any = None

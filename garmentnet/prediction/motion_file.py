@@ -18,30 +18,13 @@ from ..data.skeleton import check_joints
 from ..data.store import ClipStore
 from ..networks.checkpoint import Checkpoint
 
-__all__ = ["read_clip", "read_joints"]
+__all__ = ["read_motion"]
 
 
-def read_clip(path: Path | str, checkpoint: Checkpoint) -> Clip | None:
-    """The simulated clip at a path, or None if the path is another kind of motion.
-
-    Raises
-    ------
-    InputError
-        If the clip has another garment, body or frame rate than the checkpoint, or the store has no
-        clip of that name.
-    FormatError
-        If the store is damaged.
-    """
-    file = Path(path)
-    if not (file.is_dir() and file.parent.name == "clips"):
-        return None
-    store = ClipStore.open(file.parent.parent)
-    checkpoint.check_fits(store)
-    return store.clip(file.name)
-
-
-def read_joints(path: Path | str, checkpoint: Checkpoint) -> NDArray[np.float64]:
-    """Joint transforms of a motion file for a checkpoint's body, at its frame rate.
+def read_motion(
+    path: Path | str, checkpoint: Checkpoint
+) -> tuple[NDArray[np.float64], Clip | None]:
+    """Joint transforms of a motion for a checkpoint's body, at its frame rate, and the clip.
 
     Parameters
     ----------
@@ -49,25 +32,33 @@ def read_joints(path: Path | str, checkpoint: Checkpoint) -> NDArray[np.float64]
         ``.bvh`` or ``.bvh.gz``, retargeted by the names of its joints; ``.npz`` with an array
         ``joints`` ``(F, J, 3, 4)``; or the folder of a clip in a store.
 
+    Returns
+    -------
+    joints : (F, J, 3, 4) float64
+    clip : Clip or None
+        The simulated clip, if the path is one.
+
     Raises
     ------
     InputError
-        If there is no such file.
+        If there is no such file, or a clip is of another garment, body or frame rate than the
+        checkpoint.
     FormatError
         If the file is damaged, of an unknown kind, or has the joints of another body.
     """
     file, subject = Path(path), checkpoint.subject
-    suffix = file.suffix.lower()
     if not file.exists():
         raise InputError("motion", "a .bvh, a .npz or a clip", str(file))
     if file.name.lower().endswith((".bvh", ".bvh.gz")):
         moved = retarget(read_bvh(file), subject.skeleton, fps=subject.fps)
-        return np.asarray(moved.joints, np.float64)
-    clip = read_clip(file, checkpoint)
-    if clip is not None:
-        return np.asarray(clip.joints, np.float64)
-    if suffix != ".npz":
+        return np.asarray(moved.joints, np.float64), None
+    if file.is_dir() and file.parent.name == "clips":
+        store = ClipStore.open(file.parent.parent)
+        checkpoint.check_fits(store)
+        clip = store.clip(file.name)
+        return np.asarray(clip.joints, np.float64), clip
+    if file.suffix.lower() != ".npz":
         raise FormatError(f"{file}: a motion is a .bvh, a .npz with joints, or a clip of a store")
     joints = np.asarray(read_arrays(file, required=("joints",))["joints"], np.float64)
     with reading(file):
-        return check_joints(joints, subject.skeleton.n_joints)
+        return check_joints(joints, subject.skeleton.n_joints), None

@@ -1,11 +1,11 @@
-"""Prediction of the garment for a motion by a checkpoint, with torch or without."""
+"""Prediction of the garment for a motion by a checkpoint."""
 
 from __future__ import annotations
 
 import dataclasses
 import warnings
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,17 +13,12 @@ from numpy.typing import NDArray
 import ssdr
 from ssdr import MeshSequence, Skinning
 from ssdr.errors import InputError, SsdrWarning
-from ssdr.skinning import BoneModel
 
 from ..collision.push_out import PushOut, is_closed
 from ..data.parameters import RANGES, SimulationParameters
-from ..data.subject import Subject
-from ..runtime.garment import LiveGarment
+from ..networks.checkpoint import Checkpoint
 
-if TYPE_CHECKING:  # torch takes seconds to import, and a live garment needs none
-    from ..networks.checkpoint import Checkpoint
-
-__all__ = ["Prediction", "chosen_parameters", "predict", "predict_live"]
+__all__ = ["Prediction", "chosen_parameters", "predict"]
 
 # Relative tolerance of parameters, since those read from a file may be rounded.
 _ROUNDING = 1e-9
@@ -124,52 +119,8 @@ def predict(
     motions = checkpoint.motions(joints, parameters, detail=detail)
     cloth = np.concatenate([part.vertices() for part in motions])
     transforms = np.concatenate([part.world_transforms() for part in motions])
-    bones: BoneModel = "rigid" if checkpoint.kernel is None else "affine"
-    return _prediction(checkpoint.subject, cloth, transforms, joints, bones, push_out, name)
-
-
-def predict_live(
-    garment: LiveGarment,
-    joints: Any,
-    parameters: SimulationParameters | None = None,
-    *,
-    push_out: bool = True,
-    name: str = "prediction",
-) -> Prediction:
-    """Prediction by a live garment, frame by frame, without torch.
-
-    Parameters
-    ----------
-    garment : LiveGarment
-    joints, parameters, push_out, name
-        As in :func:`predict`.
-
-    Raises
-    ------
-    InputError
-        If a pose does not fit the body or is not rigid, or the parameters are missing.
-    """
-    m = np.asarray(joints, np.float64)
-    subject, state = garment.subject, None
-    cloth = np.empty((len(m), subject.garment.n_vertices, 3), np.float32)
-    transforms = np.empty((len(m), subject.garment.n_bones, 3, 4))
-    for f, pose in enumerate(m):
-        state, cloth[f] = garment.step(state, pose, parameters)
-        transforms[f] = garment.transforms(state, pose)
-    bones: BoneModel = "rigid" if garment.mixture is None else "affine"
-    return _prediction(subject, cloth, transforms, m, bones, push_out, name)
-
-
-def _prediction(
-    subject: Subject,
-    cloth: NDArray[np.float32],
-    transforms: NDArray[np.float64],
-    joints: Any,
-    bone_model: BoneModel,
-    push_out: bool,
-    name: str,
-) -> Prediction:
-    garment, rig, m = subject.garment, subject.body, np.asarray(joints, np.float64)
+    subject, m = checkpoint.subject, np.asarray(joints, np.float64)
+    garment, rig = subject.garment, subject.body
     moved, farthest, count = 0.0, 0.0, garment.n_bones
     if push_out and is_closed(rig.faces):
         held = np.ones(garment.n_vertices, bool)
@@ -188,7 +139,7 @@ def _prediction(
         np.concatenate([transforms, m[:, used]], axis=1),
         faces=garment.faces,
         fps=subject.fps,
-        bone_model=bone_model,
+        bone_model="rigid" if checkpoint.kernel is None else "affine",
         bone_names=(*names, *(subject.skeleton.names[j] for j in used)),
         name=name,
     )

@@ -95,7 +95,7 @@ class LiveGarment:
         self.n_features = self._code * (1 + o.velocities) + 3 * o.translation + 12 * o.root_motion
         self._frame = _FRAMES.index(o.frame)
         self._parents = subject.skeleton.parents.astype(np.int64)
-        self._parts = _parts(subject, pivots[0].high is not None)
+        self._free, self._skin = subject.free, _skin_arrays(subject, pivots[0].high is not None)
         self._sizes = [tuple(map(len, p.start)) for p in pivots]
         self._weights = functools.lru_cache(maxsize=1)(self._weigh)
 
@@ -193,19 +193,12 @@ class LiveGarment:
         place(state.bones, pose, frame, transforms)
         some = zip(self.pivots, state.detail, strict=True)
         detail = [n @ p.basis for p, n in some if p.basis is not None and n[0] > 0]
+        added = np.zeros((3, s.garment.n_vertices), np.float32)
+        if detail:
+            added[:, self._free] = sum(detail[1:], detail[0]).reshape(3, -1)
         out = np.empty((s.garment.n_vertices, 3), np.float32)
-        for k, (rest, indices, weights, where, none) in enumerate(self._parts):
-            added = sum(detail[1:], detail[0]).reshape(3, -1) if detail and k == 0 else none
-            skin(transforms, frame, rest, indices, weights, where, added, out)
+        skin(transforms, frame, *self._skin, added, out)
         return out
-
-    def transforms(self, state: LiveState, pose: NDArray[np.float64]) -> NDArray[np.float64]:
-        """World transforms ``(B, 3, 4)`` of the virtual bones in a state, on a body in a pose."""
-        frame = np.empty((3, 4))
-        moving_frame(pose, self.subject.skeleton.rest, self._frame, frame)
-        moved = frame[:, :3] @ state.bones.reshape(-1, 3, 4)
-        moved[..., 3] += frame[:, 3]
-        return np.asarray(moved, np.float64)
 
     def _weigh(self, parameters: SimulationParameters | None) -> tuple[Single, Single]:
         if not self.reads_parameters:
@@ -220,20 +213,17 @@ class LiveGarment:
         return (weights / weights.sum()).astype(np.float32), np.zeros(0, np.float32)
 
 
-def _parts(subject: Subject, detailed: bool) -> list[tuple[NDArray[Any], ...]]:
-    # Arguments of `skin` for the predicted vertices, and for those bound to the body.
+def _skin_arrays(subject: Subject, detailed: bool) -> tuple[Single, NDArray[np.int64], Single]:
+    # Rest pose (3, V), bones (V, 8) and weights (V, 8), as the kernel takes them.
     rest, bones, weights = subject.skin(smooth=not detailed)
-    places = [subject.free] + ([] if subject.bound is None else [subject.bound.index])
-    return [_part(rest[k], bones[k], weights[k], k) for k in places]
-
-
-def _part(rest: Any, indices: Any, weights: Any, where: Any) -> tuple[NDArray[Any], ...]:
-    missing = _INFLUENCES - indices.shape[1]
-    check(missing >= 0, f"{indices.shape[1]} influences a vertex, at most {_INFLUENCES} are run")
+    missing = _INFLUENCES - bones.shape[1]
+    check(missing >= 0, f"{bones.shape[1]} influences a vertex, at most {_INFLUENCES} are run")
     pad = ((0, 0), (0, missing))
-    rest = np.ascontiguousarray(rest.T, np.float32)
-    bones = np.pad(indices, pad).astype(np.int64)
-    return rest, bones, np.pad(weights, pad).astype(np.float32), where.astype(np.int64), 0 * rest
+    return (
+        np.ascontiguousarray(rest.T, np.float32),
+        np.pad(bones, pad).astype(np.int64),
+        np.pad(weights, pad).astype(np.float32),
+    )
 
 
 def load_live(path: Path | str) -> LiveGarment:

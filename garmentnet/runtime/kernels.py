@@ -3,7 +3,7 @@
 A pose state is one row of float64: the root's position in the first frame (3); then of the frame
 before, the root's position (3), velocity (3) and rotation (9), and the features of the rotations.
 
-Numbers are passed and indexed one by one: views of rows cost more than the arithmetic.
+Numbers are mostly passed and indexed one by one: views of rows cost more than the arithmetic.
 """
 
 from __future__ import annotations
@@ -109,29 +109,21 @@ def pose_features(m, rest, parents, read, options, fps, begins, state, new, out)
     heading, and whether translation, velocities and root motion are among the features.
     """
     sixd, free, translation, velocities, motion = options
-    heading, root = np.empty((3, 4)), np.empty((3, 4))
+    heading, root, base = np.empty((3, 4)), np.empty((3, 4)), np.empty((3, 4))
     moving_frame(m, rest, 2, heading)
     moving_frame(m, rest, 1, root)
+    moving_frame(m, rest, 2 if free else 0, base)
     local = np.empty((3, 3))
     each = 6 if sixd else 3
     first = 3 if translation else 0
     for k in range(len(read)):
         j = read[k]
+        above = m[parents[j]] if parents[j] >= 0 else base
         for a in range(3):
             for b in range(3):
-                if parents[j] >= 0:
-                    p = parents[j]
-                    local[a, b] = (
-                        m[p, 0, a] * m[j, 0, b] + m[p, 1, a] * m[j, 1, b] + m[p, 2, a] * m[j, 2, b]
-                    )
-                elif free:
-                    local[a, b] = (
-                        heading[0, a] * m[j, 0, b]
-                        + heading[1, a] * m[j, 1, b]
-                        + heading[2, a] * m[j, 2, b]
-                    )
-                else:
-                    local[a, b] = m[j, a, b]
+                local[a, b] = (
+                    above[0, a] * m[j, 0, b] + above[1, a] * m[j, 1, b] + above[2, a] * m[j, 2, b]
+                )
         if sixd:
             for a in range(3):
                 new[18 + 6 * k + a], new[21 + 6 * k + a] = local[a, 0], local[a, 1]
@@ -231,20 +223,20 @@ def place(bones, joints, frame, out):
 
 
 @kernel
-def skin(m, origin, rest, indices, weights, where, detail, out):
+def skin(m, origin, rest, indices, weights, detail, out):
     """Write positions v = Σ w_i M_i p + T d, T the blended rotation made orthonormal.
 
-    rest and detail are (3, V), indices and weights (V, 8), transforms m (B, 12); row i is vertex
-    ``where[i]`` of `out`.  The loops over the numbers of a transform and over the vertices of a
-    block are written so that the compiler vectorises them.
+    rest and detail are (3, V), indices and weights (V, 8), transforms m (B, 12).  The loops over
+    the numbers of a transform and over the vertices of a block are written so that the compiler
+    vectorises them.
     """
     one: Any = np.float32(1)
     short: Any = np.float32(_SHORT)
     width = m.shape[1]
     blends = np.empty((_BLOCK, width), np.float32)
     s, o = np.empty((12, _BLOCK), np.float32), np.empty((3, _BLOCK), np.float32)
-    for start in range(0, len(where), _BLOCK):
-        n = min(_BLOCK, len(where) - start)
+    for start in range(0, len(out), _BLOCK):
+        n = min(_BLOCK, len(out) - start)
         for i in range(n):
             j = start + i
             b0, b1, b2, b3 = indices[j, 0], indices[j, 1], indices[j, 2], indices[j, 3]
@@ -276,6 +268,5 @@ def skin(m, origin, rest, indices, weights, where, detail, out):
             o[1, i] = y + ay * dx + by * dy + (az * bx - ax * bz) * dz
             o[2, i] = z + az * dx + bz * dy + (ax * by - ay * bx) * dz
         for i in range(n):
-            v = where[start + i]
             for a in range(3):
-                out[v, a] = o[a, i] + origin[a, 3]
+                out[start + i, a] = o[a, i] + origin[a, 3]

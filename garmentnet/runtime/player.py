@@ -68,7 +68,7 @@ class Player:
 
     def reset(self) -> None:
         """Forget all earlier poses: the next pose starts a motion from rest."""
-        self._state: LiveState | None = None
+        self._state: Any = None
         self._pose: Any = None
         self._phase = 0.0  # time since the network's last frame, in frames of the network
 
@@ -107,7 +107,6 @@ class Player:
             ahead = self._between(m, 1 + (1 - phase) / step)
             shown = _mixed(state, g.advance(state, ahead, parameters), phase)
         self._state, self._pose, self._phase = state, m, phase
-        assert shown is not None
         return g.vertices(shown, m)
 
     def _jumped(self, m: NDArray[np.float64], dt: float) -> bool:
@@ -129,8 +128,7 @@ class Player:
         return np.concatenate([r, shift[..., None]], axis=2)
 
 
-def _mixed(a: LiveState | None, b: LiveState, u: float) -> LiveState:
-    assert a is not None
+def _mixed(a: LiveState, b: LiveState, u: float) -> LiveState:
     w = np.float32(u)
     detail = tuple(x + w * (y - x) for x, y in zip(a.detail, b.detail, strict=True))
     return dataclasses.replace(b, bones=a.bones + w * (b.bones - a.bones), detail=detail)

@@ -81,14 +81,12 @@ def test_train_then_evaluate_then_predict(toy_store, tmp_path, monkeypatch):
     out = call("evaluate", checkpoint, "--store", toy_store.path, "--pictures", 0)
     assert "Santesteban 2019" in out
     report = json.loads((tmp_path / "data" / "evaluation" / "report.json").read_text())
-    names = [r["name"] for r in report["unseen_motions"]]
+    names = [r["name"] for r in report["groups"]["test"]["rows"]]
     assert names[0] == "bones themselves"
     assert {"mean shape", "body-skinned", "ridge", "Santesteban 2019"} <= set(names)
     options = ["--pictures", 0, "--clips", "*-test-1", "--against", "ridge"]
     out = call("evaluate", checkpoint, "--store", toy_store.path, *options)
     assert "Ratios are to ridge." in out
-    with pytest.raises(InputError, match="clips: expected a pattern of test clips"):
-        call("evaluate", checkpoint, "--store", toy_store.path, "--clips", "base-dance-*")
 
     motion = toy_store.path / "clips" / "base-test-0"
     out = call("predict", checkpoint, motion, "-o", tmp_path / "dress.npz")

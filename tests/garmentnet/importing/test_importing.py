@@ -242,28 +242,13 @@ def test_other_skeletons_topologies_and_times_are_refused(files, tmp_path):
         import_clips([files, files], tmp_path / "b.clips")
 
 
-def test_only_common_frames_are_taken_and_a_wrong_start_is_noticed(files, tmp_path):
+def test_only_common_frames_are_taken(files, tmp_path):
     late = motion()[10:]
     ssdr.save(cloth(late), tmp_path / "late.usda")
     pair = tmp_path / "late.usda", files[1]
     said: list[str] = []
-    import_clips([pair], tmp_path / "a.clips", say=said.append)
-    assert any("50 frames in common of 50 frames of cloth, 60 of the rig" in text for text in said)
-    assert any("start moved by about 0.33 s" in text for text in said)
-    there = motion()
-    path = np.sin(2 * np.arange(FRAMES) / FPS)[:, None]
-    there[..., 3] -= path[..., None] * [0.4, 0, 0.3]  # 0.1 m along x are left
-    back = there.copy()
-    back[:, :, 0, 3] -= 0.2 * path  # the other way
-    ssdr.save(cloth(there), tmp_path / "there.usda")
-    ssdr.save(rig(back), tmp_path / "back.glb")
-    pair = tmp_path / "there.usda", tmp_path / "back.glb"
-    import_clips([pair], tmp_path / "c.clips", say=said.append)
-    assert any("it does not move with its rig" in text for text in said)
-    said.clear()
-    pair = tmp_path / "late.usda", files[1]
     store = import_clips([pair], tmp_path / "b.clips", ImportOptions(offset=1 / 3), say=said.append)
-    assert not any("warning" in text for text in said)
+    assert any("50 frames in common of 50 frames of cloth, 60 of the rig" in text for text in said)
     np.testing.assert_allclose(store.clip("late-train").joints, late[:40], atol=1e-5)
 
 

@@ -8,15 +8,17 @@ import pytest
 torch = pytest.importorskip("torch")
 
 
-from garmentnet.prediction.motion_file import read_joints
+from garmentnet.prediction.motion_file import read_motion
 from ssdr.errors import FormatError, InputError
 
 
 def test_motion_files(toy_network, toy_store, joints, tmp_path):
     np.savez(tmp_path / "m.npz", joints=joints)
-    assert np.array_equal(read_joints(tmp_path / "m.npz", toy_network), joints)
-    clip = toy_store.path / "clips" / "base-test-0"
-    assert len(read_joints(clip, toy_network)) == 90
+    found, clip = read_motion(tmp_path / "m.npz", toy_network)
+    assert np.array_equal(found, joints)
+    assert clip is None
+    found, clip = read_motion(toy_store.path / "clips" / "base-test-0", toy_network)
+    assert (len(found), clip.name) == (90, "base-test-0")
     np.savez(tmp_path / "few.npz", joints=joints[:, :2])
     np.savez(tmp_path / "none.npz", other=joints)
     np.savez(tmp_path / "pickled.npz", joints=np.array([{}, 1], dtype=object))
@@ -24,6 +26,6 @@ def test_motion_files(toy_network, toy_store, joints, tmp_path):
     (tmp_path / "m.fbx").write_bytes(b"x")
     for name in ("few.npz", "none.npz", "pickled.npz", "broken.npz", "m.fbx"):
         with pytest.raises(FormatError, match=name):
-            read_joints(tmp_path / name, toy_network)
+            read_motion(tmp_path / name, toy_network)
     with pytest.raises(InputError, match="motion"):
-        read_joints(tmp_path / "nothing.bvh", toy_network)
+        read_motion(tmp_path / "nothing.bvh", toy_network)

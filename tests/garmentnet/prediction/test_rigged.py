@@ -7,10 +7,9 @@ pytest.importorskip("torch")
 
 import ssdr
 from garmentnet.data.parameters import SimulationParameters as P
-from garmentnet.networks.checkpoint import Checkpoint, save_checkpoint
-from garmentnet.prediction.prediction import predict, predict_live
+from garmentnet.networks.checkpoint import Checkpoint
+from garmentnet.prediction.prediction import predict
 from garmentnet.prediction.rigged import rigged, save_rigged
-from garmentnet.runtime import load_live
 from helpers import live_garment as made
 from ssdr.errors import InputError
 
@@ -23,14 +22,6 @@ def checkpoint():
 @pytest.fixture(scope="module")
 def result(checkpoint):
     return predict(checkpoint, made.motion(2.0, seed=3), push_out=False)
-
-
-def test_a_live_garment_predicts_the_same(checkpoint, result, tmp_path):
-    live = load_live(save_checkpoint(checkpoint, tmp_path / "a.safetensors"))
-    other = predict_live(live, result.joints, push_out=False)
-    np.testing.assert_allclose(other.cloth.vertices, result.cloth.vertices, atol=1e-5)
-    np.testing.assert_allclose(other.skinning.transforms, result.skinning.transforms, atol=1e-5)
-    np.testing.assert_allclose(other.body.vertices, result.body.vertices, atol=1e-6)
 
 
 def test_the_file_plays_the_prediction(result, tmp_path):
