@@ -44,7 +44,7 @@ def looseness(store: ClipStore, names: list[str]) -> NDArray[np.float64]:
 
 
 def draw(store: ClipStore, shown: dict[str, NDArray[np.float64]]) -> Image.Image:
-    """The garment at rest, coloured by lengths (V,) of each kind; all but the first share a scale."""
+    """The garment at rest, coloured by each of some lengths (V,); the first has its own scale."""
     rest = np.asarray(store.rest, np.float64)
     plain = MeshSequence(rest[None], store.faces)
     names = list(shown)
