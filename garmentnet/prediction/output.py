@@ -49,6 +49,8 @@ def check_output(path: Path | str) -> None:
     ------
     InputError
         If there is no such folder or format.
+    MissingDependencyError
+        If the format needs a package that is not installed.
     """
     file = Path(path)
     if not file.parent.is_dir():
@@ -58,6 +60,14 @@ def check_output(path: Path | str) -> None:
     known = sorted({*_FILMS, *_PICTURES, *meshes, _PAGE})
     if suffix not in known:
         raise InputError("output", f"a suffix of {', '.join(known)}", str(file))
+    if suffix == ".mp4":
+        require("av", "garmentnet", "an .mp4 file")
+    if suffix.startswith(".usd"):
+        require("pxr", "ssdr[usd]", f"a {suffix} file")
+    if suffix == ".fbx":
+        from ssdr.io.blender.finder import command
+
+        command("")
 
 
 def save_prediction(
