@@ -141,7 +141,7 @@ class Mixture:
     Attributes
     ----------
     layers : tuple of float64 arrays
-        Weight and bias of the MLP's two layers.
+        Weight and bias of the MLP's first layer, slope of its PReLU, weight and bias of the last.
     pivots : (K, 3) float64
         Normalised simulation parameters of each pivot.
     sigma : float
@@ -162,8 +162,8 @@ class Mixture:
         if kernel is None:
             return None
         inputs, hidden, latent = kernel.sizes
-        shapes = ((hidden, inputs), (hidden,), (latent, hidden), (latent,))
-        names = ("g.0.weight", "g.0.bias", "g.2.weight", "g.2.bias")
+        shapes = ((hidden, inputs), (hidden,), (1,), (latent, hidden), (latent,))
+        names = ("g.0.weight", "g.0.bias", "g.1.weight", "g.2.weight", "g.2.bias")
         layers = tuple(
             _take(arrays, f"kernel.{n}", s, np.float64) for n, s in zip(names, shapes, strict=True)
         )
@@ -178,8 +178,9 @@ class Mixture:
         return weights / weights.sum()
 
     def _g(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        w, b, v, c = self.layers
-        return np.tanh(x @ w.T + b) @ v.T + c
+        w, b, slope, v, c = self.layers
+        h = x @ w.T + b
+        return np.where(h > 0, h, slope * h) @ v.T + c
 
 
 def read_pivot(arrays: dict[str, Any], k: int, record: NetworkRecord, subject: Subject) -> Pivot:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from .policy import ONE, REAL, THREE, TINY, TWO, kernel
+from .policy import ONE, REAL, THREE, TINY, TWO, kernel, ordered_kernel
 
 __all__ = ["CLUSTER", "find_contacts", "push_out", "skin_points"]
 
@@ -80,7 +80,7 @@ def _closest(px, py, pz, ax, ay, az, ux, uy, uz, vx, vy, vz):
     return s, t
 
 
-@kernel
+@ordered_kernel
 def _distance(px, py, pz, points, triangles, t):
     """Squared distance to a triangle."""
     i, j, k = 3 * triangles[t, 0], 3 * triangles[t, 1], 3 * triangles[t, 2]
@@ -92,7 +92,7 @@ def _distance(px, py, pz, points, triangles, t):
     return dx * dx + dy * dy + dz * dz
 
 
-@kernel
+@ordered_kernel
 def _try_triangle(lanes, points, triangles, sides, t):
     """Make a triangle the nearest one of those lanes to whose point it is nearer.
 
@@ -133,7 +133,7 @@ def _try_triangle(lanes, points, triangles, sides, t):
         lanes[4 * CLUSTER + n] = min(d, best)
 
 
-@kernel
+@ordered_kernel
 def _gap(box, boxes, i):
     """Squared distance between two boxes."""
     a = max(_ZERO, max(boxes[i, 0] - box[3], box[0] - boxes[i, 3]))
@@ -142,7 +142,7 @@ def _gap(box, boxes, i):
     return a * a + b * b + c * c
 
 
-@kernel
+@ordered_kernel
 def _search(lanes, box, farthest, tree, nodes, gaps):
     """Find the nearest triangles of the points of a cluster, which lies in a box.
 
@@ -176,7 +176,7 @@ def _search(lanes, box, farthest, tree, nodes, gaps):
             top += 1
 
 
-@kernel
+@ordered_kernel
 def find_contacts(
     x: Any, clusters: Any, own: Any, reach: Any, tree: Any, nearest: Any, close: Any
 ) -> int:

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numba
 import numpy as np
 
-__all__ = ["INDEX", "LANES", "ONE", "REAL", "THREE", "TINY", "TWO", "kernel"]
+__all__ = ["INDEX", "LANES", "ONE", "REAL", "THREE", "TINY", "TWO", "kernel", "ordered_kernel"]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -33,4 +33,15 @@ def kernel(function: Function) -> Function:
     A kernel cannot test for NaN.
     """
     compiled: Any = numba.njit(nogil=True, cache=True, fastmath=True, error_model="numpy")(function)
+    return compiled
+
+
+def ordered_kernel(function: Function) -> Function:
+    """Compile a kernel as :func:`kernel` does, but keep the order of sums.
+
+    It compares numbers that are nearly equal: inlined or not, new or from the cache, it must come
+    to the same decision.
+    """
+    options = {"nogil": True, "cache": True, "fastmath": {"nnan", "ninf", "nsz"}}
+    compiled: Any = numba.njit(error_model="numpy", **options)(function)
     return compiled
