@@ -61,7 +61,7 @@ def test_fewer_frames_than_components():
 @pytest.fixture(scope="module")
 def with_basis(toy_store, toy_config, tmp_path_factory):
 
-    config = toy_config(epochs=6, high_epochs=25, learning_rate=3e-3)
+    config = toy_config(epochs=6, high_epochs=35, learning_rate=3e-3)
     high = HighOptions(
         kind="basis", target="detail", hidden=32, rank=12, collision=0.0, dropout=0.1
     )
