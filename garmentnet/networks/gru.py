@@ -61,18 +61,13 @@ class GRULinear(nn.Module):
         self.out = nn.Linear(hidden, outputs)
 
     def forward(
-        self,
-        x: Tensor,
-        state: Tensor | None = None,
-        mask: Tensor | None = None,
-        frames: slice = slice(None),
+        self, x: Tensor, state: Tensor | None = None, mask: Tensor | None = None
     ) -> tuple[Tensor, Tensor]:
-        """Outputs ``(N, T', outputs)`` of some frames, and the GRU's last state ``(1, N, H)``.
+        """Outputs ``(N, T, outputs)`` and the GRU's last state ``(1, N, H)``.
 
-        `mask` ``(N, T', H)`` multiplies the input of the linear layer; see :func:`dropout_mask`.
+        `mask` ``(N, T, H)`` multiplies the input of the linear layer; see :func:`dropout_mask`.
         """
         h, state = self.gru(x, state)
-        h = h[:, frames]
         return self.out(h if mask is None else h * mask), state
 
 

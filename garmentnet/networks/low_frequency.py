@@ -125,6 +125,11 @@ class LowFrequency(GRULinear):
         mask: Tensor | None = None,
         frames: slice = slice(None),
     ) -> tuple[Tensor, Tensor]:
-        """Normalised bone motion ``(N, T', B, C)`` of some frames, and the last state (1, N, H)."""
-        z, state = super().forward(x, state, mask, frames)
+        """Normalised bone motion ``(N, T', B, C)`` of some frames, and the last state (1, N, H).
+
+        `mask` ``(N, T', H)`` multiplies the input of the linear layer.
+        """
+        h, state = self.gru(x, state)
+        h = h[:, frames]
+        z = self.out(h if mask is None else h * mask)
         return z.unflatten(-1, self.code.shape), state

@@ -7,7 +7,7 @@ helper in another file, delete ``garmentnet/scenes/xpbd/__pycache__``.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
@@ -42,6 +42,6 @@ def ordered_kernel(function: Function) -> Function:
     It compares numbers that are nearly equal: inlined or not, new or from the cache, it must come
     to the same decision.
     """
-    options = {"nogil": True, "cache": True, "fastmath": {"nnan", "ninf", "nsz"}}
-    compiled: Any = numba.njit(error_model="numpy", **options)(function)
-    return compiled
+    flags = {"nnan", "ninf", "nsz"}
+    policy: Any = numba.njit(nogil=True, cache=True, fastmath=flags, error_model="numpy")
+    return cast(Function, policy(function))
