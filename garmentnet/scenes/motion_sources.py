@@ -95,7 +95,7 @@ class MotionSource:
 
 @dataclasses.dataclass(frozen=True)
 class Dances:
-    """Dances of the generator whose seeds follow each other.
+    """Dances of the generator with consecutive seeds.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ class DancesOfSplits:
                 raise InputError(f"set_{split}", f"at most {most}, as {split}", count)
 
     def sources(self, split: Split, seed: int, block: int, count: int) -> list[MotionSource]:
-        """So many dances of a split.
+        """Sources of a number of dances of a split.
 
         Each split, and each further parameter set after them, has a `block` of seeds of its own, so
         that one can grow without changing the others.
