@@ -50,7 +50,7 @@ def skin_points(skin: Any, transforms: Any, out: Any) -> None:
             )
 
 
-@kernel
+@ordered_kernel
 def _closest(px, py, pz, ax, ay, az, ux, uy, uz, vx, vy, vz):
     """Coordinates s, t of the closest point a + s u + t v of a triangle (Ericson 2005, 5.1.5)."""
     wx, wy, wz = px - ax, py - ay, pz - az
