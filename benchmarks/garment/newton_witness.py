@@ -1,6 +1,6 @@
 """Our simulator beside newton's vertex block descent, on the same scene.
 
-Dances of the data set `medium` are simulated by both, each also from a start moved by 1 mm, on one
+Dances of the data set `dress` are simulated by both, each also from a start moved by 1 mm, on one
 core one after the other::
 
     python benchmarks/garment/newton_witness.py --dances 6 --out out/newton

@@ -1,4 +1,4 @@
-"""Methods that are evaluated: their interface, networks, the push-out and the bound."""
+"""Methods that are evaluated: their interface, networks and the bound."""
 
 from __future__ import annotations
 
@@ -9,14 +9,12 @@ from numpy.typing import NDArray
 
 import ssdr
 
-from ..collision.push_out import PushOut
 from ..data.clip import Clip
-from ..data.outfit import Outfit
 from ..data.virtual_bones import VirtualBones
 from ..networks.checkpoint import Checkpoint
 from ..networks.network import Motion
 
-__all__ = ["BonesThemselves", "Method", "Network", "PushedMethod"]
+__all__ = ["BonesThemselves", "Method", "Network"]
 
 Array = NDArray[np.float32]
 
@@ -67,37 +65,6 @@ class Network(Method):
         motions = self.checkpoint.motions(clip.joints, clip.parameters)
         low = np.concatenate([m.to_world(m.low) for m in motions])
         return low, np.concatenate([_detail(m) for m in motions])
-
-
-class PushedMethod(Method):
-    """Prediction of another method with its vertices moved out of the body; pinned ones stay.
-
-    The displacement counts as detail: the low part is that of the other method.
-
-    Parameters
-    ----------
-    method : Method
-    outfit : Outfit
-        Garment and body, such as a store.
-
-    Raises
-    ------
-    InputError
-        If the body is not closed.
-    """
-
-    def __init__(self, method: Method, outfit: Outfit) -> None:
-        self.name, self.method = f"{method.name}, pushed out", method
-        self.push = PushOut(
-            outfit.body, outfit.faces, pinned=outfit.pinned, n_vertices=outfit.n_vertices
-        )
-
-    def predict(self, clip: Clip) -> Array:
-        return self.push(self.method.predict(clip), clip.joints).vertices
-
-    def split(self, clip: Clip, bones: VirtualBones) -> tuple[Array, Array]:
-        low, high = self.method.split(clip, bones)
-        return low, self.push(low + high, clip.joints).vertices - low
 
 
 class BonesThemselves(Method):

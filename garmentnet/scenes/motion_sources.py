@@ -19,7 +19,7 @@ from .dance.choreography import DANCE_CLASSES, Repertoire, dance
 __all__ = ["SPLITS", "Dances", "DancesOfSplits", "MotionSource"]
 
 SPLITS: tuple[Split, ...] = get_args(Split)
-_SEEDS_OF_A_BLOCK = 1000
+_SEEDS_OF_A_SPLIT = 1000
 _FROM_1 = (1, LARGEST)
 
 
@@ -41,9 +41,6 @@ class MotionSource:
         A BVH file, used instead of the generator.
     start : int
         First frame of the file, at the scene's frame rate.
-    whole : int
-        Number of frames to generate, of which the first `frames` are used; 0 stands for `frames`.
-        It matters because a shorter dance is not the beginning of a longer one.
     repertoire : {"basic", "wide"}
         Repertoire of the generator.
 
@@ -67,7 +64,6 @@ class MotionSource:
     classes: tuple[str, ...] = ()
     file: str = ""
     start: int = 0
-    whole: int = 0
     repertoire: Repertoire = "basic"
 
     def __post_init__(self) -> None:
@@ -82,15 +78,14 @@ class MotionSource:
             whole = retarget(read_bvh(self.file), body.skeleton, fps=fps)
             stop = min(whole.n_frames, self.start + self.frames)
             return whole.cut(self.start, stop)
-        danced = dance(
+        return dance(
             body.skeleton,
             seed=self.seed,
-            frames=max(self.frames, self.whole),
+            frames=self.frames,
             fps=fps,
             classes=self.classes or None,
             repertoire=self.repertoire,
         )
-        return danced.cut(0, self.frames)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -146,10 +141,6 @@ class DancesOfSplits:
         one; 0 stands for `frames`.
     set_train, set_validation, set_test : int
         Numbers of the base's dances in each split that a further parameter set repeats.
-    set_frames : int
-        How many frames of each; 0: all.
-    set_own : int
-        Number of dances that a further training set has for itself, instead of the base's first.
     """
 
     train: int
@@ -162,8 +153,6 @@ class DancesOfSplits:
     set_train: int = 0
     set_validation: int = 0
     set_test: int = 0
-    set_frames: int = 0
-    set_own: int = 0
 
     def __post_init__(self) -> None:
         check_numbers(self, train=_FROM_1, frames=_FROM_1)
@@ -172,12 +161,13 @@ class DancesOfSplits:
             if count > most:
                 raise InputError(f"set_{split}", f"at most {most}, as {split}", count)
 
-    def sources(self, split: Split, seed: int, block: int, count: int) -> list[MotionSource]:
-        """Sources of a number of dances of a split.
+    def sources(self, split: Split, seed: int) -> list[MotionSource]:
+        """Sources of the dances of a split.
 
-        Each split, and each further parameter set after them, has a `block` of seeds of its own, so
-        that one can grow without changing the others.
+        Each split has a thousand seeds of its own, so that one can grow without changing the
+        others.
         """
         frames = (split == "train" and self.train_frames) or self.frames
-        first = self.seed + seed + _SEEDS_OF_A_BLOCK * block
+        first = self.seed + seed + _SEEDS_OF_A_SPLIT * SPLITS.index(split)
+        count = getattr(self, split)
         return Dances("dance", split, count, frames, first, self.repertoire).sources()

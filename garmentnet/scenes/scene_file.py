@@ -127,10 +127,8 @@ class DataSet:
     seed : int
         Added to the seeds of `motions` and of the perturbations.
     perturbation : float
-        RMS displacement, metres, of the perturbed start from which test clips are simulated a
-        second time; with 0 they are not.
-    perturb_sets : bool
-        Whether this is done for test clips of the further parameter sets, too.
+        RMS displacement, metres, of the perturbed start from which test clips of the base
+        parameters are simulated a second time; with 0 they are not.
     garment : Cut or MeshGarment
     body : str
         Path of a body file; empty: the one that ships.
@@ -162,7 +160,6 @@ class DataSet:
     fps: float = 30.0
     seed: int = 0
     perturbation: float = 0.0
-    perturb_sets: bool = True
     garment: Cut | MeshGarment = dataclasses.field(default_factory=Cut)
     body: str = ""
     solver: Solver = dataclasses.field(default_factory=Solver)
@@ -199,24 +196,10 @@ class DataSet:
             stem = Path(one.file).name.split(".")[0] if one.file else f"dance-{one.seed:04d}"
             named = dataclasses.replace(one, name=one.name or stem)
             return ((named, *further), *(() for _ in self.set))
-        base = {
-            split: table.sources(split, self.seed, k, getattr(table, split))
-            for k, split in enumerate(SPLITS)
-        }
-        found = [tuple(m for dances in (*base.values(), further) for m in dances)]
-        most = table.set_frames or max(table.frames, table.train_frames)
-        for k, parameters in enumerate(self.set, start=len(SPLITS)):
-            some = {split: base[split][: getattr(table, f"set_{split}")] for split in SPLITS}
-            if table.set_own and parameters.split == "train":
-                some["train"] = table.sources("train", self.seed, k, table.set_own)
-            found.append(
-                tuple(
-                    dataclasses.replace(m, frames=most, whole=m.frames) if m.frames > most else m
-                    for dances in some.values()
-                    for m in dances
-                )
-            )
-        return tuple(found)
+        base = {split: table.sources(split, self.seed) for split in SPLITS}
+        every = tuple(m for dances in (*base.values(), further) for m in dances)
+        some = tuple(m for s in SPLITS for m in base[s][: getattr(table, f"set_{s}")])
+        return (every, *(some for _ in self.set))
 
     def scenes(self, recorded: Sequence[MotionSource] = ()) -> tuple[Scene, ...]:
         """One scene for each clip: base parameters, their perturbed test clips, other sets.
@@ -228,7 +211,7 @@ class DataSet:
             motions = sources if k else (*sources, *recorded)
             plain = [Scene(f"{parameters.name}-{m.name}", self, m, parameters) for m in motions]
             scenes += plain
-            if self.perturbation and (k == 0 or self.perturb_sets):
+            if self.perturbation and k == 0:
                 scenes += [
                     dataclasses.replace(
                         scene,

@@ -13,6 +13,7 @@ pytest.importorskip("zarr")
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.scenes.cut import Cut
 from garmentnet.scenes.dataset import recorded_motions
+from garmentnet.scenes.motion_sources import SPLITS
 from garmentnet.scenes.scene_file import DataSet, load_data_set
 from ssdr.errors import FormatError
 
@@ -59,9 +60,9 @@ def test_presets_hold_what_is_promised() -> None:
     assert {m.split for m in small.sources[0]} == {"train", "validation", "test"}
     splits = [s.split for s in small.set]
     assert (splits.count("train"), splits.count("validation"), splits.count("test")) == (9, 1, 2)
-    for split, least in (("train", 500), ("test", 200)):
-        for motions in small.sources[1:]:
-            assert sum(m.frames for m in motions if m.split == split) >= least
+    for motions in small.sources[1:]:
+        assert [m.split for m in motions] == ["train", "train", "test"]
+        assert set(motions) < set(small.sources[0])
     every = [s.parameters for s in small.sets]
     assert len(set(every)) == 13
     assert all(p.outside() == () for p in every)
@@ -76,60 +77,36 @@ def test_presets_hold_what_is_promised() -> None:
     assert len(set(names)) == len(names)
 
 
-def test_medium_holds_what_is_promised() -> None:
-    medium, small = load_data_set("medium"), load_data_set("small")
-    base = [s for s in medium.scenes() if s.parameters.name == "base"]
-    frames = {
-        split: sum(s.motion.frames for s in base if s.motion.split == split)
-        for split in ("train", "validation")
-    }
-    assert frames["train"] >= 64_000
-    seeds = [m.seed for m in medium.sources[0]]
-    assert len(set(seeds)) == len(seeds)
-    of_split = {k: [m for m in medium.sources[0] if m.split == k] for k in ("validation", "test")}
+def test_large_holds_what_is_promised() -> None:
+    large, small = load_data_set("large"), load_data_set("small")
+    of_split = {k: [m for m in large.sources[0] if m.split == k] for k in SPLITS}
+    assert sum(m.frames for m in of_split["train"]) >= 1_000_000
+    assert len({m.seed for m in large.sources[0]}) == len(large.sources[0])
     assert len(of_split["validation"]) == 8
-    test = [m for m in of_split["test"] if m.name.startswith("dance")]
-    assert len(test) == 24
+    assert len([m for m in of_split["test"] if m.name.startswith("dance")]) == 24
     # The second test: the motions of small's test clips.
     second = [m for m in of_split["test"] if m.name.startswith("small")]
-    body = medium.make_body()
-    for ours, theirs in zip(
-        second, [m for m in small.sources[0] if m.split == "test"], strict=True
-    ):
+    tests = [m for m in small.sources[0] if m.split == "test"]
+    body = large.make_body()
+    for ours, theirs in zip(second, tests, strict=True):
         np.testing.assert_array_equal(
-            ours.make(body, medium.fps).joints, theirs.make(body, small.fps).joints
+            ours.make(body, large.fps).joints, theirs.make(body, small.fps).joints
         )
-    # Training sets: motions of their own; the others: motions that the base trains on.
-    assert len(medium.set) == 12
-    used = {m.seed for m in medium.sources[0] if m.split != "test"}
-    for parameters, motions in zip(medium.set, medium.sources[1:], strict=True):
-        assert tuple(m for m in motions if m.split == "test") == tuple(test[:3])
-        own = [m for m in motions if m.split == "train"]
-        if parameters.split == "train":
-            assert sum(m.frames for m in own) >= 2000
-            assert not used & {m.seed for m in own}
-            used |= {m.seed for m in own}
-        else:
-            assert {m.seed for m in own} <= {
-                m.seed for m in medium.sources[0] if m.split == "train"
-            }
-    moved = [s for s in medium.scenes() if s.perturbation]
-    assert len(moved) == 30
-    assert all(s.parameters.name == "base" for s in moved)
+    assert len([s for s in large.scenes() if s.perturbation]) == 30
 
 
 @pytest.mark.parametrize(
     "name", ["dress", "dress_fine", "gown", "a_line", "t_shirt", "trousers", "skirt"]
 )
 def test_garments_share_their_motions(name: str) -> None:
-    data_set, medium = load_data_set(name), load_data_set("medium")
+    data_set, large = load_data_set(name), load_data_set("large")
     assert data_set.name == name
     assert data_set.sources[0] == load_data_set("dress").sources[0]
-    assert set(data_set.sources[0]) < set(medium.sources[0])
+    assert set(data_set.sources[0]) < set(large.sources[0])
     assert sum(m.frames for m in data_set.sources[0] if m.split == "train") >= 40_000
-    tests = [m for m in medium.sources[0] if m.split == "test" and m.name.startswith("dance")]
+    tests = [m for m in large.sources[0] if m.split == "test" and m.name.startswith("dance")]
     assert [m for m in data_set.sources[0] if m.split == "test"] == tests
-    assert data_set.base == medium.base
+    assert data_set.base == large.base
 
 
 def test_parameter_sets_share_their_motions() -> None:
@@ -140,8 +117,8 @@ def test_parameter_sets_share_their_motions() -> None:
     np.testing.assert_allclose(learnt.min(axis=0), -1, atol=1e-9)
     np.testing.assert_allclose(learnt.max(axis=0), 1, atol=1e-9)
     unseen = [s.parameters for s in found.sets if s.split == "test"]
-    medium = load_data_set("medium")
-    assert unseen == [s.parameters for s in medium.sets if s.split == "test"]
+    small = load_data_set("small")
+    assert unseen == [s.parameters for s in small.sets if s.split == "test"]
 
 
 def test_live_is_large_and_a_part_of_parameters() -> None:
@@ -165,32 +142,10 @@ def test_a_file_like_a_preset(tmp_path: Path) -> None:
         load(tmp_path, 'like = "kilt"')
 
 
-def test_large_is_medium_and_more() -> None:
-    large, medium = load_data_set("large"), load_data_set("medium")
-    assert set(medium.sources[0]) < set(large.sources[0])
-    train = [m for m in large.sources[0] if m.split == "train"]
-    assert sum(m.frames for m in train) >= 1_000_000
-    assert len({m.seed for m in large.sources[0]}) == len(large.sources[0])
-    assert [s.name for s in large.scenes() if s.perturbation] == [
-        s.name for s in medium.scenes() if s.perturbation
-    ]
-
-
-def test_short_motions_begin_the_long_ones() -> None:
-    tiny = load_data_set("tiny")
-    body = tiny.make_body()
-    for short in tiny.sources[1]:
-        (whole,) = (m for m in tiny.sources[0] if m.name == short.name)
-        long = whole.make(body, tiny.fps)
-        np.testing.assert_array_equal(
-            short.make(body, tiny.fps).joints, long.joints[: short.frames]
-        )
-
-
 def test_test_clips_are_paired() -> None:
     tiny = load_data_set("tiny")
     moved = [s for s in tiny.scenes() if s.perturbation > 0]
-    assert len(moved) == 1 + len(tiny.set)
+    assert [s.name for s in moved] == ["base-dance-2000-moved"]
     names = {s.name: s for s in tiny.scenes()}
     for scene in moved:
         assert names[scene.repeat_of].motion == scene.motion
@@ -246,5 +201,5 @@ def test_bad_files_say_where(tmp_path: Path, old: str, new: str, word: str) -> N
 
 
 def test_missing_files_name_the_presets() -> None:
-    with pytest.raises(FormatError, match="large, live, medium, parameters"):
+    with pytest.raises(FormatError, match="large, live, parameters"):
         load_data_set("huge")
