@@ -8,6 +8,7 @@ two hundred numbers instead of 3 V.  This changes the time of training, but no e
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -248,8 +249,9 @@ def train_regression(
             bones.store.n_vertices,
             hidden=config.low.hidden,
             dropout=config.low.dropout,
-            tracks=[target.track(t, basis) for t in tracks],
-            validation=[target.track(t, basis) for t in held],
+            tracks=tracks,
+            validation=held,
+            with_targets=functools.partial(target.track, basis=basis),
         )
         fit(
             objective,

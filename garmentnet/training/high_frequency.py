@@ -190,8 +190,9 @@ class DetailObjective(CoefficientObjective):
             len(network.free),
             hidden=network.config.high.hidden,
             dropout=network.config.high.dropout,
-            tracks=[self._with_targets(t) for t in tracks],
-            validation=[self._with_targets(t) for t in validation],
+            tracks=tracks,
+            validation=validation,
+            with_targets=self._coded,
         )
 
     @torch.no_grad()
@@ -202,7 +203,7 @@ class DetailObjective(CoefficientObjective):
         return (turns.transpose(-1, -2) @ detail[..., None])[..., 0]
 
     @torch.no_grad()
-    def _with_targets(self, track: Track) -> Track:
+    def _coded(self, track: Track) -> Track:
         z, rows = _bone_motion(self.network, track), []
         assert isinstance(self.network.high, DetailBasis)
         for part in track.parts():
