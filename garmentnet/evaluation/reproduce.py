@@ -346,7 +346,7 @@ def _curve(run: Reproduction) -> str:
         record = run.scores("large", f"scores-{size}", config, [run.method("large", name, config)])
         history = json.loads((run.folder / "large" / name / "history.json").read_text("utf-8"))
         last = history["low"][-1]
-        low = record["rows"][0]["all"]["low"]["rmse"]
+        low = record["rows"][0]["free"]["low"]["rmse"]
         rows.append((size, epochs, 1e3 * last["trained"], 1e3 * last["rmse"], low))
     slope = np.polyfit(np.log([r[0] for r in rows]), np.log([r[4] for r in rows]), 1)[0]
     head = ["frames", "epochs", "training", "validation", "test"]
