@@ -260,7 +260,7 @@ def load_data_set(source: str | Path) -> DataSet:
     --------
     >>> tiny = load_data_set("tiny")
     >>> tiny.garment.vertices, len(tiny.scenes())
-    (500, 30)
+    (500, 25)
     """
     path = Path(source)
     if str(source) in presets():
