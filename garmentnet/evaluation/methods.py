@@ -1,4 +1,4 @@
-"""Methods that are evaluated: their interface, networks and the bound."""
+"""Interface of methods to evaluate; trained networks, and the fitted bones as their bound."""
 
 from __future__ import annotations
 

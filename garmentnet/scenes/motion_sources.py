@@ -90,7 +90,7 @@ class MotionSource:
 
 @dataclasses.dataclass(frozen=True)
 class Dances:
-    """Dances of the generator with consecutive seeds.
+    """Generated dances with consecutive seeds.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ class DancesOfSplits:
                 raise InputError(f"set_{split}", f"at most {most}, as {split}", count)
 
     def sources(self, split: Split, seed: int) -> list[MotionSource]:
-        """Sources of the dances of a split.
+        """One source for each dance of a split.
 
         Each split has a thousand seeds of its own, so that one can grow without changing the
         others.

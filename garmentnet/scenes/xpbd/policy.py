@@ -7,7 +7,7 @@ helper in another file, delete ``garmentnet/scenes/xpbd/__pycache__``.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 import numba
 import numpy as np
@@ -24,6 +24,7 @@ ONE, TWO, THREE = INDEX(1), INDEX(2), INDEX(3)
 LANES = 32
 # Added to squared lengths before a division.
 TINY = REAL(1e-20)
+_POLICY: Any = {"nogil": True, "cache": True, "error_model": "numpy"}
 
 
 def kernel(function: Function) -> Function:
@@ -32,16 +33,15 @@ def kernel(function: Function) -> Function:
     The order is fixed when the kernel is compiled, so that a clip has the same bits on every run.
     A kernel cannot test for NaN.
     """
-    compiled: Any = numba.njit(nogil=True, cache=True, fastmath=True, error_model="numpy")(function)
+    compiled: Any = numba.njit(fastmath=True, **_POLICY)(function)
     return compiled
 
 
 def ordered_kernel(function: Function) -> Function:
-    """Compile a kernel as :func:`kernel` does, but keep the order of sums.
+    """Compile a kernel that releases the GIL and in which sums keep their order.
 
     It compares numbers that are nearly equal: inlined or not, new or from the cache, it must come
     to the same decision.
     """
-    flags = {"nnan", "ninf", "nsz"}
-    policy: Any = numba.njit(nogil=True, cache=True, fastmath=flags, error_model="numpy")
-    return cast(Function, policy(function))
+    compiled: Any = numba.njit(fastmath={"nnan", "ninf", "nsz"}, **_POLICY)(function)
+    return compiled
