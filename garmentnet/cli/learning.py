@@ -55,7 +55,7 @@ def train(
     ] = False,
     start: Annotated[
         Path | None,
-        typer.Option("--start", help="Checkpoint to start from; the base of --ensemble."),
+        typer.Option("--start", help="Checkpoint from whose weights and bones to start."),
     ] = None,
     settings: Settings = None,
 ) -> None:
@@ -73,25 +73,23 @@ def train(
     clips = ClipStore.open(source)
     stem = Path(config).stem + ("-ensemble" if ensemble else "") + f"-seed{chosen.train.seed}"
     folder = output or output_folder() / "runs" / stem
+    begun = load_checkpoint(start) if start else None
     with progress_bar() as show:
+
+        def after(p: Any, name: str = "") -> None:
+            show(name + _epoch(p), p.fraction)
+
         if ensemble:
             path = train_ensemble(
                 clips,
                 chosen,
                 folder,
-                base=load_checkpoint(start) if start else None,
-                callback=lambda name, p: show(f"{name}, {_epoch(p)}", p.fraction),
+                start=begun,
+                callback=lambda name, p: after(p, f"{name}, "),
                 progress=show,
             )
         else:
-            path = train_network(
-                clips,
-                chosen,
-                folder,
-                start=load_checkpoint(start) if start else None,
-                callback=lambda p: show(_epoch(p), p.fraction),
-                progress=show,
-            )
+            path = train_network(clips, chosen, folder, start=begun, callback=after, progress=show)
     typer.echo(str(path))
 
 

@@ -83,7 +83,6 @@ class LowOptions:
     rotation: Literal["euler", "sixd"] = "euler"
     laplacian: float = 1.0
     dropout: float = 0.0
-    collision: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -133,13 +132,7 @@ class EnsembleOptions:
     """Settings of the pivots and of the kernel that mixes them."""
 
     pivots: int = 0
-    start_from_base: bool = True
-    epochs: int = 40
-    high_epochs: int = 15
-    learning_rate: float = 3e-4
     frames: int = 60
-    kernel: Literal["gaussian", "exponential"] = "exponential"
-    sigmas: tuple[float, ...] = (1.0,)
     steps: int = 600
 
 

@@ -157,6 +157,8 @@ def fit_baselines(
     plain = dataclasses.replace(config, data=data)
     names, _ = choose_clips(store, plain)
     held, _ = choose_clips(store, plain, "validation")
+    if not held:
+        raise InputError("store", f"validation clips of {base} for the baselines", str(store.path))
 
     def after_epoch(p: Any) -> None:
         if progress:

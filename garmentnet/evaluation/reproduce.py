@@ -55,13 +55,6 @@ _BONES = (20, 40, 80, 160, 320, 500)
 _TESTED = "dance-"
 # Equal data for all methods of a table: the paper's 40,000 frames.
 _EQUAL = "data.frames=40000"
-# Pivots from random weights, and the published kernel.
-_PAPERS_MIXTURE = (
-    "ensemble.start_from_base=false",
-    "ensemble.kernel=exponential",
-    "ensemble.pivots=8",
-    "ensemble.sigmas=[1.0]",
-)
 # Few recordings: a short training from the weights of a network that has seen none of them.
 _TUNED = ("train.learning_rate=3e-4", "train.epochs=40", "train.high_epochs=4")
 
@@ -138,7 +131,6 @@ class Reproduction:
                     config,
                     folder,
                     start=start,
-                    validated=not config.data.leave_out,
                     callback=self._epoch(label),
                 ),
             )
@@ -156,7 +148,7 @@ class Reproduction:
         """Names of the clips for training, with mirrored ones, for validation and for testing."""
         clips = self.store(store)
         names, base = choose_clips(clips, config)
-        held, _ = choose_clips(clips, config, "validation", needed=not config.data.leave_out)
+        held, _ = choose_clips(clips, config, "validation")
         test = [n for n in clips.names("test", base) if clips.clip(n).motion.startswith(_TESTED)]
         return with_mirrored(clips, config, names), held, test
 
@@ -295,7 +287,7 @@ def _tight(run: Reproduction, store: str) -> str:
 def _table4(run: Reproduction) -> str:
     """Unseen simulation parameters (the paper's table 4), with equal data for all pivots."""
     store, folder = run.store("parameters"), run.folder / "parameters" / "ensemble"
-    config = run.config("rooted", *_PAPERS_MIXTURE)
+    config = run.config("rooted")
 
     def pivots(name: str, rule: Rule | None = None) -> Callable[[], Method]:
         def made() -> Method:

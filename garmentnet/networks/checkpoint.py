@@ -23,7 +23,7 @@ from ssdr.io.registry import reading
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
 from ..data.subject import Subject, mesh_identity
-from .document import BOUND, MESH, Document, KernelRecord, NetworkRecord, read_document
+from .document import BOUND, MESH, Document, NetworkRecord, read_document
 from .ensemble import Kernel
 from .features import Normaliser, transforms_in_frame
 from .network import Motion, MotionNetwork, Predictor
@@ -193,7 +193,7 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path | str, *, half: bool = Fa
         body_id=subject.body_id,
         joint_names=subject.skeleton.names,
         networks=tuple(records),
-        kernel=None if kernel is None else KernelRecord(kernel.sizes, kernel.sigma, kernel.shape),
+        kernel=kernel is not None,
         errors=dict(checkpoint.errors),
     )
     return save_tensors(Path(path), tensors, {"checkpoint": dataclasses.asdict(document)})
@@ -216,9 +216,9 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
             for k, record in enumerate(d.networks)
         ]
         kernel = None
-        if d.kernel is not None:
+        if d.kernel:
             with torch.device("meta"):
-                kernel = Kernel(*d.kernel.sizes, sigma=d.kernel.sigma, shape=d.kernel.shape)
+                kernel = Kernel()
             kernel.load_state_dict(part_of(tensors, "kernel."), assign=True)
         parameters = tuple(record.parameters for record in d.networks)
         return Checkpoint(tuple(networks), parameters, kernel, d.errors)

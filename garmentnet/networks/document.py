@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -18,9 +18,11 @@ from ..data.skin_weights import BodyBound
 from ..data.subject import Subject
 from ..io.tables import from_table
 
-__all__ = ["BOUND", "MESH", "Document", "KernelRecord", "NetworkRecord", "read_document"]
+__all__ = ["BOUND", "HIDDEN", "LATENT", "MESH", "Document", "NetworkRecord", "read_document"]
 
-FORMAT, VERSION = "garmentnet checkpoint", 4
+FORMAT, VERSION = "garmentnet checkpoint", 5
+# Widths of the MLP g of an ensemble's kernel, as published.
+HIDDEN, LATENT = 16, 4
 # Arrays of a mesh, and of the vertices bound to the body.
 MESH = ("rest", "indices", "weights", "faces")
 BOUND = tuple(f.name for f in dataclasses.fields(BodyBound))
@@ -40,15 +42,6 @@ class NetworkRecord:
 
 
 @dataclasses.dataclass(frozen=True)
-class KernelRecord:
-    """The kernel of an ensemble; see :class:`~garmentnet.networks.ensemble.Kernel`."""
-
-    sizes: tuple[int, ...]
-    sigma: float
-    shape: Literal["gaussian", "exponential"]
-
-
-@dataclasses.dataclass(frozen=True)
 class Document:
     """The JSON document of a checkpoint."""
 
@@ -57,7 +50,7 @@ class Document:
     body_id: str
     joint_names: tuple[str, ...]
     networks: tuple[NetworkRecord, ...]
-    kernel: KernelRecord | None
+    kernel: bool = False
     errors: dict[str, Any] = dataclasses.field(default_factory=dict)
     format: str = FORMAT
     version: int = VERSION
@@ -65,7 +58,7 @@ class Document:
     @property
     def reads_parameters(self) -> bool:
         """Whether a prediction needs simulation parameters."""
-        return self.kernel is not None or self.networks[0].config.data.condition
+        return self.kernel or self.networks[0].config.data.condition
 
 
 def read_document(arrays: dict[str, Any], documents: dict[str, Any]) -> tuple[Document, Subject]:
@@ -89,10 +82,10 @@ def read_document(arrays: dict[str, Any], documents: dict[str, Any]) -> tuple[Do
     version = table.get("version")
     check(version == VERSION, f"version {version}, this reads {VERSION}")
     d = from_table(Document, table, file="document")
-    mixed, count = d.kernel is not None, len(d.networks)
-    check(count == 1 or (mixed and count), f"{count} networks, kernel {d.kernel}")
+    count = len(d.networks)
+    check(count == 1 or (d.kernel and count), f"{count} networks, kernel {d.kernel}")
     known = all(r.parameters is not None for r in d.networks)
-    check(known or not mixed, "pivots without parameters")
+    check(known or not d.kernel, "pivots without parameters")
     skeleton = Skeleton(d.joint_names, arrays["skeleton.parents"], arrays["skeleton.rest"])
     bones = len(arrays["network.0.low.code.centres"])
     subject = Subject(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ssdr.errors import FormatError
 
 from ..data.subject import Subject
-from ..networks.document import Document, NetworkRecord
+from ..networks.document import HIDDEN, LATENT, Document, NetworkRecord
 
 __all__ = ["Mixture", "Pivot", "Recurrent", "read_pivot"]
 
@@ -144,37 +144,29 @@ class Mixture:
         Weight and bias of the MLP's first layer, slope of its PReLU, weight and bias of the last.
     pivots : (K, 3) float64
         Normalised simulation parameters of each pivot.
-    sigma : float
-        Bandwidth.
-    exponential : bool
-        Whether the kernel is exponential; otherwise it is Gaussian.
     """
 
     layers: tuple[NDArray[np.float64], ...]
     pivots: NDArray[np.float64]
-    sigma: float
-    exponential: bool
 
     @classmethod
     def read(cls, arrays: dict[str, Any], document: Document) -> Mixture | None:
         """From the arrays and the document of a checkpoint; None if it has one network alone."""
-        kernel = document.kernel
-        if kernel is None:
+        if not document.kernel:
             return None
-        inputs, hidden, latent = kernel.sizes
-        shapes = ((hidden, inputs), (hidden,), (1,), (latent, hidden), (latent,))
+        rows = [r.parameters.normalised() for r in document.networks if r.parameters is not None]
+        shapes = ((HIDDEN, len(rows[0])), (HIDDEN,), (1,), (LATENT, HIDDEN), (LATENT,))
         names = ("g.0.weight", "g.0.bias", "g.1.weight", "g.2.weight", "g.2.bias")
         layers = tuple(
             _take(arrays, f"kernel.{n}", s, np.float64) for n, s in zip(names, shapes, strict=True)
         )
-        rows = [r.parameters.normalised() for r in document.networks if r.parameters is not None]
-        return cls(layers, np.stack(rows), kernel.sigma, kernel.shape == "exponential")
+        return cls(layers, np.stack(rows))
 
     def __call__(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
         """Share of each pivot ``(K,)`` at normalised parameters ``(3,)``; the shares sum to 1."""
         gap = ((self._g(self.pivots) - self._g(theta)) ** 2).sum(-1)
-        size = np.sqrt(gap + _SQUARE) if self.exponential else gap / (2 * self.sigma)
-        weights = np.exp((size.min() - size) / self.sigma)
+        size = np.sqrt(gap + _SQUARE)
+        weights = np.exp(size.min() - size)
         return weights / weights.sum()
 
     def _g(self, x: NDArray[np.float64]) -> NDArray[np.float64]:

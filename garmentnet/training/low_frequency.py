@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from ..networks.gru import dropout_mask
-from ..networks.losses import EXACT, BodyShape, collision_depth
+from ..networks.losses import EXACT
 from ..networks.network import MotionNetwork
 from .batches import Batch, Track
 from .loop import Objective, mixed_precision
@@ -93,7 +93,6 @@ class LowFrequencyObjective(Objective):
         bent = bent.reshape(len(self.free), -1, 3).transpose(1, 0, 2)
         self._position = _SkinnedNorm(skinned, shapes).to(network.device)
         self._bending = _SkinnedNorm(laplacian @ skinned, bent).to(network.device)
-        self.body = BodyShape(network.subject.body).to(network.device)
 
         def prepared(track: Track) -> Track:
             return dataclasses.replace(track, extra=torch.from_numpy(targets.rows(track.name)))
@@ -119,24 +118,14 @@ class LowFrequencyObjective(Objective):
         # Consecutive frames are alike, so some of them suffice; the GRU reads all.
         longest = int(batch.mask.sum(1).max())
         every = slice(int(rng.integers(min(_EVERY, longest))), None, _EVERY)
-        needed = slice(None) if config.low.collision else every
-        shape = (*batch.mask[:, needed].shape, config.low.hidden)
+        shape = (*batch.mask[:, every].shape, config.low.hidden)
         mask = dropout_mask(rng, shape, config.low.dropout, device)
         with mixed_precision(config.train, device):
-            z, state = self.module(x, state, mask, needed)
-        z = z.float()
-        some = z[:, every] if config.low.collision else z
-        chosen = some[batch.mask[:, every].to(device)]
+            z, state = self.module(x, state, mask, every)
+        chosen = z.float()[batch.mask[:, every].to(device)]
         position, bending = self._squares(chosen, batch.extra(every))
         loss = (position + EXACT).sqrt().mean()
         loss = loss + config.low.laplacian * (bending + EXACT).sqrt().mean()
-        if config.low.collision:
-            lanes, frames, chosen = batch.some_frames(config.high.frames, rng)
-            some = z[lanes, torch.from_numpy(chosen)[lanes].T].transpose(0, 1)
-            vertices = self.network.mesh(some)[:, :, self.free].flatten(0, 1)
-            joints = [t.joints(f) for t, f in frames]
-            body, normals = self.body(torch.cat(joints).to(device))
-            loss = loss + config.low.collision * collision_depth(vertices, body, normals).mean()
         return loss, state
 
     def squared_error(self, track: Track) -> Tensor:

@@ -7,17 +7,15 @@ r_i = G_i − Ĝ_s of every network i, ‖Σ w_i G_i − Ĝ_s‖² = wᵀ Q_s w 
 
 from __future__ import annotations
 
-import copy
 import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.optimize import nnls
-from torch import Tensor
 
 from ssdr.errors import InputError
 
@@ -41,7 +39,6 @@ __all__ = [
     "left_out",
     "nearest",
     "select_pivots",
-    "smallest_good",
 ]
 
 
@@ -201,70 +198,38 @@ def select_pivots(grams: Sequence[Array], parameters: Any, count: int) -> list[i
     return chosen
 
 
-def fit_kernel(
-    learned: Sequence[Mixed],
-    validation: Sequence[Mixed] = (),
-    *,
-    sigma: float = 0.5,
-    shape: Literal["gaussian", "exponential"] = "gaussian",
-    steps: int = 600,
-    seed: int = 0,
-) -> tuple[Kernel, float]:
-    """Train the kernel, leaving out one training set at a time.
+def fit_kernel(learned: Sequence[Mixed], *, steps: int = 600, seed: int = 0) -> Kernel:
+    """Train the kernel on mixtures of pivots that leave out one training set at a time.
 
     Parameters
     ----------
     learned : sequence of Mixed
-        See :func:`left_out`.
-    validation : sequence of Mixed
-        For sets that no network was trained on; the step with the smallest error on them is
-        returned.  Without any it is the last step.
-    sigma, shape : float, str
-        Bandwidth and shape of the kernel.
+        One or more; see :func:`left_out`.
     steps : int
         Number of steps of Adam.
     seed : int
         Seed of the initial weights.
 
-    Returns
-    -------
-    Kernel
-    float
-        Validation error of the returned kernel in metres; without validation sets, its training
-        error.  NaN if nothing can be left out.
-
     Examples
     --------
-    >>> kernel, error = fit_kernel(left_out([np.eye(2)] * 2, [[0.0], [1.0]], [0, 1]), steps=2)
-    >>> round(error, 3)
-    1.0
+    >>> sets = left_out([np.eye(2)] * 2, [[0.0], [1.0]], [0, 1])
+    >>> fit_kernel(sets, steps=2).weights([[0.0], [1.0]], [0.0]).argmax()
+    np.int64(0)
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        kernel = Kernel(len(learned[0].theta) if learned else 3, sigma=sigma, shape=shape)
-
-    def mean_error(sets: Sequence[Mixed]) -> Tensor:
-        errors = []
-        for places, at, q in (map(torch.from_numpy, x) for x in sets):
-            w = kernel(places, at)
-            errors.append((w @ q @ w).clamp(min=_EXACT).sqrt())
-        return torch.stack(errors).mean()
-
-    if not learned:  # one pivot that is the only set: its weight is 1 whatever g is
-        return kernel, float("nan")
+        kernel = Kernel(len(learned[0].theta))
     optimiser = torch.optim.Adam(kernel.parameters(), lr=1e-2, weight_decay=1e-3)
-    best, best_state = float("inf"), copy.deepcopy(kernel.state_dict())
-    for _ in range(steps + 1):
-        loss = mean_error(learned)
-        with torch.no_grad():
-            value = float(mean_error(validation)) if validation else float(loss)
-        if value < best or not validation:
-            best, best_state = value, copy.deepcopy(kernel.state_dict())
+    sets = [[torch.from_numpy(x) for x in mixed] for mixed in learned]
+    for _ in range(steps):
+        errors = []
+        for pivots, theta, q in sets:
+            w = kernel(pivots, theta)
+            errors.append((w @ q @ w).clamp(min=_EXACT).sqrt())
         optimiser.zero_grad()
-        torch.autograd.backward(loss)
+        torch.autograd.backward(torch.stack(errors).mean())
         optimiser.step()
-    kernel.load_state_dict(best_state)
-    return kernel, best
+    return kernel
 
 
 def left_out(grams: Sequence[Array], parameters: Any, pivots: Sequence[int]) -> list[Mixed]:
@@ -278,15 +243,3 @@ def left_out(grams: Sequence[Array], parameters: Any, pivots: Sequence[int]) -> 
 def _root(q: Array, w: Array) -> float:
     """RMSE of a mixture, metres: √(wᵀ Q w)."""
     return math.sqrt(max(0.0, float(w @ q @ w)))
-
-
-def smallest_good(errors: Sequence[float], within: float = 0.02) -> int:
-    """Smallest K (1 for the first entry) whose error is within a fraction of the best.
-
-    Examples
-    --------
-    >>> smallest_good([9.0, 5.05, 5.0, 5.1])
-    2
-    """
-    e = np.asarray(errors, float)
-    return int(np.flatnonzero(e <= (1 + within) * np.nanmin(e))[0]) + 1

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import logging
 from collections.abc import Callable, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -36,6 +37,7 @@ from .targets import LowTargets
 
 __all__ = ["build_network", "choose_clips", "pose_reader", "train", "with_mirrored"]
 
+_logger = logging.getLogger(__name__)
 # Number of frames from which the statistics of the bones' motion are found.
 _STATISTICS = 400
 # With more frames than this, mirrored ones included, the high-frequency module is trained on only
@@ -44,7 +46,7 @@ _DETAIL_FRAMES = 130_000
 
 
 def choose_clips(
-    store: ClipStore, config: Config, split: str = "train", *, needed: bool = True
+    store: ClipStore, config: Config, split: str = "train"
 ) -> tuple[list[str], SimulationParameters | None]:
     """Names of the clips of a split that a configuration uses, without mirrored ones.
 
@@ -53,8 +55,6 @@ def choose_clips(
     store : ClipStore
     config : Config
     split : {"train", "validation", "test"}
-    needed : bool
-        Whether it is an error if there are none.
 
     Returns
     -------
@@ -66,7 +66,7 @@ def choose_clips(
     Raises
     ------
     InputError
-        If there are no such clips and they are needed, or ``data.parameters`` cannot be read.
+        If there are none for training, or ``data.parameters`` cannot be read.
     """
     roles = parameter_roles(store)
     text, chosen = config.data.parameters, None
@@ -98,9 +98,9 @@ def choose_clips(
         if used(clip) and not enough:
             names.append(clip.name)
             frames += clip.n_frames
-    if needed and not names:
+    if split == "train" and not names:
         wanted = f" of motions {o.motions}" if o.motions else ""
-        expected = f"{split} clips{wanted} of {chosen or 'training sets'}"
+        expected = f"training clips{wanted} of {chosen or 'training sets'}"
         raise InputError("store", expected, str(store.path))
     return names, chosen
 
@@ -145,13 +145,13 @@ def train(
     folder: Path | str,
     *,
     start: Checkpoint | None = None,
-    validated: bool = True,
     callback: Callable[[Progress], bool | None] | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Path:
     """Train both modules of a network, or only the low-frequency one if `high_epochs` is 0.
 
-    If training was interrupted, another call continues it.
+    If training was interrupted, another call continues it.  Without validation clips, as where
+    ``data.leave_out`` chooses, it goes through all epochs and ends with the last weights.
 
     Parameters
     ----------
@@ -161,11 +161,8 @@ def train(
         Folder of the run.  It holds ``checkpoint.safetensors`` and ``history.json`` once the run is
         finished, states and curves before.
     start : Checkpoint, optional
-        Checkpoint with whose weights and bones to start, as pivots do with those of the base
-        network; by default weights are random, and bones are computed.
-    validated : bool
-        Whether a run without `start` needs validation clips.  Without them it goes through all
-        epochs and ends with the last weights.
+        Checkpoint with whose weights and bones to start; by default weights are random, and bones
+        are computed.
     callback : callable, optional
         Called with a :class:`~garmentnet.training.loop.Progress` after every epoch.  If it returns
         True, the run stops and can be continued later.
@@ -186,8 +183,9 @@ def train(
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     names, parameters = choose_clips(store, config)
-    # A run that starts from a trained network may have too few clips for validation.
-    held = choose_clips(store, config, "validation", needed=validated and start is None)[0]
+    held = choose_clips(store, config, "validation")[0]
+    if not held:
+        _logger.warning("no clips for validation: all epochs, and the weights of the last")
     learned = with_mirrored(store, config, names)
     _claim(folder, config, learned)
     o = config.train

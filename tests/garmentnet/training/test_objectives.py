@@ -74,27 +74,6 @@ def test_a_window_of_one_frame(toy_bones, toy_network, monkeypatch):
         assert float(task.loss(batch, None, np.random.default_rng(seed))[0].detach()) > 0
 
 
-def test_collision_of_the_low_part_pushes_outward(toy_store, toy_bones, toy_network, monkeypatch):
-    network = toy_network.networks[0]
-
-    def loss(weight):
-        changed = override(network.config, ["low.dropout=0.0", f"low.collision={weight}"])
-        monkeypatch.setattr(network, "config", changed)
-        task = _low(network, toy_bones)
-        # A body that is as large as the dress swallows it.
-        task.body.skinning.matrix.mul_(4.0)
-        batch = next(batches(task.tracks, 1, 20, None))
-        return task.loss(batch, None, np.random.default_rng(0))[0]
-
-    with torch.no_grad():
-        none, some, more = (float(loss(w)) for w in (0.0, 1.0, 2.0))
-    assert some > none
-    assert abs((more - none) - 2 * (some - none)) < 1e-5 * more
-    torch.autograd.backward(loss(1.0))
-    assert any(float(p.grad.abs().max()) > 0 for p in network.low.parameters())
-    network.low.zero_grad()
-
-
 @torch.no_grad()
 def test_the_high_module_is_judged_by_its_own_error(toy_store, toy_bones, toy_network):
     network = toy_network.networks[0]
