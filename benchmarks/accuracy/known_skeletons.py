@@ -85,7 +85,7 @@ def dancing_body() -> ssdr.Skinning:
     from garmentnet.scenes.dance.choreography import dance
 
     body = default_body()
-    motion = dance(body.skeleton, seed=5, frames=300, repertoire="wide")
+    motion = dance(body.skeleton, seed=5, frames=300)
     return dataclasses.replace(
         body.skinning,
         transforms=np.asarray(motion.joints, dtype=np.float64),

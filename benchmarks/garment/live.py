@@ -42,7 +42,7 @@ def native(garment: LiveGarment, joints: np.ndarray, theta: SimulationParameters
 
 
 def poses(garment: LiveGarment, kind: str, seed: int) -> np.ndarray:
-    body, options = garment.subject.skeleton, {"classes": MOTIONS[kind], "repertoire": "wide"}
+    body, options = garment.subject.skeleton, {"classes": MOTIONS[kind]}
     return dance(body, seed=seed, frames=FINE * SECONDS, fps=FINE, **options).joints
 
 

@@ -212,7 +212,7 @@ def main() -> None:
     rows = []
     for seed in range(options.first, options.first + options.dances):
         length = FRAMES if seed < 21000 else options.frames
-        motion = dance(body.skeleton, seed=seed, frames=length, fps=FPS, repertoire="wide")
+        motion = dance(body.skeleton, seed=seed, frames=length, fps=FPS)
         motion = motion.cut(0, options.frames)
         lead = lead_in(body.skeleton, motion.joints, approach, settle)
         joints = np.concatenate([lead, motion.joints]).astype(np.float32).astype(np.float64)

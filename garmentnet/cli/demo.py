@@ -45,7 +45,6 @@ def made_dance(
         frames=round(seconds * subject.fps),
         fps=subject.fps,
         classes=classes,
-        repertoire="wide",
     )
 
 

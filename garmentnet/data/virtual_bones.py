@@ -45,7 +45,7 @@ Progress = Callable[[str, float], None]
 
 
 def parameter_roles(store: ClipStore) -> dict[SimulationParameters, str]:
-    """The split of every parameter set: "train", "validation" or "test".
+    """The role of every parameter set, "train" or "test".
 
     It is stored as ``parameter_split`` in the clips' provenance; "train" where it is missing.
 

@@ -14,7 +14,7 @@ from ..data.motion import Motion
 from ..data.retarget import retarget
 from ..io.tables import check_numbers
 from .body import Body
-from .dance.choreography import DANCE_CLASSES, Repertoire, dance
+from .dance.choreography import DANCE_CLASSES, dance
 
 __all__ = ["SPLITS", "Dances", "DancesOfSplits", "MotionSource"]
 
@@ -41,8 +41,6 @@ class MotionSource:
         A BVH file, used instead of the generator.
     start : int
         First frame of the file, at the scene's frame rate.
-    repertoire : {"basic", "wide"}
-        Repertoire of the generator.
 
     Raises
     ------
@@ -64,7 +62,6 @@ class MotionSource:
     classes: tuple[str, ...] = ()
     file: str = ""
     start: int = 0
-    repertoire: Repertoire = "basic"
 
     def __post_init__(self) -> None:
         for c in self.classes:
@@ -84,7 +81,6 @@ class MotionSource:
             frames=self.frames,
             fps=fps,
             classes=self.classes or None,
-            repertoire=self.repertoire,
         )
 
 
@@ -101,7 +97,6 @@ class Dances:
         Number of dances, and the length of each.
     seed : int
         Seed of the first.
-    repertoire : {"basic", "wide"}
     """
 
     name: str
@@ -109,7 +104,6 @@ class Dances:
     count: int = 1
     frames: int = 300
     seed: int = 0
-    repertoire: Repertoire = "basic"
 
     def __post_init__(self) -> None:
         check_numbers(self, frames=_FROM_1)
@@ -118,9 +112,8 @@ class Dances:
 
     def sources(self) -> list[MotionSource]:
         """One source for each dance."""
-        split, frames, repertoire = self.split, self.frames, self.repertoire
         return [
-            MotionSource(f"{self.name}-{seed:04d}", split, seed, frames, repertoire=repertoire)
+            MotionSource(f"{self.name}-{seed:04d}", self.split, seed, self.frames)
             for seed in range(self.seed, self.seed + self.count)
         ]
 
@@ -135,7 +128,6 @@ class DancesOfSplits:
         Numbers of dances under the base parameters.
     frames : int
     seed : int
-    repertoire : {"basic", "wide"}
     train_frames : int
         Frames of a training dance, which may be longer, since settling takes as long for a short
         one; 0 stands for `frames`.
@@ -148,7 +140,6 @@ class DancesOfSplits:
     test: int = 0
     frames: int = 300
     seed: int = 0
-    repertoire: Repertoire = "basic"
     train_frames: int = 0
     set_train: int = 0
     set_validation: int = 0
@@ -170,4 +161,4 @@ class DancesOfSplits:
         frames = (split == "train" and self.train_frames) or self.frames
         first = self.seed + seed + _SEEDS_OF_A_SPLIT * SPLITS.index(split)
         count = getattr(self, split)
-        return Dances("dance", split, count, frames, first, self.repertoire).sources()
+        return Dances("dance", split, count, frames, first).sources()

@@ -10,11 +10,10 @@ import dataclasses
 import functools
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from ssdr.errors import FormatError, InputError
 
-from ..data.clip_files import Split
 from ..data.parameters import SimulationParameters
 from ..io.tables import check_numbers, from_table, read_toml
 from .body import Body, default_body, load_body
@@ -40,12 +39,12 @@ class ParameterSet(SimulationParameters):
     ----------
     bending, density, time_scale : float
     name : str
-    split : {"train", "validation", "test"}
-        Split of the parameter set; networks are trained only on "train".
+    split : {"train", "test"}
+        Networks are trained only on "train".
     """
 
     name: str = ""
-    split: Split = "train"
+    split: Literal["train", "test"] = "train"
 
     @property
     def parameters(self) -> SimulationParameters:
@@ -260,7 +259,7 @@ def load_data_set(source: str | Path) -> DataSet:
     --------
     >>> tiny = load_data_set("tiny")
     >>> tiny.garment.vertices, len(tiny.scenes())
-    (500, 25)
+    (500, 23)
     """
     path = Path(source)
     if str(source) in presets():

@@ -61,7 +61,6 @@ def toy_store(tmp_path_factory):
         (P(2.0, 0.2, 1.0), "train"),
         (P(0.5, 0.2, 0.7), "train"),
         (P(0.5, 0.2, 1.3), "train"),
-        (P(1.0, 0.2, 1.1), "validation"),
         (P(0.8, 0.2, 0.9), "test"),
     ]
     return toy.make_store(tmp_path_factory.mktemp("toy") / "store", others=others)

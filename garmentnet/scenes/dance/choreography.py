@@ -6,68 +6,29 @@ Consecutive moves are blended; arm motion and small random motion are added thro
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from ssdr.errors import InputError, check_choice
+from ssdr.errors import InputError
 
 from ...data.motion import CLASSES, Motion
 from ...data.skeleton import Skeleton
-from .moves import MOVES, Controls, Float, Move, State, smooth
+from .moves import MOVES, TEMPI, Controls, Float, smooth
 from .puppet import CHANNELS, RATE, pose_joints
-from .wide_moves import TEMPI, WIDE_MOVES
 
-__all__ = ["DANCE_CLASSES", "Repertoire", "dance"]
+__all__ = ["DANCE_CLASSES", "dance"]
 
-Repertoire = Literal["basic", "wide"]
-
-
-@dataclasses.dataclass(frozen=True)
-class _Moves:
-    """Moves of a repertoire, and the ranges from which a dance is drawn."""
-
-    moves: dict[str, tuple[float, float, Move]]
-    tempi: dict[str, tuple[float, float]]
-    fast: tuple[str, ...]
-    slow: tuple[str, ...]
-    # Numbers of classes in a dance, and of fast ones, as half-open ranges.
-    classes: tuple[int, int]
-    fast_classes: tuple[int, int]
-    # Probability that a fast move ends in a sudden stop, beside the stops of its classes.
-    sudden: float
-    # Swing and middle of the random raising of the arms, and how high they are raised; radians.
-    arms: tuple[float, float, float]
-
-
-_MOVES: dict[str, _Moves] = {
-    "basic": _Moves(
-        moves=MOVES,
-        tempi={},
-        fast=("spin", "kick", "squat", "jump"),
-        slow=("stand", "walk", "sway"),
-        classes=(4, 7),
-        fast_classes=(2, 4),
-        sudden=0.0,
-        arms=(0.6, 0.45, 2.0),
-    ),
-    "wide": _Moves(
-        moves=WIDE_MOVES,
-        tempi=TEMPI,
-        fast=("spin", "kick", "squat", "jump", "turn"),
-        slow=("stand", "walk", "sway", "shift"),
-        classes=(6, 9),
-        fast_classes=(3, 6),
-        sudden=0.25,
-        arms=(1.1, 0.7, 2.35),
-    ),
-}
-DANCE_CLASSES = tuple(WIDE_MOVES)
+DANCE_CLASSES = tuple(MOVES)
+_FAST = ("spin", "kick", "squat", "jump", "turn")
+_SLOW = ("stand", "walk", "sway", "shift")
+# Numbers of classes in a dance, and of fast ones, as half-open ranges.
+_COUNT, _FAST_COUNT = (6, 9), (3, 6)
+# Probability that a fast move ends in a sudden stop, beside the stops of its classes.
+_SUDDEN = 0.25
 
 
 def dance(
@@ -77,7 +38,6 @@ def dance(
     frames: int = 300,
     fps: float = 30.0,
     classes: Sequence[str] | None = None,
-    repertoire: Repertoire = "basic",
 ) -> Motion:
     """Generate a dance.
 
@@ -91,11 +51,8 @@ def dance(
     frames : int
     fps : float
     classes : sequence of str, optional
-        Classes of motion, danced once in this order and then at random.  By default four to six are
-        drawn, at least two of them fast; for "wide" six to eight, at least three of them fast.
-    repertoire : {"basic", "wide"}
-        ``"wide"`` adds walking turns and weight shifts, varies the tempo, raises the arms up to
-        vertical, turns in jumps and stops suddenly after fast moves.
+        Classes of motion, danced once in this order and then at random.  By default six to eight
+        are drawn, at least three of them fast.
 
     Returns
     -------
@@ -117,59 +74,52 @@ def dance(
         raise InputError("frames", "at least 1", frames)
     if not (math.isfinite(fps) and 1 <= fps <= RATE):
         raise InputError("fps", f"1 to {RATE}", fps)
-    check_choice(repertoire, "repertoire", Repertoire)
-    made_of = _MOVES[repertoire]
     rng = np.random.default_rng([int(seed), 0xDA9CE])
-    chosen = _chosen(rng, made_of) if classes is None else list(classes)
+    chosen = _chosen(rng) if classes is None else list(classes)
     for c in chosen:
-        if c not in made_of.moves:
-            raise InputError("classes", f"some of {', '.join(made_of.moves)}", c)
+        if c not in MOVES:
+            raise InputError("classes", f"some of {', '.join(MOVES)}", c)
     if not chosen:
         raise InputError("classes", "at least one", chosen)
     heading = float(rng.uniform(-math.pi, math.pi))
     seconds = frames / fps
-    controls, label = _choreograph(rng, made_of, chosen, seconds, heading)
-    _add_arms(rng, made_of, controls)
+    controls, label = _choreograph(rng, chosen, seconds)
+    _add_arms(rng, controls)
     _add_noise(rng, controls)
     joints = pose_joints(skeleton, controls, heading)
     at = np.minimum(np.round(np.arange(frames) * RATE / fps).astype(int), len(joints) - 1)
     return Motion(joints[at], label[at], fps)
 
 
-def _chosen(rng: np.random.Generator, made_of: _Moves) -> list[str]:
-    count = int(rng.integers(*made_of.classes))
-    n_fast = min(int(rng.integers(*made_of.fast_classes)), count - 2)
-    fast, slow = list(made_of.fast), list(made_of.slow)
-    picked = [*rng.permutation(fast)[:n_fast], *rng.permutation(slow)[: count - n_fast]]
+def _chosen(rng: np.random.Generator) -> list[str]:
+    count = int(rng.integers(*_COUNT))
+    n_fast = min(int(rng.integers(*_FAST_COUNT)), count - 2)
+    picked = [*rng.permutation(_FAST)[:n_fast], *rng.permutation(_SLOW)[: count - n_fast]]
     if len(picked) < count:
         picked.append("stop")
     return [str(p) for p in rng.permutation(picked)]
 
 
 def _choreograph(
-    rng: np.random.Generator,
-    made_of: _Moves,
-    chosen: list[str],
-    seconds: float,
-    heading: float,
+    rng: np.random.Generator, chosen: list[str], seconds: float
 ) -> tuple[Controls, NDArray[np.int8]]:
     count = math.ceil(seconds * RATE) + 1
     time = np.arange(count) / RATE
     total = {name: np.zeros(count) for name in CHANNELS}
     weight_sum = np.zeros(count)
     best, label = np.zeros(count), np.zeros(count, dtype=np.int8)
-    order, start, state = list(chosen), -float(rng.uniform(0, 0.5)), State(0.0, 0.0, heading)
+    order, start = list(chosen), -float(rng.uniform(0, 0.5))
     fade_in, last = 0.3, ""
     while start < seconds:
         if not order:
             order = [str(c) for c in rng.permutation(chosen)]
             if len(order) > 1 and order[0] == last:
                 order = order[1:] + order[:1]
-        if made_of.sudden and last in made_of.fast and rng.random() < made_of.sudden:
+        if last in _FAST and rng.random() < _SUDDEN:
             order.insert(0, "stop")
         kind = order.pop(0)
-        low, high, move = made_of.moves[kind]
-        tempo = _tempo(rng, made_of, kind)
+        low, high, move = MOVES[kind]
+        tempo = _tempo(rng, kind)
         length = float(rng.uniform(low, high)) / tempo
         abrupt = bool(order) and order[0] == "stop"
         # Seconds; a stop must come suddenly.
@@ -181,7 +131,7 @@ def _choreograph(
             rise = smooth((local + fade_in) / (2 * fade_in))
             fall = smooth((length + fade_out - local) / (2 * fade_out))
             weight = rise * fall
-            wants = move(rng, tempo * local, tempo * length, state)
+            wants = move(rng, tempo * local, tempo * length)
             for name in ("forward", "side", "turn"):
                 if name in wants:
                     wants[name] = tempo * wants[name]
@@ -192,45 +142,33 @@ def _choreograph(
             wins = weight > best[inside]
             best[inside[wins]] = weight[wins]
             label[inside[wins]] = CLASSES.index(kind)
-            state = _after(state, wants, weight)
         start, fade_in, last = end, fade_out, kind
     weight_sum = np.maximum(weight_sum, 1e-3)
     return {name: values / weight_sum for name, values in total.items()}, label
 
 
-def _tempo(rng: np.random.Generator, made_of: _Moves, kind: str) -> float:
+def _tempo(rng: np.random.Generator, kind: str) -> float:
     """Random tempo of a move within its range, uniform on a logarithmic scale."""
-    if kind not in made_of.tempi:
+    if kind not in TEMPI:
         return 1.0
-    return math.exp(rng.uniform(*np.log(made_of.tempi[kind])))
+    return math.exp(rng.uniform(*np.log(TEMPI[kind])))
 
 
-def _after(state: State, wants: Controls, weight: Float) -> State:
-    """Approximate position and heading after a move."""
-    zero = np.zeros(len(weight))
-    yaw = state.yaw + np.cumsum(wants.get("turn", zero) * weight) / RATE
-    side, forward = wants.get("side", zero) * weight, wants.get("forward", zero) * weight
-    x = state.x + float((np.cos(yaw) * side + np.sin(yaw) * forward).sum()) / RATE
-    z = state.z + float((np.cos(yaw) * forward - np.sin(yaw) * side).sum()) / RATE
-    return State(x, z, float(yaw[-1]))
-
-
-def _add_arms(rng: np.random.Generator, made_of: _Moves, controls: Controls) -> None:
+def _add_arms(rng: np.random.Generator, controls: Controls) -> None:
     """Add slow random arm motion; at times both arms move alike."""
     count = len(controls["turn"])
-    swing, middle, highest = made_of.arms
     together = _noise(rng, count, 0.25) > 0.2
     mix = uniform_filter1d(together.astype(np.float64), RATE // 2, mode="nearest")
     wander = {
         side: {
-            "reach": middle + swing * _noise(rng, count, 0.5),
+            "reach": 0.7 + 1.1 * _noise(rng, count, 0.5),
             "sweep": 0.5 + 0.6 * _noise(rng, count, 0.5),
             "elbow": 0.5 + 0.5 * _noise(rng, count, 0.6),
         }
         for side in "lr"
     }
     for name, (low, high) in (
-        ("reach", (-0.25, highest)),
+        ("reach", (-0.25, 2.35)),
         ("sweep", (-0.5, 1.6)),
         ("elbow", (-0.3, 1.7)),
     ):

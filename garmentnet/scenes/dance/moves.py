@@ -6,7 +6,6 @@ channel that a move leaves out is 0.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections import defaultdict
 from collections.abc import Callable
@@ -14,28 +13,21 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MOVES", "Controls", "Float", "Move", "State", "bump", "smooth"]
+__all__ = ["MOVES", "TEMPI", "Controls", "Float", "Move", "bump", "smooth"]
 
 Float = NDArray[np.float64]
 Controls = dict[str, Float]
 _GRAVITY = 9.81  # m/s²
-# Distance from the middle of the stage, metres, beyond which a walk leads back.
-_STAGE = 1.2
+# Fastest turns, radians per second: in a leap, about half a circle in the longest flight; and in a
+# walk, half a circle in 0.8 s.
+_LEAP_TURN = 9.0
+_TURN = 8.0
+
+# Curves of some channels at times t, seconds, of a move of some length.
+Move = Callable[[np.random.Generator, Float, float], Controls]
 
 
-@dataclasses.dataclass(frozen=True)
-class State:
-    """Position (metres) and heading (radians) of the dancer when a move begins."""
-
-    x: float
-    z: float
-    yaw: float
-
-
-Move = Callable[[np.random.Generator, Float, float, State], Controls]
-
-
-def _stand(rng: np.random.Generator, t: Float, length: float, state: State) -> Controls:
+def _stand(rng: np.random.Generator, t: Float, length: float) -> Controls:
     return {
         "shift_x": np.full(len(t), rng.uniform(-0.05, 0.05)),
         "roll": np.full(len(t), rng.uniform(-0.05, 0.05)),
@@ -44,30 +36,50 @@ def _stand(rng: np.random.Generator, t: Float, length: float, state: State) -> C
     }
 
 
-def _walk(rng: np.random.Generator, t: Float, length: float, state: State) -> Controls:
-    speed, way = rng.uniform(0.5, 1.4), rng.choice([0.0, 0.0, math.pi / 2, -math.pi / 2, math.pi])
-    turn = rng.uniform(-1.2, 1.2) * np.ones(len(t))
-    distance = math.hypot(state.x, state.z)
-    if distance + 0.5 * speed * length > _STAGE:
-        # Towards the middle, whatever direction the dancer faces.
-        way = math.atan2(-state.x, -state.z) - state.yaw + rng.uniform(-0.5, 0.5)
-        turn *= 0.3
-        speed = min(speed, 1.5 * max(distance, 0.4) / length)
+def _walk(rng: np.random.Generator, t: Float, length: float) -> Controls:
+    """A nearly straight walk in any direction, at 0.3 to 1.8 m/s."""
+    way = rng.choice([0.0, 0.0, 0.0, math.pi / 2, -math.pi / 2, math.pi]) + rng.uniform(-0.4, 0.4)
     back = 0.7 if abs(math.remainder(way, math.tau)) > 2 else 1.0
+    speed = back * rng.uniform(0.3, 1.8)
+    return _gait(rng, t, speed, way) | {"turn": np.full(len(t), rng.uniform(-0.5, 0.5))}
+
+
+def _turn(rng: np.random.Generator, t: Float, length: float) -> Controls:
+    """A walk that turns steadily at 0.8 to 2.6 rad/s, or by 90° to 180° one to three times."""
+    speed = rng.uniform(0.4, 1.4)
+    side = rng.choice([-1.0, 1.0])
+    if rng.random() < 0.4:
+        rate = side * rng.uniform(0.8, 2.6) * bump(t, 0, length, 0.3)
+    else:
+        rate = np.zeros(len(t))
+        count = int(rng.integers(1, 4))
+        for k in range(count):
+            begin, end = k * length / count, (k + 1) * length / count
+            angle = side * rng.uniform(math.pi / 4, math.pi)
+            lasts = min(rng.uniform(1.0, 1.8) * 2 * abs(angle) / _TURN, end - begin)
+            at = rng.uniform(begin, end - lasts)
+            # A bump with ramps of half its duration has half its duration as area.
+            rate = rate + 2 * angle / lasts * bump(t, at, at + lasts, lasts / 2)
+            side = side * rng.choice([-1.0, 1.0])
+    return _gait(rng, t, speed, rng.choice([0.0, 0.0, math.pi])) | {"turn": rate}
+
+
+def _gait(rng: np.random.Generator, t: Float, speed: float, way: float) -> Controls:
+    """Channels of a walk at `speed`, m/s, in the direction `way`, radians from the heading."""
     pace = rng.uniform(0.9, 1.1) * 2 * math.pi * (0.9 + 0.5 * speed)
-    hip = rng.uniform(0.03, 0.12)
+    hip = rng.uniform(0.02, 0.14)
     return {
-        "forward": np.full(len(t), back * speed * math.cos(way)),
-        "side": np.full(len(t), back * speed * math.sin(way)),
-        "turn": turn,
+        "forward": np.full(len(t), speed * math.cos(way)),
+        "side": np.full(len(t), speed * math.sin(way)),
         "twist": hip * np.sin(pace * t),
         "roll": 0.5 * hip * np.cos(pace * t),
         "wring": -1.6 * hip * np.sin(pace * t),
+        "bend": np.full(len(t), 0.06 * speed * math.cos(way)),
         "lift": 0.012 * np.cos(2 * pace * t),
     }
 
 
-def _sway(rng: np.random.Generator, t: Float, length: float, state: State) -> Controls:
+def _sway(rng: np.random.Generator, t: Float, length: float) -> Controls:
     beat = 2 * math.pi * rng.uniform(0.45, 1.3)
     phase = rng.uniform(0, 2 * math.pi)
     calm = min(1.0, 5.0 / beat)
@@ -88,7 +100,29 @@ def _sway(rng: np.random.Generator, t: Float, length: float, state: State) -> Co
     }
 
 
-def _spin(rng: np.random.Generator, t: Float, length: float, state: State) -> Controls:
+def _shift(rng: np.random.Generator, t: Float, length: float) -> Controls:
+    """Weight shifts between the legs by 4 to 15 cm, soft or sharp; or a lunge forward and back."""
+    wave = 2 * math.pi * rng.uniform(0.35, 1.0) * t + rng.uniform(0, 2 * math.pi)
+    sharp = rng.uniform(0.5, 4.0)
+    course = np.tanh(sharp * np.sin(wave)) / math.tanh(sharp)
+    wide = rng.uniform(0.04, 0.15)
+    lunge = rng.random() < 0.35
+    roll, twist = rng.uniform(0.0, 0.14), rng.uniform(-0.35, 0.35)
+    drop = rng.uniform(0.0, 0.08)
+    return {
+        "shift_z" if lunge else "shift_x": wide * course,
+        "roll": (0.3 if lunge else -1.0) * roll * course,
+        "lean": roll * course,
+        "pitch": (0.1 if lunge else 0.0) * course,
+        "twist": twist * course,
+        "wring": -1.2 * twist * course,
+        "lift": -drop * course**2,
+        "width": np.full(len(t), rng.uniform(0.1, 0.4)),
+        "turnout": np.full(len(t), rng.uniform(0.0, 0.35)),
+    }
+
+
+def _spin(rng: np.random.Generator, t: Float, length: float) -> Controls:
     way = rng.choice([-1.0, 1.0])
     envelope = bump(t, 0, length, rng.uniform(0.2, 0.45))
     top = rng.uniform(0.8, 2.0) * 2 * math.pi
@@ -98,7 +132,7 @@ def _spin(rng: np.random.Generator, t: Float, length: float, state: State) -> Co
         rate = rate * np.tanh(8 * (0.5 - t / length))
     raised = rng.uniform(-0.2, 1.5)
     arm = envelope * raised
-    return {
+    out = {
         "turn": rate,
         "pivot": np.clip(np.abs(rate) / 4, 0, 1),
         "lift": 0.03 * envelope,
@@ -109,9 +143,13 @@ def _spin(rng: np.random.Generator, t: Float, length: float, state: State) -> Co
         "reach_l": arm + rng.uniform(-0.1, 0.2),
         "reach_r": arm + rng.uniform(-0.1, 0.2),
     }
+    # Half of the spins are up to twice as slow; some move across the floor.
+    slow = rng.choice([1.0, rng.uniform(0.5, 1.0)])
+    travel = rng.uniform(0.0, 0.6) * bump(t, 0, length, 0.4)
+    return out | {"turn": slow * rate, "forward": out["forward"] + travel}
 
 
-def _kick(rng: np.random.Generator, t: Float, length: float, state: State) -> Controls:
+def _kick(rng: np.random.Generator, t: Float, length: float) -> Controls:
     out: Controls = defaultdict(lambda: np.zeros(len(t)))
     count = max(1, round(length / rng.uniform(0.75, 1.2)))
     side = str(rng.choice(["l", "r"]))
@@ -147,7 +185,7 @@ def _kick(rng: np.random.Generator, t: Float, length: float, state: State) -> Co
     return out
 
 
-def _squat(rng: np.random.Generator, t: Float, length: float, state: State) -> Controls:
+def _squat(rng: np.random.Generator, t: Float, length: float) -> Controls:
     depth, hold = rng.uniform(0.13, 0.4), rng.uniform(0.25, 0.45)
     down = bump(t, 0, length, hold * length)
     pulse = 0.15 * np.sin(2 * math.pi * rng.uniform(1, 2) * t) * down
@@ -168,7 +206,7 @@ def _squat(rng: np.random.Generator, t: Float, length: float, state: State) -> C
     }
 
 
-def _jump(rng: np.random.Generator, t: Float, length: float, state: State) -> Controls:
+def _jump(rng: np.random.Generator, t: Float, length: float) -> Controls:
     out: Controls = defaultdict(lambda: np.zeros(len(t)))
     count = max(1, round(length / rng.uniform(1.0, 1.5)))
     for k in range(count):
@@ -195,10 +233,19 @@ def _jump(rng: np.random.Generator, t: Float, length: float, state: State) -> Co
             out[f"open_{side}"] += split * flown
             out[f"knee_{side}"] += (tuck + 0.2) * flown
             out[f"reach_{side}"] += rng.uniform(0.2, 1.4) * flown
+    # Most have a turn of up to half a circle, some are leaps.  All jumps of the move have the same
+    # turn and direction.
+    flown = np.minimum(out["air"] / 0.05, 1.0)
+    if rng.random() < 0.7:
+        turn = rng.choice([-1.0, 1.0]) * rng.uniform(2.0, _LEAP_TURN)
+        out["turn"] = np.clip(out["turn"] + turn * flown, -_LEAP_TURN, _LEAP_TURN)
+    leap, way = rng.uniform(0.0, 1.2) * rng.integers(0, 2), rng.uniform(-0.8, 0.8)
+    out["forward"] = leap * math.cos(way) * flown
+    out["side"] = leap * math.sin(way) * flown
     return out
 
 
-def _stop(rng: np.random.Generator, t: Float, length: float, state: State) -> Controls:
+def _stop(rng: np.random.Generator, t: Float, length: float) -> Controls:
     # Momentum goes on through the upper body and dies away.
     ring = np.exp(-5 * np.clip(t, 0, None)) * np.cos(9 * np.clip(t, 0, None))
     return {
@@ -211,16 +258,29 @@ def _stop(rng: np.random.Generator, t: Float, length: float, state: State) -> Co
     }
 
 
-# Shortest and longest duration, seconds, and the function of the move.
+# Shortest and longest duration, seconds at tempo 1, and the function of the move.
 MOVES: dict[str, tuple[float, float, Move]] = {
     "stand": (0.6, 1.4, _stand),
-    "walk": (1.2, 2.6, _walk),
+    "walk": (1.0, 3.0, _walk),
     "sway": (1.6, 3.2, _sway),
-    "spin": (1.0, 2.2, _spin),
+    "spin": (1.0, 2.6, _spin),
     "kick": (1.0, 2.4, _kick),
     "squat": (1.0, 2.2, _squat),
     "jump": (1.2, 2.6, _jump),
     "stop": (0.8, 1.5, _stop),
+    "turn": (1.4, 3.2, _turn),
+    "shift": (1.4, 3.2, _shift),
+}
+
+# Slowest and fastest tempo of a move; moves that are not listed have tempo 1.  A jump must fall as
+# gravity demands, and the fastest kicks are as fast as a dancer can be.
+TEMPI: dict[str, tuple[float, float]] = {
+    "walk": (0.7, 1.25),
+    "turn": (0.7, 1.25),
+    "sway": (0.6, 1.4),
+    "shift": (0.6, 1.4),
+    "squat": (0.6, 1.3),
+    "kick": (0.6, 1.05),
 }
 
 

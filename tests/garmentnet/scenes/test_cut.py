@@ -87,7 +87,7 @@ def test_shape_at_rest(name: str) -> None:
 def test_stays_on_in_a_spin_and_a_jump(name: str) -> None:
     garment = cut_garment(BODY, cut_of(name, 700))
     cloth = Cloth(BODY, garment, Solver(substeps=20, approach=6, settle=8))
-    motion = dance(BODY.skeleton, seed=3, frames=30, classes=("spin", "jump"), repertoire="wide")
+    motion = dance(BODY.skeleton, seed=3, frames=30, classes=("spin", "jump"))
     found = simulate(cloth, motion, SimulationParameters())
     assert found.quality.accepted, found.quality.reason
     assert found.quality.stretch_p99 < 1.35

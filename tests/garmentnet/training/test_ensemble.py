@@ -30,7 +30,7 @@ def test_from_store_to_ensemble(toy_store, toy_config, tmp_path):
     assert [dataclasses.asdict(p) for p in loaded.parameters] == [
         report["sets"][i] for i in report["pivots"]
     ]
-    clip = toy_store.clip("set5-test-0")
+    clip = toy_store.clip("set4-test-0")
     answer = loaded.predict(clip.joints[:10], clip.parameters)
     assert np.isfinite(answer).all()
     with pytest.raises(InputError, match="parameters"):

@@ -11,7 +11,7 @@ pytest.importorskip("zarr")
 
 from garmentnet.data.motion import CLASSES, Motion
 from garmentnet.scenes.body import default_body
-from garmentnet.scenes.dance.choreography import DANCE_CLASSES, Repertoire, dance
+from garmentnet.scenes.dance.choreography import DANCE_CLASSES, dance
 from ssdr.errors import InputError
 
 TREE = default_body().skeleton
@@ -29,16 +29,10 @@ def yaw_rate(motion: Motion) -> np.ndarray:
     return np.diff(yaw) * motion.fps
 
 
-@pytest.mark.parametrize(
-    ("repertoire", "in_air", "grounded", "fastest"),
-    [("basic", ["jump"], 0.97, 16), ("wide", ["jump", "kick"], 0.95, 18)],
-)
 @given(seed=st.integers(0, 10**6))
 @settings(max_examples=15, deadline=None)
-def test_any_seed_gives_a_plausible_dance(
-    repertoire: Repertoire, in_air: list[str], grounded: float, fastest: float, seed: int
-) -> None:
-    motion = dance(TREE, seed=seed, frames=150, repertoire=repertoire)
+def test_any_seed_gives_a_plausible_dance(seed: int) -> None:
+    motion = dance(TREE, seed=seed, frames=150)
     h = heads(motion)
     for j in range(1, TREE.n_joints):
         p = TREE.parents[j]
@@ -47,13 +41,11 @@ def test_any_seed_gives_a_plausible_dance(
     # No foot under the floor; one on or near it but for jumps.
     soles = h[:, FEET, 1] - ANKLE
     assert soles.min() > -0.12
-    flying = np.isin(motion.classes, [CLASSES.index(c) for c in in_air])
-    assert (soles.min(axis=1)[~flying] < 0.14).mean() > grounded
+    flying = np.isin(motion.classes, [CLASSES.index(c) for c in ("jump", "kick")])
+    assert (soles.min(axis=1)[~flying] < 0.14).mean() > 0.95
     # No limb goes faster than a quick dancer's.
     speed = np.linalg.norm(np.diff(h, axis=0), axis=2).max(axis=1) * motion.fps
-    assert speed.max() < fastest
-    if repertoire == "basic":
-        assert np.abs(h[:, 0, [0, 2]]).max() < 6
+    assert speed.max() < 18
 
 
 def test_standing_feet_do_not_slide() -> None:
@@ -119,49 +111,36 @@ def test_a_stop_is_sudden() -> None:
 
 
 def test_clips_are_varied() -> None:
-    used = [set(dance(TREE, seed=s, frames=300).classes.tolist()) for s in range(20)]
-    assert all(3 <= len(u) <= 6 for u in used)
-    assert set().union(*used) == {CLASSES.index(c) for c in DANCE_CLASSES} - WIDE_ONLY
+    used = [set(dance(TREE, seed=s, frames=600).classes.tolist()) for s in range(20)]
+    assert all(4 <= len(u) <= 9 for u in used)
+    assert set().union(*used) == {CLASSES.index(c) for c in DANCE_CLASSES}
 
 
-# The root's translation in the last frame of the dance of seed 2010.
-STAYS = [-0.05654100855, -0.01057896177, -0.06446602141]
-WIDE_ONLY = {CLASSES.index(c) for c in ("turn", "shift")}
+# The root's translation in the last frame of the dance of seed 20000.
+STAYS = [-1.49365460167, -0.05897346921, -1.80853901056]
 
 
-def test_basic_dances_stay_what_they_were() -> None:
-    # Data sets made before there was a wide repertoire must stay the same, up to rounding.
-    motion = dance(TREE, seed=2010, frames=300)
+def test_dances_stay_what_they_were() -> None:
+    # Data sets that exist must stay the same, up to rounding.
+    motion = dance(TREE, seed=20000, frames=300)
     np.testing.assert_allclose(motion.joints[299, 0, :, 3], STAYS, atol=1e-9)
 
 
-def test_wide_dances_are_wider() -> None:
-    def measured(repertoire: Repertoire) -> dict[str, float]:
-        turning, hands, places, stops, used = [], [], [], 0, set()
-        for seed in range(16):
-            motion = dance(TREE, seed=seed, frames=600, repertoire=repertoire)
-            h = heads(motion)
-            walking = np.isin(motion.classes[1:], [CLASSES.index("walk"), CLASSES.index("turn")])
-            turning.append(np.abs(yaw_rate(motion))[walking])
-            hands.append((h[:, TREE.index("hand_l"), 1] > h[:, TREE.index("head"), 1]).mean())
-            places.append(np.ptp(h[:, 0, [0, 2]], axis=0).max())
-            stop = motion.classes == CLASSES.index("stop")
-            stops += int((stop[1:] & ~stop[:-1]).sum())
-            used |= set(motion.classes.tolist())
-        return {
-            "turning": float(np.percentile(np.concatenate(turning), 95)),
-            "hands": float(np.mean(hands)),
-            "places": float(np.median(places)),
-            "stops": stops,
-            "classes": len(used),
-        }
-
-    basic, wide = measured("basic"), measured("wide")
-    assert wide["classes"] == len(DANCE_CLASSES) == basic["classes"] + 2
-    assert wide["turning"] > 1.5 * basic["turning"]
-    assert wide["hands"] > 1.6 * basic["hands"]
-    assert wide["places"] > 1.1 * basic["places"]
-    assert wide["stops"] > 1.5 * basic["stops"]
+def test_dances_are_wide() -> None:
+    turning, hands, places, stops = [], [], [], 0
+    for seed in range(16):
+        motion = dance(TREE, seed=seed, frames=600)
+        h = heads(motion)
+        walking = np.isin(motion.classes[1:], [CLASSES.index("walk"), CLASSES.index("turn")])
+        turning.append(np.abs(yaw_rate(motion))[walking])
+        hands.append((h[:, TREE.index("hand_l"), 1] > h[:, TREE.index("head"), 1]).mean())
+        places.append(np.ptp(h[:, 0, [0, 2]], axis=0).max())
+        stop = motion.classes == CLASSES.index("stop")
+        stops += int((stop[1:] & ~stop[:-1]).sum())
+    assert np.percentile(np.concatenate(turning), 95) > 3  # radians a second
+    assert np.mean(hands) > 0.1
+    assert np.median(places) > 1.5
+    assert stops > 16
 
 
 @pytest.mark.parametrize(
@@ -171,8 +150,6 @@ def test_wide_dances_are_wider() -> None:
         {"fps": 0.0},
         {"classes": ["fly"]},
         {"classes": []},
-        {"classes": ["turn"]},
-        {"repertoire": "wild"},
     ],
 )
 def test_dance_refuses(change: dict[str, object]) -> None:
