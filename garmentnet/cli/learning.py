@@ -44,7 +44,7 @@ def output_folder() -> Path:
 
 def train(
     config: Annotated[
-        str, typer.Argument(metavar="CONFIG", help="A .toml, or a preset: faithful, rooted.")
+        str, typer.Argument(metavar="CONFIG", help="A .toml, or a preset: faithful, rooted, tiny.")
     ] = "faithful",
     store: Annotated[
         Path | None, typer.Option("--store", "-s", help="Folder of clips; else data.store.")
@@ -105,7 +105,7 @@ def evaluate(
     pictures: Annotated[int, typer.Option(help="Test clips to draw, per checkpoint.")] = 1,
     clips: Annotated[
         list[str] | None,
-        typer.Option("--clips", metavar="PATTERN", help="As 'base-small-*'; repeatable."),
+        typer.Option("--clips", metavar="PATTERN", help="As 'base-dance-220*'; repeatable."),
     ] = None,
     against: Annotated[
         str | None, typer.Option(metavar="NAME", help="Method that the others are divided by.")

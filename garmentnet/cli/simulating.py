@@ -34,7 +34,9 @@ _FIGURES: tuple[tuple[str, Any, float, int], ...] = (
 
 
 def dataset(
-    name: Annotated[str, typer.Argument(help="A scene or data set (TOML), or tiny, small.")],
+    name: Annotated[
+        str, typer.Argument(help="A scene or data set (TOML), or one that ships: tiny, dress ...")
+    ],
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Store of clips to write.")
     ] = None,

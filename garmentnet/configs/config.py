@@ -92,7 +92,7 @@ class HighOptions:
     kind: Literal["vertices", "basis"] = "vertices"
     hidden: int = 600
     source: Literal["bones", "body"] = "bones"
-    target: Literal["detail", "rest"] = "rest"
+    target: Literal["detail", "residual"] = "residual"
     rank: int = 64
     local: bool = True
     global_features: int = 10

@@ -28,7 +28,7 @@ class SimulationParameters:
     Parameters
     ----------
     bending : float
-        Bending stiffness, the simulator's ``edge_ke``; about 0.2 (soft) to 2 (stiff).
+        Bending stiffness, in units of 1e-3 N·m; about 0.2 (soft) to 2 (stiff).
     density : float
         kg/m²; about 0.1 (light) to 0.3 (heavy).
     time_scale : float

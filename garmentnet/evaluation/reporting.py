@@ -65,7 +65,8 @@ def report(
     pictures : int
         Test clips to draw for every checkpoint.
     clips : sequence of str
-        Patterns of clip names as in a shell, such as ``base-small-*``; all test clips by default.
+        Patterns of clip names as in a shell, such as ``base-dance-220*``; by default all test
+        clips.
     against : str, optional
         Method by whose errors those of the others are divided; by default the baseline of
         Santesteban et al. 2019 if it is scored, otherwise the first checkpoint.
@@ -180,7 +181,7 @@ def group_of(clip: Clip) -> str:
 
     Examples
     --------
-    The motions ``dance-22000`` and ``small-2010`` are of the groups ``dance`` and ``small``.
+    The motions ``dance-22000`` and ``more-100000`` are of the groups ``dance`` and ``more``.
     """
     source = clip.provenance.get("motion")
     file = source.get("file") if isinstance(source, Mapping) else None

@@ -27,7 +27,7 @@ from ..io.files import write_file
 from ..networks.checkpoint import Checkpoint, load_checkpoint
 from ..networks.ensemble import Kernel
 from ..training.batches import load_tracks
-from ..training.ensemble import train_ensemble
+from ..training.ensemble import Rule, train_ensemble
 from ..training.pivots import inverse_distance, nearest
 from ..training.run import choose_clips, train, with_mirrored
 from .baselines import BodySkinned, MeanShape
@@ -41,8 +41,6 @@ from .tables import interval_cell, intervals, markdown
 __all__ = ["TABLES", "Reproduction"]
 
 Progress = Callable[[str, float], None]
-# Weights (K,) of pivots (K, P) at parameters (P,), all normalised.
-Rule = Callable[[Any, Any], NDArray[np.float64]]
 # A few dances are enough to find the bones, so that these stay the same while a data set grows.
 _FEW = "bones.motions=dance-20[01]*"
 _DRESSES = ("dress", "gown", "a_line")
@@ -131,7 +129,7 @@ class Reproduction:
                     config,
                     folder,
                     start=start,
-                    callback=self._epoch(label),
+                    callback=self.epoch(label),
                 ),
             )
         return load_checkpoint(folder / "checkpoint.safetensors")
@@ -193,13 +191,15 @@ class Reproduction:
                     learned,
                     held,
                     folder,
-                    callback=self._epoch(variant.name),
+                    callback=self.epoch(variant.name),
                 ),
             )
 
         return [made(v) for v in variants]
 
-    def _epoch(self, label: str) -> Callable[[Any], None]:
+    def epoch(self, label: str) -> Callable[[Any], None]:
+        """Function that reports an epoch of a training."""
+
         def show(p: Any) -> None:
             if self.progress:
                 self.progress(f"{label}: {p.phase}, epoch {p.epoch}", p.fraction)
@@ -251,14 +251,19 @@ def _dress(run: Reproduction, store: str) -> str:
         ours, bones = run.network(store, "rooted", rooted), run.bones(store, rooted)
         tracks, others = (load_tracks(ours.networks[0], bones, n) for n in (learned, held))
         folder = run.folder / store / "chen"
-        return run.timed(f"{store}/chen", lambda: train_chen(ours, tracks, others, folder))
+        done = run.epoch("Chen 2021")
+        return run.timed(
+            f"{store}/chen", lambda: train_chen(ours, tracks, others, folder, callback=done)
+        )
 
     methods = [
         run.method(store, "rooted", rooted),
         *run.baselines(store, rooted),
         chen,
         run.method(store, "faithful", paper),
-        run.method(store, "no split", override(rooted, ["bones.length=0.0", "high.target=rest"])),
+        run.method(
+            store, "no split", override(rooted, ["bones.length=0.0", "high.target=residual"])
+        ),
         run.method(store, "body motion", override(rooted, ["high.source=body"])),
         run.method(store, "no local stream", override(paper, ["high.local=false"])),
         lambda: MeanShape(run.bones(store, rooted), learned),
@@ -292,7 +297,10 @@ def _table4(run: Reproduction) -> str:
     def pivots(name: str, rule: Rule | None = None) -> Callable[[], Method]:
         def made() -> Method:
             if not (folder / "ensemble.json").is_file():
-                run.timed("parameters/ensemble", lambda: train_ensemble(store, config, folder))
+                run.timed(
+                    "parameters/ensemble",
+                    lambda: train_ensemble(store, config, folder, progress=run.progress),
+                )
             found = load_checkpoint(folder / "ensemble.safetensors")
             kernel = _Ruled(rule) if rule else found.kernel
             return Network(name, dataclasses.replace(found, kernel=kernel))
@@ -358,7 +366,7 @@ def _bones(run: Reproduction) -> str:
         network, bound = (r["all"] for r in record["rows"])
         figures = [network["low"]["rmse"], network["high"]["rmse"], bound["low"]["rmse"]]
         rows.append([str(count), *(f"{x:.2f}" for x in figures)])
-    return markdown(["bones", "low RMSE", "high RMSE", "LBS itself"], rows) + "\n"
+    return markdown(["bones", "low RMSE", "high RMSE", "bones themselves"], rows) + "\n"
 
 
 def _capture(run: Reproduction) -> str:

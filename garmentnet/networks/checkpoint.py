@@ -128,7 +128,7 @@ class Checkpoint(Predictor):
         high: Any = 0.0
         frame: Any = None
         for k, w in enumerate(self.weights(parameters).tolist()):
-            if w == 0:  # not run; of the pivots at least one has some
+            if w == 0:
                 continue
             motion, states[k] = self.networks[k].run(
                 joints, states[k], detail=detail, frames=frames

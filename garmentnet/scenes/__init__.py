@@ -1,4 +1,4 @@
 """Simulation of data: body, dance, garment, cloth simulator, data sets.
 
-Needs the extra ``scenes``.  Only the commands that simulate import it.
+Making another body than the one that ships needs the extra ``scenes``.
 """

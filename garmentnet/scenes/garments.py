@@ -45,7 +45,7 @@ class Garment:
         Normals point outward.
     pinned : (V,) bool
         Vertices that follow the body.
-    joints, weights : (V, K) int32 and float32
+    indices, weights : (V, K) int32 and float32
         Skin weights on the body's joints; pinned vertices move by them.
     mirror : (V,) int32 or None
         Mirror image of each vertex; None if the garment is not symmetric.

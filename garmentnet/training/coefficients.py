@@ -15,9 +15,9 @@ from torch import Tensor
 
 from ..configs.config import TrainOptions
 from ..networks.gru import dropout_mask
-from ..networks.losses import EXACT
 from .batches import Batch, Track
 from .loop import Objective, mixed_precision
+from .losses import EXACT
 
 __all__ = ["CoefficientObjective"]
 

@@ -6,6 +6,7 @@ import dataclasses
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,11 +33,11 @@ from .pivots import (
 )
 from .run import train
 
-__all__ = ["compare_networks", "train_ensemble"]
+__all__ = ["Rule", "compare_networks", "train_ensemble"]
 
 Array = NDArray[np.float64]
 # Weights (K,) of pivots (K, P) at parameters (P,), all normalised.
-Rule = Callable[[Array, Array], Array]
+Rule = Callable[[Any, Any], Array]
 # Most clips of a parameter set on which networks are compared, since prediction takes long.
 _CLIPS = 4
 
@@ -50,7 +51,7 @@ def train_ensemble(
     callback: Callable[[str, Progress], bool | None] | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Path:
-    """Train a network for every training set, and the kernel that mixes K of them, the pivots.
+    """Train a network for every training parameter set, and the kernel that mixes K, the pivots.
 
     If training was interrupted, another call continues it.
 
@@ -60,9 +61,9 @@ def train_ensemble(
     config : Config
     folder : path
         Folder with a subfolder for each network, ``ensemble.safetensors``, and ``ensemble.json``:
-        `sets`, the training sets; `pivots`, their indices; `test_mm`, the errors on the test sets
-        of ``rbf``, ``inverse distance`` and ``nearest``, for training motions (``train``) and test
-        motions (``test``).
+        `sets`, the training parameter sets; `pivots`, their indices; `test_mm`, the errors on the
+        test sets of ``rbf``, ``inverse distance`` and ``nearest``, for training motions
+        (``train``) and test motions (``test``).
     start : Checkpoint, optional
         Network from whose weights every network starts; by default these are random.
     callback : callable, optional

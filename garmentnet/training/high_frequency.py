@@ -20,11 +20,11 @@ from ..data.clip import spread
 from ..networks.detail_basis import DetailBasis
 from ..networks.gru import dropout_mask
 from ..networks.high_frequency import HighFrequency
-from ..networks.losses import BodyShape, collision_depth, frame_norm
 from ..networks.network import MotionNetwork
 from .batches import Batch, Track
 from .coefficients import CoefficientObjective
 from .loop import Objective, mixed_precision
+from .losses import BodyShape, collision_depth, frame_norm
 
 __all__ = ["LEAST_DEVIATION", "DetailObjective", "HighFrequencyObjective"]
 

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from ..networks.gru import dropout_mask
-from ..networks.losses import EXACT
 from ..networks.network import MotionNetwork
 from .batches import Batch, Track
 from .loop import Objective, mixed_precision
+from .losses import EXACT
 from .targets import LowTargets
 
 __all__ = ["LowFrequencyObjective"]

@@ -237,12 +237,15 @@ def train(
         every = max(1, sum(t.n_frames for t in tracks) // _DETAIL_FRAMES)
         objective = _high_objective(network, tracks[::every], validation, begun)
         learn(objective, "high", o.high_epochs, o.high_learning_rate)
-    write_bytes(folder / "history.json", json.dumps(history, indent=1).encode())
     found = {k: [e["rmse"] for e in h if e["rmse"] is not None] for k, h in history.items()}
     errors = {f"{k}, validation": min(v) for k, v in found.items() if v}
-    return save_checkpoint(
+    path = save_checkpoint(
         Checkpoint((network,), (parameters,), None, errors), folder / "checkpoint.safetensors"
     )
+    # Last, because it says that the run is finished.
+    if not stopped:
+        write_bytes(folder / "history.json", json.dumps(history, indent=1).encode())
+    return path
 
 
 def _high_objective(

@@ -15,8 +15,8 @@ from ..data.clip import MIRRORED
 from ..data.virtual_bones import VirtualBones
 from ..io.files import kept
 from ..networks.features import PoseFeatures
-from ..networks.losses import mesh_laplacian
 from ..networks.skinning import remove_frame
+from .losses import mesh_laplacian
 from .shapes import ShapeBasis
 
 __all__ = ["LowTargets"]

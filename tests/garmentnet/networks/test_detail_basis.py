@@ -89,7 +89,7 @@ def test_what_the_low_frequencies_leave(with_basis, toy_store, toy_bones):
     network, name = with_basis.networks[0], "base-train-0"
     before = network.config
     network.config = dataclasses.replace(
-        before, high=dataclasses.replace(before.high, target="rest")
+        before, high=dataclasses.replace(before.high, target="residual")
     )
     try:
         tracks = load_tracks(network, toy_bones, [name])

@@ -6,7 +6,7 @@ torch = pytest.importorskip("torch")
 
 import trimesh
 
-from garmentnet.networks.losses import (
+from garmentnet.training.losses import (
     BodyShape,
     closest_vertices,
     collision_depth,

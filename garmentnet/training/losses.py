@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from ssdr import Skinning
 from ssdr.laplacian import uniform_laplacian
 
-from .skinning import TorchSkinning
+from ..networks.skinning import TorchSkinning
 
 __all__ = [
     "EXACT",
@@ -71,10 +71,7 @@ class BodyShape(nn.Module):
         )
 
     def forward(self, joints: Tensor) -> tuple[Tensor, Tensor]:
-        """Positions and unit normals ``(N, V_B, 3)`` under ``(N, J, 3, 4)``.
-
-        With `frame` ``(N, 3, 4)`` the joints are relative to it and the result is in the world.
-        """
+        """Positions and unit normals ``(N, V_B, 3)`` under joints ``(N, J, 3, 4)``."""
         v = self.skinning(joints)
         a, b, c = (v[:, self.faces[:, k]] for k in range(3))
         area = torch.linalg.cross(b - a, c - a, dim=-1)
