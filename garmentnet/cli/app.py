@@ -20,7 +20,7 @@ from .exporting import export
 from .importing import import_clips
 from .learning import demo, evaluate, predict, reproduce, train
 from .models import models
-from .simulating import dataset
+from .simulating import simulate
 from .viewing import view
 
 __all__ = ["app", "main"]
@@ -41,11 +41,10 @@ app = typer.Typer(
 
 
 _COMMANDS = (
-    dataset, train, evaluate, predict, view, export, reproduce, demo, models
+    simulate, train, evaluate, predict, view, export, reproduce, demo, models
 )  # fmt: skip
 for _command in _COMMANDS:
     app.command()(_command)
-app.command("simulate")(dataset)
 app.command("import")(import_clips)
 
 

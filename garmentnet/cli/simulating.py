@@ -1,4 +1,4 @@
-"""The command ``garmentnet dataset``, also called ``simulate``."""
+"""The command ``garmentnet simulate``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ..data.clip import Clip
     from ..data.store import ClipStore
 
-__all__ = ["dataset", "quality_rows"]
+__all__ = ["quality_rows", "simulate"]
 
 _HEAD = (
     *("set", "clips", "rejected", "frames"),
@@ -33,7 +33,7 @@ _FIGURES: tuple[tuple[str, Any, float, int], ...] = (
 )
 
 
-def dataset(
+def simulate(
     name: Annotated[
         str, typer.Argument(help="A scene or data set (TOML), or one that ships: tiny, dress ...")
     ],
