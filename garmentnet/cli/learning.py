@@ -75,21 +75,24 @@ def train(
     folder = output or output_folder() / "runs" / stem
     begun = load_checkpoint(start) if start else None
     with progress_bar() as show:
-
-        def after(p: Any, name: str = "") -> None:
-            show(name + _epoch(p), p.fraction)
-
         if ensemble:
             path = train_ensemble(
                 clips,
                 chosen,
                 folder,
                 start=begun,
-                callback=lambda name, p: after(p, f"{name}, "),
+                callback=lambda name, p: show(f"{name}, {_epoch(p)}", p.fraction),
                 progress=show,
             )
         else:
-            path = train_network(clips, chosen, folder, start=begun, callback=after, progress=show)
+            path = train_network(
+                clips,
+                chosen,
+                folder,
+                start=begun,
+                callback=lambda p: show(_epoch(p), p.fraction),
+                progress=show,
+            )
     typer.echo(str(path))
 
 

@@ -45,7 +45,7 @@ def simulate(
     ] = None,
     workers: Annotated[int | None, typer.Option(help="Threads; all cores by default.")] = None,
 ) -> None:
-    """Simulate the clips of a scene or a data set; stopped and started again, it goes on."""
+    """Simulate the clips of a scene or a data set; the same command again goes on."""
     from ..scenes.dataset import make_data_set, recorded_motions
     from ..scenes.scene_file import load_data_set
 

@@ -198,7 +198,7 @@ class Reproduction:
         return [made(v) for v in variants]
 
     def epoch(self, label: str) -> Callable[[Any], None]:
-        """Function that reports an epoch of a training."""
+        """Callback that reports every epoch of a training as progress."""
 
         def show(p: Any) -> None:
             if self.progress:

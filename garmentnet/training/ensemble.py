@@ -51,7 +51,7 @@ def train_ensemble(
     callback: Callable[[str, Progress], bool | None] | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Path:
-    """Train a network for every training parameter set, and the kernel that mixes K, the pivots.
+    """Train one network for each training parameter set, and the kernel that mixes the pivots.
 
     If training was interrupted, another call continues it.
 

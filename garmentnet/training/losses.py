@@ -1,4 +1,4 @@
-"""Terms of the losses, means over frames (Pan et al. 2022, sections 4.2 and 4.3)."""
+"""Terms of the two modules' losses (Pan et al. 2022, sections 4.2 and 4.3)."""
 
 from __future__ import annotations
 

@@ -199,7 +199,7 @@ def select_pivots(grams: Sequence[Array], parameters: Any, count: int) -> list[i
 
 
 def fit_kernel(learned: Sequence[Mixed], *, steps: int = 600, seed: int = 0) -> Kernel:
-    """Train the kernel on mixtures of pivots that leave out one training set at a time.
+    """Train the kernel, leaving the pivot of one training parameter set out at a time.
 
     Parameters
     ----------

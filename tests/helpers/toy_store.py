@@ -197,7 +197,7 @@ def make_store(path, *, frames=90, train=8, others=(), seed=0) -> ClipStore:
             moves[name] = motion(rng, frames, skeleton)
             add(f"base-{name}", split, name, BASE, moves[name])
     for n, (parameters, role) in enumerate(others):
-        # As in the data sets that ship: validation clips are of the base only.
+        # Validation clips are of the base only.
         for split in ("train", "test"):
             add(f"set{n}-{split}-0", split, f"{split}-0", parameters, moves[f"{split}-0"], role)
     shake = 1e-3 * rng.normal(size=(frames, len(rest), 3)).astype(np.float32)

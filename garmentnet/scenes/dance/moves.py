@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MOVES", "TEMPI", "Controls", "Float", "Move", "bump", "smooth"]
+__all__ = ["MOVES", "TEMPI", "Controls", "Float", "bump", "smooth"]
 
 Float = NDArray[np.float64]
 Controls = dict[str, Float]
@@ -45,7 +45,7 @@ def _walk(rng: np.random.Generator, t: Float, length: float) -> Controls:
 
 
 def _turn(rng: np.random.Generator, t: Float, length: float) -> Controls:
-    """A walk that turns steadily at 0.8 to 2.6 rad/s, or by 90° to 180° one to three times."""
+    """A walk that turns steadily at 0.8 to 2.6 rad/s, or by 45° to 180° one to three times."""
     speed = rng.uniform(0.4, 1.4)
     side = rng.choice([-1.0, 1.0])
     if rng.random() < 0.4:

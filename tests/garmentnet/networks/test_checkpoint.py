@@ -83,6 +83,8 @@ def test_ensemble_round_trip(toy_network, toy_store, tmp_path):
     both = Checkpoint((network, network), (toy.BASE, other), Kernel())
     loaded = load_checkpoint(save_checkpoint(both, tmp_path / "e.safetensors"))
     theta = SimulationParameters(bending=1.0)
+    assert loaded.kernel is not None
+    assert np.array_equal(loaded.weights(theta), both.weights(theta))
     joints = toy_store.clip("base-test-1").joints[:5]
     assert np.array_equal(loaded.predict(joints, theta), both.predict(joints, theta))
 

@@ -99,7 +99,7 @@ def test_a_garment_of_real_size_whose_parameters_change(tmp_path):
 
 @pytest.fixture(scope="module")
 def pivots():
-    """Two pivots, 0.1 m apart, under a narrow kernel."""
+    """Two pivots, 0.1 m apart, and a kernel."""
     networks = tuple(made.network(seed=s) for s in (1, 2))
     torch.manual_seed(0)
     return Checkpoint(networks, (P(bending=0.2), P(bending=2.0)), Kernel())

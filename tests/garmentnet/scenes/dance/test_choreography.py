@@ -42,7 +42,8 @@ def test_any_seed_gives_a_plausible_dance(seed: int) -> None:
     soles = h[:, FEET, 1] - ANKLE
     assert soles.min() > -0.12
     flying = np.isin(motion.classes, [CLASSES.index(c) for c in ("jump", "kick")])
-    assert (flying | (soles.min(axis=1) < 0.14)).mean() > 0.95
+    standing = soles.min(axis=1)[~flying]
+    assert not len(standing) or (standing < 0.14).mean() > 0.95
     # No limb goes faster than a quick dancer's.
     speed = np.linalg.norm(np.diff(h, axis=0), axis=2).max(axis=1) * motion.fps
     assert speed.max() < 18
