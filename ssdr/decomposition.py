@@ -11,7 +11,7 @@ from .checks import BoneModel, names_arguments
 from .drivers import in_memory, streamed
 from .drivers.efforts import Effort
 from .drivers.hand_back import finished
-from .drivers.problem import check_problem
+from .drivers.problem import RestPose, check_problem
 from .drivers.scan import needs_streaming
 from .quantisation import WeightStorage
 from .result import Decomposition
@@ -37,6 +37,8 @@ def decompose(
     vertex_importance: Any = None,
     frame_importance: Any = None,
     smoothness: float = 0.0,
+    rest_pose: RestPose = "surface",
+    normals: bool = True,
     rng: int | np.random.Generator = 0,
     time_limit: float | None = None,
     checkpoint: str | Path | None = None,
@@ -88,6 +90,13 @@ def decompose(
     smoothness : float
         Length in the mesh's units: a difference of 1 in a weight between the ends of an edge
         costs as much as an error of this length at one vertex in every frame.  0: no such cost.
+    rest_pose : {"surface", "free"}
+        "surface": a rest pose whose edges resemble those of the first frame (or of the rest frame
+        of a :class:`Start`), on which weights can be painted and cloth bound, and which every
+        program lights well.  "free": whatever has the least error, which is a crumpled mesh.
+    normals : bool
+        Whether the last steps also fit the normals that engines draw, rest normals turned with the
+        bones, to those of the animation.  Without it they are fitted only after the model is found.
     rng : int or numpy.random.Generator
         Seed; the same seed gives the same bits, whatever the number of threads.
     time_limit : float, optional

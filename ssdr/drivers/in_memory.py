@@ -11,7 +11,7 @@ from ..solver.trajectories import Trajectories
 from .hand_back import outcome_of, skinning_of
 from .problem import Problem
 from .rounding import rounded_best
-from .schedule import schedule_for
+from .schedule import normals_last, schedule_for
 
 __all__ = ["begin", "solve"]
 
@@ -47,6 +47,7 @@ def begin(
     schedule: Schedule | None = None,
 ) -> Run:
     """Begin a run on the frames of `data`, by default with the schedule of the problem's effort."""
+    data = problem.with_rest_surface(data, given)
     smoothness = WeightSmoothness.build(data, problem.sequences[0].faces, problem.smoothness)
     if schedule is None:
         schedule = schedule_for(
@@ -59,6 +60,8 @@ def begin(
             size=float(data.n_vertices) * data.n_frames * problem.bones,
             rig=problem.rig,
         )
+    if problem.normals:
+        schedule = normals_last(schedule)
     return Run(
         data,
         schedule,

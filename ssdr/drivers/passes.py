@@ -21,6 +21,7 @@ from ..sequence import MeshSequence
 from ..solver.gauss_newton import fit_motion
 from ..solver.model import CHUNK, Locked, Model
 from ..solver.moments import gram_tables
+from ..solver.objective import Objective, normal_length, rest_pulls
 from ..solver.trajectories import Alignment, Array, Trajectories, frame_scale_of
 from ..solver.vertex_newton import newton_vertices
 from .scan import OnProgress, Scan
@@ -107,18 +108,34 @@ class AllFrames:
         self.passes = 0
         ratio = data.scale / self.alignment.scale
         self.model = carried(model, scan.nearest, ratio, given, locked)
-        self.vertex_importance = data.importance
-        self.frame_scale = frame_scale_of(importance, len(scan.nearest))
+        # all that is kept of the trajectories of all frames
+        self.space = Trajectories(
+            z=data.z[:, :0],
+            q=None,
+            x2=data.x2,
+            importance=data.importance,
+            frame_scale=frame_scale_of(importance, len(scan.nearest)),
+            faces=data.faces,
+            normals=None if data.n2 is None else data.z[:, :0],
+            n2=data.n2,
+            surface=None if data.surface is None else data.surface.scaled(ratio),
+            **vars(scan.alignment),
+        )
+        share = self.space.n_frames / data.n_frames
+        self.model.error *= ratio**2 * share
+        self.model.normal_error *= share
 
     def pass_over(self, *, entering: int, on_progress: OnProgress | None = None) -> float:
-        """Alternate once over all frames; return the objective in the solver's space.
+        """Alternate once over all frames; return the objective (:class:`Objective`) of the model.
 
         `entering` is the number of bones that may enter the support of a vertex.  `on_progress` is
         called with the fraction of the frames that is done.
         """
-        model, n_frames = self.model, len(self.frame_scale)
-        n, n_bones = len(model.rest), model.n_bones
-        y, g, x2 = np.zeros((n, 4 * n_bones)), np.zeros((4 * n_bones, 4 * n_bones)), np.zeros(n)
+        model, space, n_bones = self.model, self.space, self.model.n_bones
+        n, n_frames, n_points = space.n_vertices, space.n_frames, space.n_points
+        length = normal_length(space, model)
+        y, x2 = np.zeros((n, n_points, 4, n_bones)), np.zeros((n, n_points))
+        g = np.zeros((4 * n_bones, 4 * n_bones))
         spans = spans_of(n_frames)
         leaps = _LEAPS if self.passes else _FIRST_LEAPS
         # each span is sent with its own transforms, and a pass does not read the support
@@ -128,14 +145,14 @@ class AllFrames:
             support=model.indices,
             support_weights=model.weights,
         )
-        shared = (still, self.vertex_importance, self.alignment.scale, self.locked, leaps)
+        shared = (still, space.importance, space.scale, space.faces, self.locked, leaps, length)
 
         def of_span(k: int) -> tuple[Array, ...]:
             span = slice(*spans[k])
             return (
-                self.alignment.centre[span],
-                self.alignment.rotation[span],
-                self.frame_scale[span],
+                space.centre[span],
+                space.rotation[span],
+                space.frame_scale[span],
                 model.transforms[span],
             )
 
@@ -153,12 +170,15 @@ class AllFrames:
                 x2,
                 gram_tables(g, n_bones),
                 model,
+                hold=rest_pulls(space, model, self.locked),
+                length=length,
                 locked=self.locked,
                 entering=entering,
                 rounds=_ROUNDS,
             )
         self.passes += 1
-        return float(self.vertex_importance @ model.error)
+        # joints do not move in a pass
+        return Objective(dataclasses.replace(self.locked, near_skin=False)).value(space, model)
 
 
 @serial_blas()
@@ -171,38 +191,49 @@ def _pass_span(
     model: Model,
     importance: Array,
     scale: float,
+    faces: NDArray[np.int32],
     locked: Locked,
     leaps: int,
+    length: float,
 ) -> tuple[Array, Array, Array, Array]:
     """Solve the bones of a span; return their transforms and the span's part of Y, G and Σ|x|²."""
-    n, n_bones = len(model.rest), transforms.shape[1]
+    n, n_bones, n_points = len(model.rest), transforms.shape[1], 1 + model.normals.shape[1]
     transforms = transforms.copy()
-    y, g, x2 = np.zeros((n, 4 * n_bones)), np.zeros((4 * n_bones, 4 * n_bones)), np.zeros(n)
+    y, x2 = np.zeros((n, n_points, 4, n_bones)), np.zeros((n, n_points))
+    g = np.zeros((4 * n_bones, 4 * n_bones))
     alignment = Alignment(centre=centre, rotation=turn, scale=scale)
     for start, block in frames.blocks():
         stop = start + len(block)
         x = alignment.inward(block, start)
         x *= frame_scale[start:stop, None]
         flat = x.reshape(n, -1)
-        x2 += np.einsum("ij,ij->i", flat, flat)
         part = Trajectories(
             z=flat,
             q=None,
-            x2=x2,
+            x2=np.einsum("ij,ij->i", flat, flat),
             importance=importance,
             frame_scale=frame_scale[start:stop],
+            faces=faces,
             centre=centre[start:stop],
             rotation=turn[start:stop],
             scale=scale,
         )
-        piece = dataclasses.replace(model, transforms=transforms[start:stop], error=x2.copy())
-        fit_motion(part, piece, locked=locked, sweeps=_SWEEPS, leaps=leaps)
+        if n_points > 1:
+            part = part.with_normals()
+        x2 += part.squares(slice(None), length)
+        piece = dataclasses.replace(
+            model,
+            transforms=transforms[start:stop],
+            error=part.x2.copy(),
+            normals=model.normals.copy(),
+        )
+        fit_motion(part, piece, locked=locked, sweeps=_SWEEPS, leaps=leaps, length=length)
         transforms[start:stop] = piece.transforms
         hat = part.stack(piece.transforms)
         g += hat.T @ hat
 
-        def add(_: int, i: int, k: int, flat: Array = flat, hat: Array = hat) -> None:
-            y[i:k] += flat[i:k] @ hat
+        def add(_: int, i: int, k: int, part: Trajectories = part, hat: Array = hat) -> None:
+            y[i:k] += part.products(slice(i, k), hat, length)
 
         run_chunks(add, chunk_bounds(n, 2 * CHUNK))
     return transforms, y, g, x2

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from ..checks import (
     check_smoothness,
     check_whole,
 )
-from ..errors import InputError, check_choice, is_real, is_whole
+from ..errors import InputError, check_choice, check_flag, is_real, is_whole
 from ..frames.executor import Executor, Local, executor_for
 from ..quantisation import WeightStorage
 from ..search.given import Given
@@ -26,6 +26,7 @@ from ..search.progress import Callback
 from ..sequence import MeshSequence, as_sequences
 from ..skinning import Skinning
 from ..solver.model import Locked
+from ..solver.rest_surface import RestSurface
 from ..solver.trajectories import Array, Trajectories, gather
 from ..start import Skeleton, Start
 from .checkpoint import Checkpoint
@@ -34,7 +35,9 @@ from .given_parts import check_skeleton, check_start, extra_parents, with_skelet
 from .scan import needs_streaming
 from .schedule import RigKind
 
-__all__ = ["Problem", "check_problem"]
+__all__ = ["Problem", "RestPose", "check_problem"]
+
+RestPose = Literal["surface", "free"]
 
 # Least importance of a frame, relative to the largest: with less, the steps of all bones together
 # would be blind to the transforms of that frame.
@@ -64,6 +67,9 @@ class Problem:
         A whole model to go on from.
     smoothness : float
         Length in the mesh's units.
+    rest_pose : {"surface", "free"}
+    normals : bool
+        Whether normals are part of the objective.
     vertex_importance : (V,) array or None
     frame_importance : (F,) array or None
     rng : numpy.random.Generator
@@ -84,6 +90,8 @@ class Problem:
     given: Given
     start: Skinning | None
     smoothness: float
+    rest_pose: RestPose
+    normals: bool
     vertex_importance: Array | None
     frame_importance: Array | None
     rng: np.random.Generator
@@ -121,6 +129,17 @@ class Problem:
             compress=False,
         )
 
+    def with_rest_surface(self, data: Trajectories, given: Given) -> Trajectories:
+        """A copy of uncompressed trajectories with what the rest pose is to resemble, if anything.
+
+        That is the rest pose of `given`, of its skeleton, or else its rest frame.
+        """
+        if self.rest_pose == "free" or self.locked.rest:
+            return data
+        pose = given.tree_pose if given.rest is None else given.rest
+        pose = data.frame(given.rest_frame) if pose is None else pose
+        return dataclasses.replace(data, surface=RestSurface.build(data, pose))
+
     @property
     def placed(self) -> bool:
         """Whether weights or all bones are locked, so that no bone has to find its place."""
@@ -141,6 +160,8 @@ def check_problem(
     vertex_importance: Any = None,
     frame_importance: Any = None,
     smoothness: Any = 0.0,
+    rest_pose: Any = "surface",
+    normals: Any = True,
     rng: Any,
     time_limit: Any = None,
     checkpoint: Any = None,
@@ -158,6 +179,7 @@ def check_problem(
     influences, storage = _check_stored(influences)
     bone_model = check_bone_model(bone_model)
     check_choice(effort, "effort", Effort)
+    check_choice(rest_pose, "rest_pose", RestPose)
     if not (start is None or isinstance(start, (Skinning, Start))):
         raise InputError("start", "None, a Skinning or a Start", type(start).__name__)
     if not (rig is None or isinstance(rig, Skeleton) or _is_kind(rig)):
@@ -204,6 +226,8 @@ def check_problem(
         given=given,
         start=whole,
         smoothness=smoothness,
+        rest_pose=rest_pose,
+        normals=check_flag(normals, "normals"),
         vertex_importance=check_importance(vertex_importance, "vertex_importance", n),
         frame_importance=frame_importance,
         rng=check_rng(rng),

@@ -33,6 +33,7 @@ from ..search.stages import (
     Polish,
     Relax,
     Search,
+    SolveNormals,
 )
 from ..search.starts import QuickStart, Spread, StartFromModel, StartFromMotion
 from .efforts import (
@@ -50,7 +51,7 @@ from .efforts import (
     Rebuilds,
 )
 
-__all__ = ["RigKind", "merged_start", "schedule_for", "settling_schedule"]
+__all__ = ["RigKind", "merged_start", "normals_last", "schedule_for", "settling_schedule"]
 
 RigKind = Literal["none", "loose", "rigid"]
 
@@ -59,9 +60,9 @@ RigKind = Literal["none", "loose", "rigid"]
 
 # A usable model early, without excess bones and before the frames are compressed.
 FIRST_MODEL: Schedule = (QuickStart(), Alternate(steps=20, gain=0.01), Compress())
-# Four polish steps at each number of influences, of which "best" makes eight; the last polish ends
-# when eight steps gain less than 1 % of the error.
-RELAXED: Schedule = (Relax(polish_steps=4, cost=30), Polish(steps=40, gain=0.01))
+# Five polish steps at each number of influences, of which "best" makes eight; the last polish ends
+# when eight steps gain less than 0.7 % of the error.
+RELAXED: Schedule = (Relax(polish_steps=5, cost=35), Polish(steps=40, gain=0.007))
 RELAXED_TREE: Schedule = (Relax(polish_steps=6, cost=30), Polish(steps=24, gain=0.01))
 ATTACHED: Schedule = (AttachToJoints(), Polish(steps=8))
 LAST_OF_TREES = Polish(steps=40, gain=0.002)
@@ -306,6 +307,14 @@ def from_model(
 # --- which of them -------------------------------------------------------------------------------
 
 
+def normals_last(schedule: Schedule) -> Schedule:
+    """The schedule with normals in the objective from its last polish on."""
+    last = max((k for k, stage in enumerate(schedule) if isinstance(stage, Polish)), default=None)
+    if last is None:
+        return schedule
+    return (*schedule[:last], SolveNormals(), *schedule[last:])
+
+
 def schedule_for(
     effort: Effort,
     *,
@@ -317,7 +326,7 @@ def schedule_for(
     size: float,
     rig: RigKind = "none",
 ) -> Schedule:
-    """Schedule of a call.
+    """Schedule of a call, without normals in the objective.
 
     Parameters
     ----------

@@ -62,7 +62,9 @@ def solve(problem: Problem) -> Decomposition:
     more = few.extended(problem.n_vertices)
     importance = problem.frame_importance
     sequence, data, given = _read_chosen(problem, few, few.importance(importance))
-    run = begin(problem, data, given, clock)
+    # normals are solved in the last of the runs
+    first = problem if more is None else dataclasses.replace(problem, normals=False)
+    run = begin(first, data, given, clock)
     del data  # frees the frames once the run has compressed them
     reason = _make_steps(problem, run, sequence, (SCANNED, _REPRESENTED))
     # the transforms of a start are dropped if they turned out to be of other frames
@@ -188,7 +190,7 @@ def _passes(
         stopped |= report(
             "all frames",
             iteration=run.iteration + len(passes),
-            rmse=unit * math.sqrt(last),
+            rmse=unit * math.sqrt(passes[-1][2]) if passes else math.inf,
             fraction=_SETTLED + (1 - _SETTLED) * (len(passes) + done) / most,
         )
 
@@ -204,7 +206,8 @@ def _passes(
             frames.model = before
             break
         step = run.iteration + len(passes) + 1
-        passes.append((step, run.clock.elapsed, value, "all frames"))
+        error = frames.model.weighted_error(frames.space)
+        passes.append((step, run.clock.elapsed, error, "all frames"))
         small, last = value > (1 - GAIN) * last, value
         problem.checkpoint.offer(model)
         if small or hurried or stopped:

@@ -201,7 +201,7 @@ def _from_neighbours(data: Trajectories, model: Model, locked: Locked, most: int
     If bones overlap widely, a frame's own start may end in a poor minimum.  The model is changed
     in place; returns whether any frame was improved.
     """
-    u, c = bone_sums(data, model.indices, model.weights, model.rest, model.n_bones)
+    u, c = bone_sums(data, model)
     flat = stack_blocks(u)
     energy = np.array(
         [

@@ -25,6 +25,7 @@ from ..kernels.chains import chain_move
 from ..solver.alternation import sweep, vertex_step
 from ..solver.model import Locked, Model
 from ..solver.moments import bone_sums
+from ..solver.objective import normal_length
 from ..solver.trajectories import Array, Trajectories
 
 __all__ = [
@@ -191,7 +192,7 @@ def step_with_joint_penalty(
     The penalty on a squared gap is `stiffness` times the mass of the lighter bone.
     """
     tree = model.hierarchy
-    u, c = bone_sums(data, model.indices, model.weights, model.rest, model.n_bones)
+    u, c = bone_sums(data, model, length=normal_length(data, model))
     mass = model.bone_masses()
     for j in tree.non_roots:
         k = tree.parents[j]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from .policy import inline, kernel
-from .vertices import monomials
 
 # Squared radii of a bone's vertices, in a mesh of unit size.
 SPECK = 1e-6  # below this, the scale of the bone is hardly determined
@@ -15,23 +14,22 @@ COLUMNS = 512  # number of columns of the trajectories that are summed at a time
 
 
 @kernel
-def bone_moments(indices, weights, rest, importance, z, u, az):
+def bone_moments(indices, weights, points, importance, z, u, az):
     """Add up the sums over vertices from which the bones of every frame are solved.
 
     indices     (V, K)      int32    bone of each influence, in
     weights     (V, K)      float64  its weight, 0 in unused influences, in
-    rest        (V, 3)      float64  rest positions, in
+    points      (V, 4)      float64  p̃: rest positions (p, 1), or rest normals (n, 0), in
     importance  (V,)        float64  factor of each vertex's error, in
     z           (V, r)      float64  trajectories, compressed to r numbers, in
-    u           (B, B, 10)  float64  Σ_i w_j w_k m, m the ten monomials of p̃p̃ᵀ, for j <= k, added to
+    u           (B, B, 10)  float64  Σ_i w_j w_k p̃p̃ᵀ for j <= k, its upper triangle, added to
     az          (4, B, r)   float64  Σ_i w_j p̃ z_i, added to
     """
     n_bones = az.shape[1]
     r = z.shape[1]
-    m = np.empty(10)
     start = np.zeros(n_bones + 1, dtype=np.int64)
-    for i in range(len(rest)):
-        monomials(rest[i], m)
+    for i in range(len(points)):
+        p = points[i]
         for q in range(indices.shape[1]):
             w = importance[i] * weights[i, q]
             if w == 0.0:
@@ -43,8 +41,11 @@ def bone_moments(indices, weights, rest, importance, z, u, az):
                 if k < j or weights[i, s] == 0.0:
                     continue
                 ww = w * weights[i, s]
-                for d in range(10):
-                    u[j, k, d] += ww * m[d]
+                c = 0
+                for d in range(4):
+                    for e in range(d, 4):
+                        u[j, k, c] += ww * p[d] * p[e]
+                        c += 1
     # Bone by bone, three vertices at a time, with columns that fit into the cache: otherwise each
     # weight would read and write four whole rows of az.
     for j in range(n_bones):
@@ -52,7 +53,7 @@ def bone_moments(indices, weights, rest, importance, z, u, az):
     who = np.zeros(start[n_bones], dtype=np.int64)
     a = np.zeros((4, start[n_bones]))
     place = start.copy()
-    for i in range(len(rest)):
+    for i in range(len(points)):
         for q in range(indices.shape[1]):
             w = importance[i] * weights[i, q]
             if w == 0.0:
@@ -60,9 +61,8 @@ def bone_moments(indices, weights, rest, importance, z, u, az):
             k = place[indices[i, q]]
             place[indices[i, q]] += 1
             who[k] = i
-            for d in range(3):
-                a[d, k] = w * rest[i, d]
-            a[3, k] = w
+            for d in range(4):
+                a[d, k] = w * points[i, d]
     for e in range(0, r, COLUMNS):
         f = min(r, e + COLUMNS)
         for j in range(n_bones):

@@ -1,7 +1,7 @@
 """The vertex step of the polish, the Gauss–Newton iteration that eliminates the vertices.
 
-The unknowns of a vertex are all its weights except the largest, since weights sum to 1, and then
-its rest position.  These are at most D = K + 2.
+The unknowns of a vertex are all its weights except the largest, since weights sum to 1, then its
+rest position and, if it has one, its normal.  These are at most D = K − 1 + 3P for P points.
 """
 
 from __future__ import annotations
@@ -11,84 +11,109 @@ import numpy as np
 from .policy import inline, kernel
 from .simplex_qp import cheapest_to_drop, cholesky_solve, equilibrate, invert, simplex_qp
 from .vertices import (
-    against,
+    all_pulled,
     close_gaps,
     gradient_of_all,
     hessian_row,
+    load_points,
     monomials,
+    pull_error,
     pulled,
     read_influences,
     store,
+    store_points,
     vertex_error,
 )
 
 
 @inline
-def joint_system(gram4, y, ids, w, n, p, with_weights, with_rest, h, moved, turned, a, g):
+def joint_system(gram4, y, pull, ids, w, n, p, with_weights, with_rest, h, moved, turned, a, g):
     """Write the Gauss–Newton matrix a and half gradient g of one vertex's error; return their size.
 
-    Also written are h (n, n) = p̃ᵀ G_qs p̃, moved (n, 4) = Σ_s w_s G_qs p̃ and
-    turned (n, 4) = Σ_s w_s G_sq p̃, for influences q and s.
+    Also written are, for influences q and s, h (n, n) = Σ p̃ᵀ G_qs p̃ over the points p̃, and for
+    each point moved (n, 4) = Σ_s w_s G_qs p̃ and turned (n, 4) = Σ_s w_s G_sq p̃.
     """
-    p0, p1, p2 = p[0], p[1], p[2]
     k = n - 1 if with_weights else 0
     a00 = a10 = a11 = a20 = a21 = a22 = 0.0
-    for q in range(n):
-        for d in range(4):
-            moved[q, d] = 0.0
-            turned[q, d] = 0.0
-    for q in range(n):
-        wq = w[q]
-        for s in range(n):
-            # G_sq is the transpose of G_qs: its rows lie as vectors of four in memory
-            m = gram4[ids[s], ids[q]]
-            ws = w[s]
-            t0 = m[0, 0] * p0 + m[1, 0] * p1 + m[2, 0] * p2 + m[3, 0]
-            t1 = m[0, 1] * p0 + m[1, 1] * p1 + m[2, 1] * p2 + m[3, 1]
-            t2 = m[0, 2] * p0 + m[1, 2] * p1 + m[2, 2] * p2 + m[3, 2]
-            t3 = m[0, 3] * p0 + m[1, 3] * p1 + m[2, 3] * p2 + m[3, 3]
-            h[q, s] = t0 * p0 + t1 * p1 + t2 * p2 + t3
-            moved[q, 0] += ws * t0
-            moved[q, 1] += ws * t1
-            moved[q, 2] += ws * t2
-            moved[q, 3] += ws * t3
-            turned[s, 0] += wq * t0
-            turned[s, 1] += wq * t1
-            turned[s, 2] += wq * t2
-            turned[s, 3] += wq * t3
-            ws *= wq
-            a00 += ws * m[0, 0]
-            a10 += ws * m[1, 0]
-            a11 += ws * m[1, 1]
-            a20 += ws * m[2, 0]
-            a21 += ws * m[2, 1]
-            a22 += ws * m[2, 2]
-    g0 = against(moved, 0, p) - pulled(y, ids[0], p)
+    for t in range(p.shape[0]):
+        p0, p1, p2, p3 = p[t, 0], p[t, 1], p[t, 2], p[t, 3]
+        for q in range(n):
+            for d in range(4):
+                moved[t, q, d] = 0.0
+                turned[t, q, d] = 0.0
+        for q in range(n):
+            wq = w[q]
+            for s in range(n):
+                # G_sq is the transpose of G_qs: its rows lie as vectors of four in memory
+                m = gram4[ids[s], ids[q]]
+                ws = w[s]
+                t0 = m[0, 0] * p0 + m[1, 0] * p1 + m[2, 0] * p2 + m[3, 0] * p3
+                t1 = m[0, 1] * p0 + m[1, 1] * p1 + m[2, 1] * p2 + m[3, 1] * p3
+                t2 = m[0, 2] * p0 + m[1, 2] * p1 + m[2, 2] * p2 + m[3, 2] * p3
+                t3 = m[0, 3] * p0 + m[1, 3] * p1 + m[2, 3] * p2 + m[3, 3] * p3
+                along = t0 * p0 + t1 * p1 + t2 * p2 + t3 * p3
+                moved[t, q, 0] += ws * t0
+                moved[t, q, 1] += ws * t1
+                moved[t, q, 2] += ws * t2
+                moved[t, q, 3] += ws * t3
+                turned[t, s, 0] += wq * t0
+                turned[t, s, 1] += wq * t1
+                turned[t, s, 2] += wq * t2
+                turned[t, s, 3] += wq * t3
+                if t > 0:
+                    h[q, s] += along
+                    continue
+                h[q, s] = along
+                ws *= wq
+                a00 += ws * m[0, 0]
+                a10 += ws * m[1, 0]
+                a11 += ws * m[1, 1]
+                a20 += ws * m[2, 0]
+                a21 += ws * m[2, 1]
+                a22 += ws * m[2, 2]
+    g0 = along_points(moved, 0, p) - pulled(y, ids[0], p)
     for q in range(1, k + 1):
-        g[q - 1] = against(moved, q, p) - pulled(y, ids[q], p) - g0
+        g[q - 1] = along_points(moved, q, p) - pulled(y, ids[q], p) - g0
         for s in range(1, q + 1):
             a[q - 1, s - 1] = h[q, s] - h[0, s] - h[q, 0] + h[0, 0]
-    if not with_rest:
-        return k
-    for c in range(3):
-        value = 0.0
-        for q in range(n):
-            value += w[q] * (moved[q, c] - y[c, ids[q]])
-        g[k + c] = value
-        for q in range(1, k + 1):
-            a[k + c, q - 1] = turned[q, c] - turned[0, c]
-    a[k, k] = a00
-    a[k + 1, k], a[k + 1, k + 1] = a10, a11
-    a[k + 2, k], a[k + 2, k + 1], a[k + 2, k + 2] = a20, a21, a22
-    return k + 3
+    z = k
+    for t in range(0 if with_rest else 1, p.shape[0]):
+        mu = pull[0] if t == 0 else 0.0
+        for c in range(3):
+            value = mu * (p[t, c] - pull[1 + c])
+            for q in range(n):
+                value += w[q] * (moved[t, q, c] - y[t, c, ids[q]])
+            g[z + c] = value
+            for q in range(1, k + 1):
+                a[z + c, q - 1] = turned[t, q, c] - turned[t, 0, c]
+            for q in range(k, z):
+                a[z + c, q] = 0.0
+        a[z, z] = a00 + mu
+        a[z + 1, z], a[z + 1, z + 1] = a10, a11 + mu
+        a[z + 2, z], a[z + 2, z + 1], a[z + 2, z + 2] = a20, a21, a22 + mu
+        z += 3
+    return z
 
 
 @inline
-def error_of(x2, y, ids, w, n, p, moved):
-    """Squared error of a vertex, given `moved` from :func:`joint_system` for the same w and p."""
+def along_points(moved, q, p):
+    """Sum Σ p̃ᵀ moved_q over the points p̃ of a vertex."""
+    value = 0.0
+    for t in range(p.shape[0]):
+        for d in range(4):
+            value += moved[t, q, d] * p[t, d]
+    return value
+
+
+@inline
+def error_at(x2, y, ids, w, n, p, moved):
+    """Squared error of one point p (4,), given `moved` from :func:`joint_system` for the same w."""
     e = x2
     for q in range(n):
-        e += w[q] * (against(moved, q, p) - 2.0 * pulled(y, ids[q], p))
+        value = 0.0
+        for d in range(4):
+            value += (moved[q, d] - 2.0 * y[d, ids[q]]) * p[d]
+        e += w[q] * value
     return e
 
 
@@ -102,6 +127,10 @@ def polish_vertices(
     indices,
     weights,
     error,
+    normals,
+    normal_error,
+    hold,
+    length,
     locked,
     move_rest,
     entering,
@@ -111,16 +140,20 @@ def polish_vertices(
 ):
     """Improve the weights and rest position of each vertex; no vertex's error rises.
 
-    y             (V, 4, B)     float64  Σ_t M_j^tᵀ v_i^t, in
-    x2            (V,)          float64  Σ_t |v_i^t|², in
+    y             (V, P, 4, B)  float64  Σ_t M_j^tᵀ v_i^t of position and normal, in
+    x2            (V, P)        float64  Σ_t |v_i^t|², in
     gram          (B, 10, B)    float64  coefficients of p̃ᵀ G_jk p̃, in
     gram4         (B, B, 4, 4)  float64  G_jk, in
     rest          (V, 3)        float64  rest positions, updated where `move_rest`
     indices       (V, K)        int32    bone of each influence, updated
     weights       (V, K)        float64  its weight, descending, updated
-    error         (V,)          float64  squared error, out
+    error         (V,)          float64  squared error of the positions, out
+    normals       (V, P-1, 3)   float64  rest normals, updated
+    normal_error  (V,)          float64  squared error of the normals, as of unit vectors, out
+    hold          (V, 4)        float64  pull (μ, m) on each rest position, in
+    length        float                  that of a normal as a point
     locked        (V,)          bool     vertices whose weights are not changed, in
-    inverse       (V, D, D)     float64  inverse of the Gauss–Newton matrix, D = K + 2, out
+    inverse       (V, D, D)     float64  inverse of the Gauss–Newton matrix, out
     gradient      (V, D)        float64  half gradient of the error, out
 
     First the weights are solved, unless `entering` is negative.  Then up to `entering` bones, those
@@ -132,7 +165,8 @@ def polish_vertices(
     n_bones = gram.shape[0]
     n_keep = indices.shape[1]
     slots = n_keep + 1
-    size_max = n_keep + 2
+    n_points = x2.shape[1]
+    size_max = inverse.shape[1]
     m = np.empty(10)
     rows = np.empty((slots, n_bones))
     h = np.empty((slots, slots))
@@ -149,13 +183,15 @@ def polish_vertices(
     b = np.empty(size_max + 1)
     g = np.empty(size_max + 1)
     scale = np.empty(size_max + 1)
-    moved = np.empty((slots, 4))
-    turned = np.empty((slots, 4))
-    p_new = np.empty(3)
+    moved = np.empty((n_points, slots, 4))
+    turned = np.empty((n_points, slots, 4))
+    p = np.empty((n_points, 4))
+    p_new = np.empty((n_points, 4))
     full = np.empty((size_max, 16 * ((size_max + 15) // 16)))
     row = np.empty(full.shape[1])
     for i in range(len(rest)):
-        p = rest[i]
+        load_points(rest[i], normals[i], length, p)
+        whole = x2[i].sum()
         n = read_influences(indices[i], weights[i], ids, w)
         with_weights = not locked[i]
         if with_weights and entering >= 0:
@@ -170,9 +206,8 @@ def polish_vertices(
                     h[q, s] = rows[q, ids[s]]
             simplex_qp(h, f, w, alive, n, a, b)
             if entering > 0:
-                for j in range(n_bones):
-                    f_all[j] = pulled(y[i], j, p)
-                    barred[j] = False
+                all_pulled(y[i], p, f_all)
+                barred[:] = False
             for _ in range(entering):
                 # drop bones of weight zero
                 n = close_gaps(ids, w, f, rows, n)
@@ -191,7 +226,7 @@ def polish_vertices(
                                 known = True
                         if not known:
                             enter = j
-                if enter < 0 or not level - grad[enter] > 1e-12 * x2[i]:
+                if enter < 0 or not level - grad[enter] > 1e-12 * whole:
                     break
                 barred[enter] = True
                 hessian_row(gram, enter, m, rows[n])
@@ -236,7 +271,7 @@ def polish_vertices(
                             value -= 2.0 * trial[q] * f[q]
                             for s in range(n + 1):
                                 value += trial[q] * trial[s] * h[q, s]
-                    if positive <= n_keep and value < best - 1e-14 * x2[i]:
+                    if positive <= n_keep and value < best - 1e-14 * whole:
                         best = value
                         found = True
                         for q in range(n + 1):
@@ -259,12 +294,14 @@ def polish_vertices(
         e = 0.0
         for turn in range(rounds):
             size = joint_system(
-                gram4, y[i], ids, w, n, p, with_weights, move_rest, h, moved, turned, a, g
+                gram4, y[i], hold[i], ids, w, n, p, with_weights, move_rest, h, moved, turned, a, g
             )
             if size == 0:
                 break
             if turn == 0:
-                e = error_of(x2[i], y[i], ids, w, n, p, moved)
+                e = pull_error(hold[i], p)
+                for t in range(n_points):
+                    e += error_at(x2[i, t], y[i, t], ids, w, n, p[t], moved[t])
             equilibrate(a, size, scale)
             for q in range(size):
                 b[q] = -g[q] * scale[q]
@@ -288,11 +325,15 @@ def polish_vertices(
                 if k == 0:
                     for q in range(n):
                         trial[q] = w[q]
-                for c in range(3):
-                    p_new[c] = p[c]
-                    if move_rest:
-                        p_new[c] += step * b[k + c] * scale[k + c]
-                e_new = vertex_error(x2[i], gram4, y[i], ids, trial, n, p_new)
+                z = k
+                for t in range(n_points):
+                    for c in range(4):
+                        p_new[t, c] = p[t, c]
+                    if t > 0 or move_rest:
+                        for c in range(3):
+                            p_new[t, c] += step * b[z + c] * scale[z + c]
+                        z += 3
+                e_new = vertex_error(x2[i], gram4, y[i], hold[i], ids, trial, n, p_new)
                 if e_new < e:
                     better = True
                     break
@@ -303,17 +344,20 @@ def polish_vertices(
             e = e_new
             for q in range(n):
                 w[q] = trial[q]
-            for c in range(3):
-                p[c] = p_new[c]
+            p[:] = p_new
             if small:
                 break
         if with_weights and rounds > 0:
             store(ids, w, n, indices[i], weights[i])
             n = read_influences(indices[i], weights[i], ids, w)
         size = joint_system(
-            gram4, y[i], ids, w, n, p, with_weights, move_rest, h, moved, turned, a, g
+            gram4, y[i], hold[i], ids, w, n, p, with_weights, move_rest, h, moved, turned, a, g
         )
-        error[i] = max(error_of(x2[i], y[i], ids, w, n, p, moved), 0.0)
+        error[i] = max(error_at(x2[i, 0], y[i, 0], ids, w, n, p[0], moved[0]), 0.0)
+        if n_points > 1 and length > 0.0:
+            more = error_at(x2[i, 1], y[i, 1], ids, w, n, p[1], moved[1])
+            normal_error[i] = max(more, 0.0) / (length * length)
+        store_points(p, length, rest[i], normals[i])
         for q in range(size_max):
             gradient[i, q] = g[q] if q < size else 0.0
             for s in range(size_max):

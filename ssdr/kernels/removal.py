@@ -13,7 +13,7 @@ from .vertices import hessian_row, monomials, pulled
 def removal_cost(y, gram, rest, support, share, count, importance, cost):
     """Add up, for each bone, the rise of the vertices' errors if the bone is removed.
 
-    y           (V, 4, B)   float64  Σ_t M_j^tᵀ v_i^t, in
+    y           (V, 1, 4, B) float64  Σ_t M_j^tᵀ v_i^t, in
     gram        (B, 10, B)  float64  coefficients of p̃ᵀ G_jk p̃, in
     rest        (V, 3)      float64  rest positions, in
     support     (V, S)      int32    bones of each vertex before the reduction to K, in
@@ -32,8 +32,9 @@ def removal_cost(y, gram, rest, support, share, count, importance, cost):
     alive = np.empty(n_slots, dtype=np.uint32)
     a = np.empty((n_slots, n_slots))
     b = np.empty(n_slots)
+    p = np.ones((1, 4))
     for i in range(len(rest)):
-        p = rest[i]
+        p[0, :3] = rest[i]
         n = count[i]
         monomials(p, m)
         base = 0.0

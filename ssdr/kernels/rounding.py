@@ -5,20 +5,39 @@ from __future__ import annotations
 import numpy as np
 
 from .policy import kernel
-from .vertices import place, read_influences, store
+from .vertices import form_of, load_points, place, point_error, read_influences, store, store_points
 
 
 @kernel
-def move_units(y, x2, pairs, rest, indices, weights, error, locked, move_rest, steps):
+def move_units(
+    y,
+    x2,
+    pairs,
+    rest,
+    indices,
+    weights,
+    error,
+    normals,
+    normal_error,
+    hold,
+    length,
+    locked,
+    move_rest,
+    steps,
+):
     """Move units of weight from bone to bone of each vertex while its error falls.
 
-    y             (V, 4, B)    float64  Σ_t M_j^tᵀ v_i^t, in
-    x2            (V,)         float64  Σ_t |v_i^t|², in
+    y             (V, P, 4, B) float64  Σ_t M_j^tᵀ v_i^t of position and normal, in
+    x2            (V, P)       float64  Σ_t |v_i^t|², in
     pairs         (B, B, 10)   float64  coefficients of p̃ᵀ G_jk p̃, in
     rest          (V, 3)       float64  rest positions, updated where `move_rest`
     indices       (V, K)       int32    bone of each influence, updated
     weights       (V, K)       float64  weights, whole units of 1/steps, descending, updated
-    error         (V,)         float64  squared error, out
+    error         (V,)         float64  squared error of the positions, out
+    normals       (V, P-1, 3)  float64  rest normals, updated
+    normal_error  (V,)         float64  squared error of the normals, as of unit vectors, out
+    hold          (V, 4)       float64  pull (μ, m) on each rest position, in
+    length        float                 that of a normal as a point
     locked        (V,)         bool     vertices whose weights are not changed, in
     move_rest     bool                  whether each move is judged at its best rest position
     steps         int                   units of a vertex
@@ -37,13 +56,15 @@ def move_units(y, x2, pairs, rest, indices, weights, error, locked, move_rest, s
     g = np.empty(4)
     a = np.empty((3, 3))
     b = np.empty(3)
-    p = np.empty(3)
+    p = np.empty((x2.shape[1], 4))
+    kept = np.empty((x2.shape[1], 4))
     for i in range(len(rest)):
+        load_points(rest[i], normals[i], length, kept)
         n = read_influences(indices[i], weights[i], ids, w)
         for q in range(n):
             units[q] = np.rint(w[q] * steps)
             w[q] = units[q] / steps
-        e = place(x2[i], y[i], pairs, ids, w, n, move_rest, rest[i], form, g, m, a, b)
+        e = place(x2[i], y[i], pairs, hold[i], ids, w, n, move_rest, kept, form, g, m, a, b)
         better = not locked[i]
         while better:
             least = e - 1e-9 * abs(e)
@@ -66,9 +87,10 @@ def move_units(y, x2, pairs, rest, indices, weights, error, locked, move_rest, s
                     else:
                         w[q] = (units[q] + 1.0) / steps
                     count = n + 1 if q == n else n
-                    for c in range(3):
-                        p[c] = rest[i, c]
-                    trial = place(x2[i], y[i], pairs, ids, w, count, move_rest, p, form, g, m, a, b)
+                    p[:] = kept
+                    trial = place(
+                        x2[i], y[i], pairs, hold[i], ids, w, count, move_rest, p, form, g, m, a, b
+                    )
                     if q == s:
                         ids[s] = gone
                         w[s] = 0.0
@@ -98,6 +120,11 @@ def move_units(y, x2, pairs, rest, indices, weights, error, locked, move_rest, s
                         w[left] = units[q] / steps
                         left += 1
                 n = left
-                e = place(x2[i], y[i], pairs, ids, w, n, move_rest, rest[i], form, g, m, a, b)
-        error[i] = e
+                e = place(x2[i], y[i], pairs, hold[i], ids, w, n, move_rest, kept, form, g, m, a, b)
+        form_of(pairs, ids, w, n, form)
+        error[i] = point_error(x2[i, 0], y[i, 0], form, ids, w, n, kept[0])
+        if kept.shape[0] > 1 and length > 0.0:
+            more = point_error(x2[i, 1], y[i, 1], form, ids, w, n, kept[1])
+            normal_error[i] = more / (length * length)
+        store_points(kept, length, rest[i], normals[i])
         store(ids, w, n, indices[i], weights[i])

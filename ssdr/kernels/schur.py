@@ -19,7 +19,7 @@ def schur_vertices(
     bones,
     count,
     slot,
-    rest,
+    points,
     weights,
     importance,
     free,
@@ -39,11 +39,12 @@ def schur_vertices(
     bones       (G, K)        integer  bones that all vertices of a group use, in
     count       (G,)          integer  number of bones of each group, in
     slot        (V, K)        integer  column in the model's weights of each of `weights`, in
-    rest        (V, 3)        real     rest positions, in
+    points      (V, P, 4)     real     points p̃ of each vertex: its rest position (p, 1) and, if it
+                                       has one, its normal (l n, 0), in
     weights     (V, K)        real     weights in the order of the group's bones, in
     importance  (V,)          real     factor of each vertex's error, in
     free        (V,)          bool     vertices whose weights may change, in
-    inverse     (V, D, D)     real     inverse of the Gauss–Newton matrix, D = K + 2, in
+    inverse     (V, D, D)     real     inverse of the Gauss–Newton matrix, in
     gradient    (V, D)        real     half gradient of the error, in
     step        (V, D)        real     inverse times (H_vm δM + share · gradient), out
     total       (B, B, 4, 4)  float64  Σ_i a δaᵀ, in the layout of `cross`, times importance, where
@@ -53,6 +54,8 @@ def schur_vertices(
     """
     real = inverse.dtype
     n_keep = bones.shape[1]
+    n_points = points.shape[1]
+    n_unknowns = inverse.shape[1]
     # Rows are padded to whole vectors; entries beyond 4·count are finite and never used.
     width = 16 * ((4 * n_keep + 15) // 16)
     block = np.zeros((4 * n_keep, width), dtype=real)
@@ -61,8 +64,9 @@ def schur_vertices(
     delta = np.zeros((4, width), dtype=real)
     image = np.empty(width, dtype=real)
     along = np.empty(n_keep, dtype=real)
-    b = np.empty(n_keep + 2, dtype=real)
-    x = np.empty(n_keep + 2, dtype=real)
+    zero = along.dtype.type(0)
+    b = np.empty(n_unknowns, dtype=real)
+    x = np.empty(n_unknowns, dtype=real)
     for g in range(first, last):
         n = count[g]
         width = 16 * ((4 * n + 15) // 16)
@@ -77,64 +81,71 @@ def schur_vertices(
                 sums[u, t] = 0.0
         held = 0
         for i in range(start[g], start[g + 1]):
-            p0, p1, p2 = rest[i, 0], rest[i, 1], rest[i, 2]
-            for t in range(width):
-                image[t] = 0.0
-            for s in range(n):
-                w = weights[i, s]
-                v0, v1, v2 = w * p0, w * p1, w * p2
-                u = 4 * s
-                a[held, u], a[held, u + 1], a[held, u + 2], a[held, u + 3] = v0, v1, v2, w
-                for t in range(width):
-                    image[t] += (
-                        v0 * block[u, t]
-                        + v1 * block[u + 1, t]
-                        + v2 * block[u + 2, t]
-                        + w * block[u + 3, t]
-                    )
-            g0 = g1 = g2 = 0.0
-            for q in range(n):
-                w = weights[i, q]
-                v0, v1, v2 = image[4 * q], image[4 * q + 1], image[4 * q + 2]
-                g0 += w * v0
-                g1 += w * v1
-                g2 += w * v2
-                along[slot[i, q]] = v0 * p0 + v1 * p1 + v2 * p2 + image[4 * q + 3]
             k = n - 1 if free[i] else 0
+            size = k
+            for q in range(n):
+                along[q] = 0.0
+            for e in range(n_points):
+                p0, p1, p2, p3 = points[i, e, 0], points[i, e, 1], points[i, e, 2], points[i, e, 3]
+                for t in range(width):
+                    image[t] = 0.0
+                for s in range(n):
+                    w = weights[i, s]
+                    v0, v1, v2, v3 = w * p0, w * p1, w * p2, w * p3
+                    u, v = 4 * s, held + e
+                    a[v, u], a[v, u + 1], a[v, u + 2], a[v, u + 3] = v0, v1, v2, v3
+                    for t in range(width):
+                        image[t] += (
+                            v0 * block[u, t]
+                            + v1 * block[u + 1, t]
+                            + v2 * block[u + 2, t]
+                            + v3 * block[u + 3, t]
+                        )
+                g0 = g1 = g2 = zero
+                for q in range(n):
+                    w, u = weights[i, q], 4 * q
+                    v0, v1, v2 = image[u], image[u + 1], image[u + 2]
+                    g0 += w * v0
+                    g1 += w * v1
+                    g2 += w * v2
+                    along[slot[i, q]] += v0 * p0 + v1 * p1 + v2 * p2 + image[u + 3] * p3
+                if e > 0 or move_rest:
+                    b[size], b[size + 1], b[size + 2] = g0, g1, g2
+                    size += 3
             for q in range(k):
                 b[q] = along[q + 1] - along[0]
-            size = k
-            if move_rest:
-                size = k + 3
-                b[k], b[k + 1], b[k + 2] = g0, g1, g2
-            for q in range(n_keep + 2):
+            for q in range(n_unknowns):
                 x[q] = 0.0
             for q in range(size):
                 b[q] += share * gradient[i, q]
-                for s in range(n_keep + 2):
+                for s in range(n_unknowns):
                     x[s] += b[q] * inverse[i, q, s]
-            sum_w = 0.0
+            sum_w = zero
             for q in range(k):
                 sum_w += x[q]
-            for q in range(n_keep + 2):
+            for q in range(n_unknowns):
                 step[i, q] = x[q]
             c = importance[i]
-            g0 = g1 = g2 = 0.0
-            if move_rest:
-                g0, g1, g2 = c * x[k], c * x[k + 1], c * x[k + 2]
-            for q in range(n):
-                dw = 0.0
-                if k > 0:
-                    s = slot[i, q]
-                    dw = -c * sum_w if s == 0 else c * x[s - 1]
-                w = weights[i, q]
-                delta[held, 4 * q] = dw * p0 + w * g0
-                delta[held, 4 * q + 1] = dw * p1 + w * g1
-                delta[held, 4 * q + 2] = dw * p2 + w * g2
-                delta[held, 4 * q + 3] = dw
-            held += 1
-            # four vertices at a time, since each pass reads and writes all sums
-            if held == 4 or i + 1 == start[g + 1]:
+            z = k
+            for e in range(n_points):
+                p0, p1, p2, p3 = points[i, e, 0], points[i, e, 1], points[i, e, 2], points[i, e, 3]
+                g0 = g1 = g2 = zero
+                if e > 0 or move_rest:
+                    g0, g1, g2 = c * x[z], c * x[z + 1], c * x[z + 2]
+                    z += 3
+                for q in range(n):
+                    dw = zero
+                    if k > 0:
+                        s = slot[i, q]
+                        dw = -c * sum_w if s == 0 else c * x[s - 1]
+                    w, u = weights[i, q], 4 * q
+                    delta[held, u] = dw * p0 + w * g0
+                    delta[held, u + 1] = dw * p1 + w * g1
+                    delta[held, u + 2] = dw * p2 + w * g2
+                    delta[held, u + 3] = dw * p3
+                held += 1
+            # four points at a time, since each pass reads and writes all sums
+            if held + n_points > 4 or i + 1 == start[g + 1]:
                 for u in range(4 * n):
                     for v in range(held, 4):
                         a[v, u] = 0.0
@@ -153,14 +164,16 @@ def schur_vertices(
 
 
 @kernel
-def apply_vertex_step(step, rest, indices, weights, locked, move_rest):
-    """Move weights and rest position by −step; keep weights non-negative with sum 1.
+def apply_vertex_step(step, rest, normals, indices, weights, length, locked, move_rest):
+    """Move weights, rest position and normal by −step; keep weights non-negative with sum 1.
 
-    step          (V, K + 2)  float64  step of all weights except the first, then of the rest
-                                       position, in
+    step          (V, D)      float64  step of all weights except the first, then of the rest
+                                       position where `move_rest`, then of the normal as a point, in
     rest          (V, 3)      float64  rest positions, updated where `move_rest`
+    normals       (V, P-1, 3) float64  rest normals, updated
     indices       (V, K)      int32    bone of each influence, updated
     weights       (V, K)      float64  its weight, descending, updated
+    length        float                that of a normal as a point
     locked        (V,)        bool     vertices whose weights are not changed, in
     """
     n_keep = indices.shape[1]
@@ -179,6 +192,11 @@ def apply_vertex_step(step, rest, indices, weights, locked, move_rest):
         if move_rest:
             for c in range(3):
                 rest[i, c] -= step[i, k + c]
+            k += 3
+        if length > 0.0:
+            for t in range(normals.shape[1]):
+                for c in range(3):
+                    normals[i, t, c] -= step[i, k + 3 * t + c] / length
 
 
 @kernel

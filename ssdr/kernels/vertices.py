@@ -2,9 +2,13 @@
 
 A vertex i has the rest position p, with p̃ = (p, 1), and the weights w.  Its squared error is x2_i
 − 2 fᵀw + wᵀHw, with H_jk = p̃ᵀ G_jk p̃ and f_j = p̃ᵀ y_ij for bones j and k.  Here G_jk = Σ_t
-M_j^tᵀ M_k^t is a 4×4 matrix, and the vector y_ij = Σ_t M_j^tᵀ v_i^t is ``y[i, :, j]``.  ``gram[j,
-:, k]`` are the ten coefficients of p̃ᵀ G_jk p̃ as a polynomial in the monomials x², y², z², xy, xz,
-yz, x, y, z, 1, so that a row of H is a sum of ten vectors.
+M_j^tᵀ M_k^t is a 4×4 matrix, and the vector y_ij = Σ_t M_j^tᵀ v_i^t is ``y[i, 0, :, j]``.
+``gram[j, :, k]`` are the ten coefficients of p̃ᵀ G_jk p̃ as a polynomial in the monomials x², y²,
+z², xy, xz, yz, x, y, z, 1, so that a row of H is a sum of ten vectors.
+
+If a vertex also has a normal n, it follows the same bones as a point (n, 0) with the same weights:
+H and f are the sums over both points, ``p[0]`` = (p, 1) and ``p[1]`` = (l n, 0), where the length l
+says how much the error of the normal counts.  A pull (μ, m) adds μ |p − m|² to the error.
 """
 
 from __future__ import annotations
@@ -37,21 +41,57 @@ def hessian_row(gram, j, m, row):
 
 
 @inline
+def load_points(rest, normals, length, p):
+    """Set the points p (P, 4) of a vertex: (rest position, 1), then (length · normal, 0)."""
+    for c in range(3):
+        p[0, c] = rest[c]
+    p[0, 3] = 1.0
+    for t in range(1, p.shape[0]):
+        for c in range(3):
+            p[t, c] = length * normals[t - 1, c]
+        p[t, 3] = 0.0
+
+
+@inline
+def store_points(p, length, rest, normals):
+    """Write the rest position and the normal of a vertex back from its points p (P, 4)."""
+    for c in range(3):
+        rest[c] = p[0, c]
+    if length > 0.0:
+        for t in range(1, p.shape[0]):
+            for c in range(3):
+                normals[t - 1, c] = p[t, c] / length
+
+
+@inline
 def pulled(y, j, p):
-    """The linear coefficient f_j = p̃ᵀ y_j of the weight of bone j."""
-    value = y[3, j]
+    """The linear coefficient f_j = Σ p̃ᵀ y_j, over the points p̃, of the weight of bone j."""
+    value = y[0, 3, j]
     for d in range(3):
-        value += y[d, j] * p[d]
+        value += y[0, d, j] * p[0, d]
+    for t in range(1, p.shape[0]):
+        for d in range(3):
+            value += y[t, d, j] * p[t, d]
     return value
 
 
 @inline
-def against(block, d, p):
-    """Product of row d of a 4×4 block and p̃."""
-    value = block[d, 3]
-    for e in range(3):
-        value += block[d, e] * p[e]
-    return value
+def all_pulled(y, p, f):
+    """Set f to the linear coefficients of the weights of all bones, as :func:`pulled`."""
+    for j in range(len(f)):
+        f[j] = y[0, 3, j] + p[0, 0] * y[0, 0, j] + p[0, 1] * y[0, 1, j] + p[0, 2] * y[0, 2, j]
+    for t in range(1, p.shape[0]):
+        for j in range(len(f)):
+            f[j] += p[t, 0] * y[t, 0, j] + p[t, 1] * y[t, 1, j] + p[t, 2] * y[t, 2, j]
+
+
+@inline
+def pull_error(pull, p):
+    """Error μ |p − m|² that the pull (μ, m) adds at the rest position."""
+    value = 0.0
+    for c in range(3):
+        value += (p[0, c] - pull[1 + c]) ** 2
+    return pull[0] * value
 
 
 @inline
@@ -83,8 +123,8 @@ def close_gaps(ids, w, f, rows, n):
 
 @inline
 def monomials(p, m):
-    """Set m to the ten monomials of p, in the order of ``gram``."""
-    x, y, z = p[0], p[1], p[2]
+    """Set m to the sums of the ten monomials of the points p (P, 4), in the order of ``gram``."""
+    x, y, z = p[0, 0], p[0, 1], p[0, 2]
     m[0] = x * x
     m[1] = y * y
     m[2] = z * z
@@ -95,6 +135,14 @@ def monomials(p, m):
     m[7] = y
     m[8] = z
     m[9] = 1.0
+    for t in range(1, p.shape[0]):
+        x, y, z = p[t, 0], p[t, 1], p[t, 2]
+        m[0] += x * x
+        m[1] += y * y
+        m[2] += z * z
+        m[3] += x * y
+        m[4] += x * z
+        m[5] += y * z
 
 
 @inline
@@ -115,55 +163,87 @@ def form_of(pairs, indices, w, n, form):
 
 
 @inline
-def rest_step(form, g, p, a, b):
-    """Move p to the minimum of the polynomial `form` in p minus 2 p̃ᵀg, with g = Σ_j w_j y_j."""
-    x, y, z = p[0], p[1], p[2]
-    a[0, 0], a[1, 1], a[2, 2] = form[0], form[1], form[2]
+def best_point(form, last, g, pull, p, a, b):
+    """Move p to the minimum of the polynomial `form` minus 2 p̃ᵀg, with p̃ = (p, last).
+
+    The error of the pull is added; g is Σ_j w_j y_j.
+    """
+    x, y, z, mu = p[0], p[1], p[2], last * pull[0]
+    a[0, 0], a[1, 1], a[2, 2] = form[0] + mu, form[1] + mu, form[2] + mu
     a[1, 0], a[2, 0], a[2, 1] = 0.5 * form[3], 0.5 * form[4], 0.5 * form[5]
-    b[0] = g[0] - (form[0] * x + a[1, 0] * y + a[2, 0] * z + 0.5 * form[6])
-    b[1] = g[1] - (a[1, 0] * x + form[1] * y + a[2, 1] * z + 0.5 * form[7])
-    b[2] = g[2] - (a[2, 0] * x + a[2, 1] * y + form[2] * z + 0.5 * form[8])
+    half = 0.5 * last
+    b[0] = g[0] + mu * pull[1] - (a[0, 0] * x + a[1, 0] * y + a[2, 0] * z + half * form[6])
+    b[1] = g[1] + mu * pull[2] - (a[1, 0] * x + a[1, 1] * y + a[2, 1] * z + half * form[7])
+    b[2] = g[2] + mu * pull[3] - (a[2, 0] * x + a[2, 1] * y + a[2, 2] * z + half * form[8])
     if cholesky_solve(a, b, 3):
         for c in range(3):
             p[c] += b[c]
 
 
 @inline
-def place(x2, y, pairs, ids, w, n, move_rest, p, form, g, m, a, b):
-    """Move p to the best rest position under the weights, if at all, and return the error there."""
+def place(x2, y, pairs, pull, ids, w, n, move_rest, p, form, g, m, a, b):
+    """Move the points p to their best places under the weights; return the error with the pull.
+
+    The rest position moves only where `move_rest`.
+    """
     form_of(pairs, ids, w, n, form)
-    for c in range(4):
-        value = 0.0
-        for q in range(n):
-            value += w[q] * y[c, ids[q]]
-        g[c] = value
-    if move_rest:
-        rest_step(form, g, p, a, b)
+    e = 0.0
+    for t in range(p.shape[0]):
+        for c in range(4):
+            value = 0.0
+            for q in range(n):
+                value += w[q] * y[t, c, ids[q]]
+            g[c] = value
+        if t > 0 or move_rest:
+            best_point(form, p[t, 3], g, pull, p[t], a, b)
+        e += x2[t]
+        for c in range(4):
+            e -= 2.0 * g[c] * p[t, c]
     monomials(p, m)
-    e = x2 - 2.0 * g[3]
-    for c in range(3):
-        e -= 2.0 * g[c] * p[c]
     for d in range(10):
         e += form[d] * m[d]
+    return e + pull_error(pull, p)
+
+
+@inline
+def point_error(x2, y, form, ids, w, n, p):
+    """Squared error of one point p (4,) under weights whose polynomial is `form`."""
+    e = x2
+    for c in range(4):
+        for q in range(n):
+            e -= 2.0 * w[q] * y[c, ids[q]] * p[c]
+    x, y_, z, last = p[0], p[1], p[2], p[3]
+    e += form[0] * x * x + form[1] * y_ * y_ + form[2] * z * z
+    e += form[3] * x * y_ + form[4] * x * z + form[5] * y_ * z
+    return e + last * (form[6] * x + form[7] * y_ + form[8] * z + form[9] * last)
+
+
+@inline
+def vertex_error(x2, gram4, y, pull, indices, w, n, p):
+    """Squared error Σ x2 − 2 fᵀw + wᵀHw of a vertex with the points p, with the pull."""
+    e = pull_error(pull, p)
+    for t in range(p.shape[0]):
+        e += x2[t]
+    for q in range(n):
+        j = indices[q]
+        e -= 2.0 * w[q] * pulled(y, j, p)
+        for s in range(q + 1):
+            g = gram4[j, indices[s]]
+            h = 0.0
+            for t in range(p.shape[0]):
+                for c in range(4):
+                    h += p[t, c] * against(g, c, p[t])
+            e += w[q] * w[s] * (h if s == q else 2.0 * h)
     return e
 
 
 @inline
-def vertex_error(x2, gram4, y, indices, w, n, p):
-    """Squared error x2 − 2 fᵀw + wᵀHw of a vertex with rest position p."""
-    e = x2
-    for q in range(n):
-        j = indices[q]
-        f = pulled(y, j, p)
-        e -= 2.0 * w[q] * f
-        for s in range(q + 1):
-            g = gram4[j, indices[s]]
-            h = 0.0
-            for c in range(4):
-                left = p[c] if c < 3 else 1.0
-                h += left * against(g, c, p)
-            e += w[q] * w[s] * (h if s == q else 2.0 * h)
-    return e
+def against(block, d, p):
+    """Product of row d of a 4×4 block and a point p (4,)."""
+    value = block[d, 3] * p[3]
+    for e in range(3):
+        value += block[d, e] * p[e]
+    return value
 
 
 @kernel
@@ -181,13 +261,17 @@ def solve_vertices(
     indices,
     weights,
     error,
+    normals,
+    normal_error,
+    hold,
+    length,
     locked,
     move_rest,
 ):
     """Take the vertex step of one alternation: solve weights, then rest position, of each vertex.
 
-    y             (V, 4, B)    float64  Σ_t M_j^tᵀ v_i^t, in
-    x2            (V,)         float64  Σ_t |v_i^t|², in
+    y             (V, P, 4, B) float64  Σ_t M_j^tᵀ v_i^t of position and normal, in
+    x2            (V, P)       float64  Σ_t |v_i^t|², in
     gram          (B, 10, B)   float64  coefficients of p̃ᵀ G_jk p̃, bones outermost, in
     pairs         (B, B, 10)   float64  the coefficients in `gram`, innermost here, in
     pull          (V, B)       float64  linear term of weight smoothness, empty without it, in
@@ -198,7 +282,11 @@ def solve_vertices(
     count         (V,)         int32    number of used slots of `support`, updated
     indices       (V, K)       int32    bones of the K largest weights, updated
     weights       (V, K)       float64  weights of these bones, solved again, descending, updated
-    error         (V,)         float64  squared error, out
+    error         (V,)         float64  squared error of the positions, out
+    normals       (V, P-1, 3)  float64  rest normals, updated
+    normal_error  (V,)         float64  squared error of the normals, as of unit vectors, out
+    hold          (V, 4)       float64  pull (μ, m) on each rest position, in
+    length        float                 that of a normal as a point
     locked        (V,)         bool     vertices whose weights are not changed, in
 
     The weights over all bones start from the support of the previous call.  Bones enter the support
@@ -223,14 +311,14 @@ def solve_vertices(
     a = np.empty((size, size))
     b = np.empty(size)
     smooth = pull.shape[0] > 0
+    p = np.empty((x2.shape[1], 4))
     for i in range(len(rest)):
-        p = rest[i]
+        load_points(rest[i], normals[i], length, p)
         if locked[i]:
             n = read_influences(indices[i], weights[i], ids, w)
         else:
             monomials(p, m)
-            for j in range(n_bones):
-                f_all[j] = y[i, 3, j] + p[0] * y[i, 0, j] + p[1] * y[i, 1, j] + p[2] * y[i, 2, j]
+            all_pulled(y[i], p, f_all)
             alpha = 0.0
             if smooth:
                 alpha = stiff[i]
@@ -277,7 +365,7 @@ def solve_vertices(
                 hessian_row(gram, enter, m, rows[n])
                 rows[n, enter] += alpha
                 curve = rows[n, enter]
-                e = x2[i]
+                e = whole = x2[i].sum()
                 for q in range(n):
                     curve -= 2.0 * w[q] * rows[n, ids[q]]
                     e -= w[q] * f[q]
@@ -285,7 +373,7 @@ def solve_vertices(
                         curve += w[q] * w[s] * h[q, s]
                 e += level
                 # stop if the bone would gain less than a millionth of this vertex's error
-                if slope * slope < (1e-6 * max(e, 0.0) + 1e-15 * x2[i]) * max(curve, 1e-300):
+                if slope * slope < (1e-6 * max(e, 0.0) + 1e-15 * whole) * max(curve, 1e-300):
                     break
                 ids[n] = enter
                 w[n] = 0.0
@@ -321,7 +409,12 @@ def solve_vertices(
                 for q in range(n):
                     alive[q] = q
                 simplex_qp(h, f, w, alive, n, a, b)
-        error[i] = place(x2[i], y[i], pairs, ids, w, n, move_rest, p, form, g, m, a, b)
+        place(x2[i], y[i], pairs, hold[i], ids, w, n, move_rest, p, form, g, m, a, b)
+        error[i] = point_error(x2[i, 0], y[i, 0], form, ids, w, n, p[0])
+        if p.shape[0] > 1 and length > 0.0:
+            more = point_error(x2[i, 1], y[i, 1], form, ids, w, n, p[1])
+            normal_error[i] = more / (length * length)
+        store_points(p, length, rest[i], normals[i])
         if not locked[i]:
             store(ids, w, n, indices[i], weights[i])
 

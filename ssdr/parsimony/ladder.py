@@ -182,13 +182,13 @@ class Ladder:
         following = max(self.expected - len(self.attempts), _FOLLOWING)
         done, work = self.fraction, (_PRUNING - self.fraction) / following
         # The largest error is at least the RMSE, so that neither measure can be within `until`
-        # unless the objective is within this bound.
+        # unless the squared error is within this bound.
         worth_checking = (1 + 1e-9) * frames.squared(until)
 
         def after_step(phase: str) -> str | None:
             nonlocal worth_checking
-            if run.best_value <= worth_checking:
-                worth_checking = _RECHECK * run.best_value
+            if run.best_error <= worth_checking:
+                worth_checking = _RECHECK * run.best_error
                 if frames.error(run.best_model) <= until:
                     return "held"
             ready = run.best is not None or bool(self.models)

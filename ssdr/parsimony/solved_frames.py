@@ -75,8 +75,9 @@ class SolvedFrames:
             chosen = self.scan.chosen
             self.sequences = [subset(self.sequences, chosen, executor=problem.executor)]
             importance, given = self.scan.importance(importance), given.of_frames(chosen)
-        self.data = problem.trajectories(self.sequences, importance).compressed(problem.bones)
-        self.given = given.inside(self.data)
+        data = problem.trajectories(self.sequences, importance)
+        self.given = given.inside(data)
+        self.data = problem.with_rest_surface(data, self.given).compressed(problem.bones)
 
     def squared(self, rmse: float) -> float:
         """Convert an RMSE to the squared error in the solver's space, summed over these frames."""

@@ -6,6 +6,8 @@ cheapest bones are those whose removal raises the objective least.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -18,6 +20,7 @@ from ..solver.gauss_newton import GaussNewton
 from ..solver.initialization import fit_patches
 from ..solver.model import CHUNK, Locked, Model
 from ..solver.moments import transform_sums
+from ..solver.objective import normal_length, rest_pulls
 from ..solver.trajectories import Array, Trajectories
 
 __all__ = [
@@ -60,6 +63,7 @@ _ROUNDS = 2
 # In every third polish step, up to three bones may enter the support of a vertex: to try this in
 # every step costs more than it brings.
 _ENTERING_EVERY, _ENTERING_BONES = 3, 3
+_CHANGED = ("rest", "indices", "weights", "error", "normals", "normal_error")  # by polish_vertices
 
 
 # --- bones -------------------------------------------------------------------------------------
@@ -205,6 +209,7 @@ def drop_influence(data: Trajectories, model: Model, locked: Locked) -> None:
     least error is made.  It is often not the removal of the smallest weight.
     """
     k, keep = model.n_influences, locked.vertex_mask(data.n_vertices)
+    length, hold = normal_length(data, model), rest_pulls(data, model, locked)
     full = (model.weights > 0).all(axis=1) & ~keep
     if k < 2 or not full.any():
         return
@@ -215,21 +220,26 @@ def drop_influence(data: Trajectories, model: Model, locked: Locked) -> None:
         def work(_: int, i: int, j: int) -> None:
             some = rows[i:j]
             n = len(some)
-            sums = (data.z[some] @ reduced).reshape(n, 4, -1), data.x2[some], gram, gram4
-            given = model.rest[some], model.indices[some], model.weights[some]
-            least, error = np.full(n, np.inf), np.empty(n)
-            flags = keep[some], not locked.rest, 0, _ROUNDS
-            unread = np.empty((n, k + 2, k + 2)), np.empty((n, k + 2))
+            squares = data.squares(some, length)
+            sums = data.products(some, reduced, length), squares, gram, gram4
+            given = {name: getattr(model, name)[some] for name in _CHANGED}
+            least = np.full(n, np.inf)
+            flags = hold[some], length, keep[some], not locked.rest, 0, _ROUNDS
+            size = k - 1 + 3 * squares.shape[1]
+            unread = np.empty((n, size, size)), np.empty((n, size))
             for q in range(k):
-                rest, indices, weights = (a.copy() for a in given)
+                trial = {name: values.copy() for name, values in given.items()}
+                weights = trial["weights"]
                 weights[:, q] = 0.0
                 weights /= weights.sum(axis=1, keepdims=True)
-                polish_vertices(*sums, rest, indices, weights, error, *flags, *unread)
+                arrays: Any = *sums, *trial.values(), *flags, *unread
+                polish_vertices(*arrays)
+                off = hold[some, 0] * ((trial["rest"] - hold[some, 1:]) ** 2).sum(axis=1)
+                error = trial["error"] + length**2 * trial["normal_error"] + off
                 better = error < least
-                least[better], at = error[better], some[better]
-                model.indices[at], model.weights[at] = indices[better], weights[better]
-                model.rest[at] = rest[better]
-            model.error[some] = np.maximum(least, 0.0)
+                least[better] = error[better]
+                for name, values in trial.items():
+                    getattr(model, name)[some[better]] = values[better]
 
         run_chunks(work, chunk_bounds(len(rows), CHUNK))
 

@@ -21,6 +21,7 @@ from ..parallel import serial_blas
 from ..solver.alternation import bone_costs
 from ..solver.model import Locked, Model
 from ..solver.objective import Objective
+from ..solver.rest_normals import with_rest_normals
 from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import Trajectories
 from .given import Given
@@ -201,6 +202,11 @@ class Run:
         assert self.best is not None
         return self.best
 
+    @property
+    def best_error(self) -> float:
+        """Squared error of the best model, without the other factors of the objective."""
+        return math.inf if self.best is None else self.best.weighted_error(self.whole)
+
     def begin_with(self, model: Model) -> None:
         """Start from a copy of `model` instead of a stage that makes a model."""
         self.model = model.copy()
@@ -262,7 +268,7 @@ class Run:
         unit = self.whole.scale / math.sqrt(self.whole.n_frames * self.whole.n_vertices)
 
         def after_step(phase: str) -> str | None:
-            rmse = unit * math.sqrt(self.best_value)
+            rmse = unit * math.sqrt(self.best_error)
             fraction = part[0] + (part[1] - part[0]) * self.fraction
             said = phase, self.iteration, rmse, 100 * fraction
             _logger.debug("%s, iteration %d, rmse %.6g, %.0f %% done", *said)
@@ -313,6 +319,14 @@ class Run:
         """Continue with trajectories that are compressed to as few columns as the bones need."""
         self.whole = self.data = self.whole.compressed(self.bones)
 
+    def solve_normals(self) -> None:
+        """Solve rest normals, too, from now on; they are part of the objective."""
+        self.whole = self.data = self.whole.with_normals()
+        self.model = with_rest_normals(self.data, self.present)
+        if self.best is not None:
+            self.best = with_rest_normals(self.data, self.best)
+            self.best_value = self.value(self.best)
+
     def take_sample(self, count: int) -> None:
         """Work on a sample of `count` vertices from now on, spread evenly over the range of motion.
 
@@ -332,7 +346,9 @@ class Run:
     def release(self) -> None:
         """Free the memory of the trajectories, after which no step can be made."""
         self.take_all()
-        self.whole = dataclasses.replace(self.whole, z=self.whole.z[:, :0].copy(), q=None)
+        self.whole = dataclasses.replace(
+            self.whole, z=self.whole.z[:, :0].copy(), q=None, normals=None
+        )
         self.data = self.whole
 
     def _record(self) -> str:

@@ -62,9 +62,10 @@ class AllVertices(Stage):
             rest = data.frame(given.rest_frame) if given.rest is None else given.rest.copy()
             near = np.asarray(cKDTree(rest[chosen]).query(rest)[1])
             model = few.select_vertices(near)
-            model.rest = rest
             if given.rest is None:
-                model.rest[chosen] = few.rest
+                # a vertex starts as far from the sampled one as it is in the rest frame
+                rest = model.rest + rest - rest[chosen][near]
+            model.rest = rest
             model.restart_support()
             vertex_step(data, model, locked=run.locked)
             alternate(data, model, self.alternations, run.locked)

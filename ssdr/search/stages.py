@@ -40,6 +40,7 @@ __all__ = [
     "Polish",
     "Relax",
     "Search",
+    "SolveNormals",
 ]
 
 # Relative decrease of the objective below which an alternation counts as a failure.
@@ -166,6 +167,22 @@ class Polish(Stage):
             yield
             if run.converged:
                 return
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SolveNormals(Stage):
+    """Solve rest normals as well from now on, unless the mesh has no triangles or bones stretch.
+
+    It comes late, since normals lead a search for places of bones to models with more error.
+    """
+
+    phase: ClassVar[str] = "normals"
+    cost: float = 4
+
+    def apply(self, run: Run) -> Iterator[None]:
+        if len(run.whole.faces) and run.asked.bone_model == "rigid":
+            run.solve_normals()
+        yield
 
 
 # --- changes -----------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from ..parallel import chunk_bounds, run_chunks, serial_blas
 from .affine_fit import leap_rigid, solve_affine
 from .model import CHUNK, FREE, Locked, Model
 from .moments import bone_sums, coupled_bones, transform_sums
+from .objective import normal_length, rest_pulls
 from .trajectories import Array, Trajectories
 
 __all__ = ["alternate", "bone_costs", "bone_step", "sweep", "vertex_step"]
@@ -46,34 +47,42 @@ def vertex_step(
     pull, stiff : (V, B), (V,) arrays, optional
         Coefficients of a penalty stiff_i |w_i|² − 2 pull_i · w_i on the weights w_i of vertex i.
     """
-    n_bones = model.n_bones
     keep = locked.vertex_mask(data.n_vertices)
+    length, hold = normal_length(data, model), rest_pulls(data, model, locked)
     with serial_blas():
         _, gram, _, reduced = transform_sums(data, model.transforms)
         pairs = np.ascontiguousarray(gram.transpose(0, 2, 1))
         none, none1 = np.zeros((0, 0)), np.zeros(0)
 
         def work(_: int, i: int, k: int) -> None:
-            y = (data.z[i:k] @ reduced).reshape(k - i, 4, n_bones)
             solve_vertices(
-                y,
-                data.x2[i:k],
+                data.products(slice(i, k), reduced, length),
+                data.squares(slice(i, k), length),
                 gram,
                 pairs,
                 none if pull is None else pull[i:k],
                 none1 if stiff is None else stiff[i:k],
                 *model.vertex_rows(i, k),
+                hold[i:k],
+                length,
                 keep[i:k],
                 not locked.rest,
             )
 
         run_chunks(work, chunk_bounds(data.n_vertices, CHUNK))
     # a difference of large numbers, which rounding may have made negative
-    np.maximum(model.error, 0.0, out=model.error)
+    for error in (model.error, model.normal_error):
+        np.maximum(error, 0.0, out=error)
 
 
 def bone_step(
-    data: Trajectories, model: Model, *, sweeps: int = 3, locked: Locked = FREE, leaps: int = 0
+    data: Trajectories,
+    model: Model,
+    *,
+    sweeps: int = 3,
+    locked: Locked = FREE,
+    leaps: int = 0,
+    length: float | None = None,
 ) -> tuple[Array, Array]:
     """Fit the transforms of every frame under the weights and rest pose (in place).
 
@@ -89,13 +98,16 @@ def bone_step(
     leaps : int
         Number of rounds in which rigid bones, which may be far from their optimum, first take a
         :func:`~ssdr.solver.affine_fit.leap_rigid` and then the sweeps; 0: sweeps without a leap.
+    length : float, optional
+        Length of a normal as a point; by default as the objective has it.
 
     Returns
     -------
     u, c : arrays
         As :func:`~ssdr.solver.moments.bone_sums` returns them.
     """
-    u, c = bone_sums(data, model.indices, model.weights, model.rest, model.n_bones)
+    length = normal_length(data, model) if length is None else length
+    u, c = bone_sums(data, model, length=length)
     mask = locked.bone_mask(model.n_bones)
     if locked.bone_model == "affine":
         solve_affine(model.transforms, u, c, mask)
@@ -148,7 +160,7 @@ def bone_costs(data: Trajectories, model: Model) -> Array:
 
         def work(_: int, i: int, k: int) -> Array:
             cost = np.zeros(n_bones)
-            y = (data.z[i:k] @ reduced).reshape(k - i, 4, n_bones)
+            y = (data.z[i:k] @ reduced).reshape(k - i, 1, 4, n_bones)
             removal_cost(y, gram, *model.vertex_rows(i, k)[:4], data.importance[i:k], cost)
             return cost
 

@@ -36,7 +36,8 @@ from .vertex_newton import optimise_vertices
 __all__ = ["GaussNewton", "fit_motion", "tangent_of"]
 
 _DAMPING = 1e-3  # λ of the first step
-_STEPPED = ("transforms", "rest", "indices", "weights", "error")  # arrays that a step changes
+# Arrays that a step changes.
+_STEPPED = ("transforms", "rest", "indices", "weights", "error", "normals", "normal_error")
 # Number of steps that bones with joints take in place of one leap of free bones, and the relative
 # gain of a step below which no further step is taken.
 _STEPS_OF_A_LEAP, _LEAST_GAIN = 3, 1e-3
@@ -156,21 +157,31 @@ def tangent_of(data: Trajectories, model: Model, locked: Locked) -> Tangent:
 
 
 def fit_motion(
-    data: Trajectories, model: Model, *, locked: Locked, sweeps: int, leaps: int
+    data: Trajectories,
+    model: Model,
+    *,
+    locked: Locked,
+    sweeps: int,
+    leaps: int,
+    length: float = 0.0,
 ) -> None:
     """Fit the transforms of every frame under the model's weights and rest pose (in place).
 
-    Bones of a tree turn about their joints, which stay, and roots move freely.
+    Bones of a tree turn about their joints, which stay, and roots move freely; they are fitted to
+    the positions alone.
 
     Parameters
     ----------
     sweeps, leaps : int
         As in :func:`~ssdr.solver.alternation.bone_step`, for bones without a tree.  Bones of a
         tree take up to three Gauss–Newton steps for each leap.
+    length : float
+        Length of a normal as a point, for bones without a tree.
     """
     if model.tree is None:
-        bone_step(data, model, sweeps=sweeps, locked=locked, leaps=leaps)
+        bone_step(data, model, sweeps=sweeps, locked=locked, leaps=leaps, length=length)
         return
+    data = dataclasses.replace(data, normals=None, n2=None)
     every = np.ones(data.n_vertices, dtype=bool)
     as_is = dataclasses.replace(locked, rest=True, weights=every, joints=True)
     newton = GaussNewton(data, model, locked=as_is)

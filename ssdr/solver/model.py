@@ -20,7 +20,7 @@ SLOTS = 12
 CHUNK = 512  # vertices of a task: the task takes milliseconds, and its arrays stay in the cache
 
 Indices = NDArray[np.int32]
-VertexRows = tuple[Array, Indices, Array, Indices, Indices, Array, Array]
+VertexRows = tuple[Array, Indices, Array, Indices, Indices, Array, Array, Array, Array]
 
 
 @dataclasses.dataclass(eq=False)
@@ -43,6 +43,10 @@ class Model:
         Weights of the bones in `indices`, solved again on these bones alone.
     error : (V,) float64
         Squared error of each vertex.
+    normals : (V, P - 1, 3) float64
+        Rest normals of the vertices, of any length, while a solve fits them; P is 1 or 2.
+    normal_error : (V,) float64
+        Squared error Σ_t |Σ_j w_ij R_j^t n_i − n_i^t|² of each vertex's normal.
     tree : Tree or None
         Hierarchy of the bones.
     """
@@ -55,6 +59,8 @@ class Model:
     indices: NDArray[np.int32]
     weights: Array
     error: Array
+    normals: Array
+    normal_error: Array
     tree: Tree | None = None
 
     @property
@@ -100,6 +106,8 @@ class Model:
             indices=np.zeros((n, influences), dtype=np.int32),
             weights=np.zeros((n, influences)),
             error=np.full(n, np.inf),
+            normals=np.zeros((n, 0, 3)),
+            normal_error=np.zeros(n),
         )
         model.indices[:, 0], model.weights[:, 0] = label, 1.0
         model.restart_support()
@@ -119,6 +127,14 @@ class Model:
     def weighted_error(self, data: Trajectories) -> float:
         """Squared error of all vertices, weighted by importance."""
         return float(data.importance @ self.error)
+
+    def points(self, length: float) -> Array:
+        """Points p̃ (V, P, 4): rest positions (p, 1), then normals (length · n, 0), if any."""
+        n, more = self.normals.shape[:2]
+        out = np.zeros((n, 1 + more, 4))
+        out[:, 0, :3], out[:, 0, 3] = self.rest, 1.0
+        out[:, 1:, :3] = length * self.normals
+        return out
 
     def bone_masses(self) -> Array:
         """Masses (B,) Σ_i w_ij² of the bones: how much the motion of each bone counts."""
@@ -187,7 +203,8 @@ class Model:
         rank[keep] = np.arange(len(keep))
         slots = np.arange(self.support.shape[1])
         support_weights = np.where(slots < self.count[:, None], self.support_weights, 0.0)
-        support_weights[rank[self.support] < 0] = 0.0
+        gone = (support_weights > 0) & (rank[self.support] < 0)
+        support_weights[gone] = 0.0
         order = np.argsort(-support_weights, axis=1, kind="stable")
         support_weights = np.take_along_axis(support_weights, order, axis=1)
         support = np.take_along_axis(np.maximum(rank[self.support], 0), order, axis=1)
@@ -195,10 +212,14 @@ class Model:
         support_weights[empty, 0] = 1.0
         support[empty, 0] = 0
         count = np.maximum((support_weights > 0).sum(axis=1), 1).astype(np.int32)
-        support_weights /= support_weights.sum(axis=1, keepdims=True)
+        # only those that lose weight are normalised again: locked weights keep their bits
+        lost = gone.any(axis=1)
+        support_weights[lost] /= support_weights[lost].sum(axis=1, keepdims=True)
         support[support_weights <= 0] = 0
         k = self.n_influences
-        weights = support_weights[:, :k] / support_weights[:, :k].sum(axis=1, keepdims=True)
+        weights = support_weights[:, :k].copy()
+        cut = count > k
+        weights[cut] /= weights[cut].sum(axis=1, keepdims=True)
         return dataclasses.replace(
             self.copy(),
             transforms=np.ascontiguousarray(self.transforms[:, keep]),

@@ -1,9 +1,9 @@
 """Sums over frames and over vertices that all steps share.
 
 v^t is the position of a vertex in frame t, M^t are the stacked transforms, and p̃ = (p, 1) with p
-the rest position.  The solve of a vertex reads the frames only through the sums G = Σ_t M^tᵀ M^t
-and Y = Σ_t v^tᵀ M^t.  The solve of the bones reads the vertices only through Σ_i w_j w_k p̃p̃ᵀ and
-Σ_i w_j v^t p̃ᵀ.
+the rest position.  A normal n is a second point p̃ = (n, 0) of its vertex.  The solve of a vertex
+reads the frames only through the sums G = Σ_t M^tᵀ M^t and Y = Σ_t v^tᵀ M^t.  The solve of the
+bones reads the vertices only through Σ_i w_j w_k p̃p̃ᵀ and Σ_i w_j v^t p̃ᵀ.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..kernels.bones import bone_moments
 from ..parallel import chunk_bounds, run_chunks, serial_blas
-from .model import CHUNK
+from .model import CHUNK, Model
 from .trajectories import Array, Trajectories
 
 __all__ = ["bone_sums", "coupled_bones", "gram_tables", "stack_blocks", "transform_sums"]
@@ -22,6 +22,8 @@ __all__ = ["bone_sums", "coupled_bones", "gram_tables", "stack_blocks", "transfo
 _MOMENT_TASKS = 16
 # index of monomial p̃_d p̃_e among x², y², z², xy, xz, yz, x, y, z, 1
 _PAIR = np.array([[0, 3, 4, 6], [3, 1, 5, 7], [4, 5, 2, 8], [6, 7, 8, 9]])
+# index of entry d, e of a symmetric 4×4 matrix in its upper triangle, row by row
+_UPPER = np.array([[0, 1, 2, 3], [1, 4, 5, 6], [2, 5, 7, 8], [3, 6, 8, 9]])
 
 
 def gram_tables(gram: Array, n_bones: int) -> tuple[Array, Array]:
@@ -63,14 +65,15 @@ def transform_sums(data: Trajectories, transforms: Array) -> tuple[Array, Array,
     return stacked, table, blocks, data.reduce(stacked)
 
 
-def bone_sums(
-    data: Trajectories,
-    indices: NDArray[np.int32],
-    weights: Array,
-    rest: Array,
-    n_bones: int,
-) -> tuple[Array, Array]:
+def bone_sums(data: Trajectories, model: Model, *, length: float = 0.0) -> tuple[Array, Array]:
     """Sums over vertices for solving the bones, weighted by importance.
+
+    Parameters
+    ----------
+    data : Trajectories
+    model : Model
+    length : float
+        Length of a normal as a point; 0: normals do not count.
 
     Returns
     -------
@@ -79,16 +82,21 @@ def bone_sums(
     c : (F, 3, 4, B) array
         Σ_i w_j v^t p̃ᵀ of each frame.
     """
-    n = data.n_vertices
+    n, n_bones = data.n_vertices, model.n_bones
     bounds = chunk_bounds(n, max(CHUNK, -(-n // _MOMENT_TASKS)))
     r = data.z.shape[1]
+    places = np.ascontiguousarray(model.points(1.0).transpose(1, 0, 2))
+    parts_of = [(places[0], data.importance, data.z)]
+    if length > 0 and data.normals is not None:
+        parts_of.append((places[1], length**2 * data.importance, data.normals))
 
     def work(_: int, i: int, k: int) -> tuple[Array, Array]:
         u = np.zeros((n_bones, n_bones, 10))
         az = np.zeros((4, n_bones, r))
         some = slice(i, k)
-        points = rest[some], data.importance[some], data.z[some]
-        bone_moments(indices[some], weights[some], *points, u, az)
+        for arrays in parts_of:
+            points, importance, z = (a[some] for a in arrays)
+            bone_moments(model.indices[some], model.weights[some], points, importance, z, u, az)
         return u, az
 
     parts = run_chunks(work, bounds)
@@ -100,7 +108,7 @@ def bone_sums(
     u[lower] = u[lower[1], lower[0]]
     with serial_blas():
         c = data.expand(az)
-    return np.ascontiguousarray(u[:, :, _PAIR]), c
+    return np.ascontiguousarray(u[:, :, _UPPER]), c
 
 
 def stack_blocks(u: Array) -> Array:

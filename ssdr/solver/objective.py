@@ -1,10 +1,21 @@
 """The objective that the solver minimises, with a penalty on joints away from the skin.
 
-    [1 + mean_j (d_j² + d_j⁴)] · Σ_i u_i Σ_t s_t² |v_i^t − Σ_j w_ij M_j^t p̃_i|²  +  smoothness
+    [1 + mean_j (d_j² + d_j⁴)] · [1 + c S] · [1 + N/ν]^γ · E  +  smoothness
 
-u_i is the importance of vertex i and s_t² the importance of frame t.  The bracket is 1 unless a
-tree with rigid joints was asked for; d_j is the distance of joint j from where the skin of its two
-bones meets.  The smoothness (:mod:`~ssdr.solver.smoothness`) is 0 unless asked for.
+    E = Σ_i u_i Σ_t s_t² |v_i^t − Σ_j w_ij M_j^t p̃_i|²
+    N = mean of |n_i^t − Σ_j w_ij R_j^t n_i|², weighted in the same way
+
+u_i is the importance of vertex i and s_t² the importance of frame t.  S is the strain of the rest
+pose (:mod:`~ssdr.solver.rest_surface`); its factor is 1 if the rest pose is free or given.  N is
+the error of the normals as engines draw them: rest normals n_i, turned by the blended matrices.
+Its factor is 1 until a solve takes normals in, near its end.  All are factors, since then a change
+of one counts as much as the same relative change of another, whatever the data; the quotient
+γE/(ν + N) is the square of the length at which a unit of error of a normal counts as one of a
+position.
+
+The first bracket is 1 unless a tree with rigid joints was asked for; d_j is the distance of joint j
+from where the skin of its two bones meets.  The smoothness (:mod:`~ssdr.solver.smoothness`) is 0
+unless asked for.
 
 Motion often hardly determines a joint: if a leg swings in a plane, the hip could lie anywhere on a
 line, and a wrong place adds almost no error.  There the skin decides.  The penalty is a factor of
@@ -17,6 +28,7 @@ the body are 5, 2 and 0.
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,10 +37,20 @@ from .model import FREE, Locked, Model
 from .smoothness import WeightSmoothness
 from .trajectories import Array, Trajectories
 
-__all__ = ["JointPenalty", "Objective", "joint_offsets", "mean_joint_penalty", "meeting_points"]
+__all__ = [
+    "JointPenalty",
+    "Objective",
+    "joint_offsets",
+    "mean_joint_penalty",
+    "meeting_points",
+    "normal_length",
+    "rest_pulls",
+]
 
 # Relative overlap at which the overlap's centroid and the midpoint have equal weight.
 _SHARED = 1e-2
+# γ, and ν: squared errors of normals far below one of a degree are not seen.
+_NORMALS, _UNSEEN = 0.6, math.radians(1.0) ** 2
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -48,7 +70,8 @@ class Objective:
 
     def value(self, data: Trajectories, model: Model) -> float:
         """The objective of a model, in the solver's units."""
-        value = model.weighted_error(data)
+        value = model.weighted_error(data) * _rest_factor(data, model, self.locked)
+        value *= math.pow(1.0 + _mean_normal_error(data, model) / _UNSEEN, _NORMALS)
         if self.locked.near_skin and model.tree is not None:
             _, squared = joint_offsets(model)
             value *= 1.0 + mean_joint_penalty(squared[model.tree.non_roots])
@@ -60,12 +83,13 @@ class Objective:
         self, data: Trajectories, model: Model, joints: NDArray[np.intp]
     ) -> JointPenalty:
         """Quadratic approximation of the penalty on the joints of the bones `joints` (J,)."""
+        error = model.weighted_error(data)
+        factor = dataclasses.replace(self, smoothness=None).value(data, model) / max(error, 1e-300)
         if not self.locked.near_skin or not len(joints):
-            return JointPenalty.none(len(joints))
+            return JointPenalty.none(len(joints), factor)
         hung = model.hierarchy.non_roots
         offsets, squared = joint_offsets(model)
-        factor = 1.0 + mean_joint_penalty(squared[hung])
-        stiffness = model.weighted_error(data) / (len(hung) * factor)
+        stiffness = error / (len(hung) * (1.0 + mean_joint_penalty(squared[hung])))
         return JointPenalty(
             factor, stiffness * (1.0 + 2.0 * squared[joints, None]), offsets[joints]
         )
@@ -76,8 +100,8 @@ class JointPenalty:
     """Quadratic approximation of the joint penalty around a model.
 
     If joints move by δ_j, the objective is to second order, up to a constant, `factor` times
-    (squared error + Σ_j stiffness_j |offset_j + δ_j|²).  The points where skin meets are treated as
-    constant.
+    (squared error, with the terms of rest pose and normals, + Σ_j stiffness_j |offset_j + δ_j|²).
+    The points where skin meets are treated as constant.
 
     Attributes
     ----------
@@ -92,9 +116,36 @@ class JointPenalty:
     offsets: Array
 
     @staticmethod
-    def none(count: int) -> JointPenalty:
+    def none(count: int, factor: float = 1.0) -> JointPenalty:
         """A penalty of 0 on `count` joints."""
-        return JointPenalty(1.0, np.zeros((count, 1)), np.zeros((count, 3)))
+        return JointPenalty(factor, np.zeros((count, 1)), np.zeros((count, 3)))
+
+
+def normal_length(data: Trajectories, model: Model) -> float:
+    """Length at which an error of a normal counts as one of a position; 0 without normals."""
+    if data.normals is None or not model.normals.shape[1]:
+        return 0.0
+    count = data.n_frames * data.n_vertices
+    unit = count * (_mean_normal_error(data, model) + _UNSEEN)
+    return math.sqrt(_NORMALS * model.weighted_error(data) / unit)
+
+
+def rest_pulls(data: Trajectories, model: Model, locked: Locked) -> Array:
+    """Pulls (V, 4) on the rest positions towards a surface, as of ``RestSurface.pulls``; else 0."""
+    error = model.weighted_error(data)
+    if data.surface is None or locked.rest or not math.isfinite(error):  # a start has no error yet
+        return np.zeros((len(model.rest), 4))
+    return data.surface.pulls(model.rest, error, data.importance)
+
+
+def _rest_factor(data: Trajectories, model: Model, locked: Locked) -> float:
+    return 1.0 if data.surface is None or locked.rest else data.surface.factor(model.rest)
+
+
+def _mean_normal_error(data: Trajectories, model: Model) -> float:
+    if data.normals is None or not model.normals.shape[1]:
+        return 0.0
+    return float(data.importance @ model.normal_error) / (data.n_frames * data.n_vertices)
 
 
 def mean_joint_penalty(squared: Array) -> float:

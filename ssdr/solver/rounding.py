@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from ..quantisation import WeightStorage, is_stored, quantise, weight_values
 from .gauss_newton import GaussNewton
 from .model import ARRAYS, CHUNK, Locked, Model
 from .moments import transform_sums
-from .objective import Objective
+from .objective import Objective, normal_length, rest_pulls
 from .trajectories import Trajectories
 
 __all__ = ["rounded_models"]
@@ -92,14 +93,20 @@ def _rounded(data: Trajectories, model: Model, storage: WeightStorage, locked: L
     _, gram, _, reduced = transform_sums(data, out.transforms)
     pairs = np.ascontiguousarray(gram.transpose(0, 2, 1))
     keep, steps = locked.vertex_mask(data.n_vertices), np.iinfo(storage).max
+    length, hold = normal_length(data, model), rest_pulls(data, model, locked)
 
     def work(_: int, i: int, k: int) -> None:
-        y = (data.z[i:k] @ reduced).reshape(k - i, 4, out.n_bones)
-        rows = out.rest[i:k], out.indices[i:k], out.weights[i:k], out.error[i:k]
-        move_units(y, data.x2[i:k], pairs, *rows, keep[i:k], not locked.rest, steps)
+        some = slice(i, k)
+        sums = data.products(some, reduced, length), data.squares(some, length)
+        names = ("rest", "indices", "weights", "error", "normals", "normal_error")
+        rows = [getattr(out, name)[some] for name in names]
+        held = hold[some], length, keep[some]
+        arrays: Any = *sums, pairs, *rows, *held, not locked.rest, steps
+        move_units(*arrays)
 
     run_chunks(work, chunk_bounds(data.n_vertices, CHUNK))
-    np.maximum(out.error, 0.0, out=out.error)
+    for error in (out.error, out.normal_error):
+        np.maximum(error, 0.0, out=error)
     out.restart_support()
     return out
 

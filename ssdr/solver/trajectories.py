@@ -9,15 +9,20 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import LARGEST, check_squarable
 from ..errors import InputError
-from ..parallel import serial_blas
+from ..kernels.normals import normals_range
+from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..rigid import nearest_rotation
 from ..sequence import MeshSequence
+
+if TYPE_CHECKING:
+    from .rest_surface import RestSurface
 
 __all__ = [
     "Alignment",
@@ -122,6 +127,14 @@ class Trajectories(Alignment):
         Importance of the vertices, whose mean is 1.
     frame_scale : (F,) float64
         Root of the importance of the frames.  The mean importance is 1.
+    faces : (T, 3) int32
+    normals : (V, r) float64 or None
+        Coefficients, in the same basis, of the unit normals of the vertices in every frame; None
+        while a solve does without them.
+    n2 : (V,) float64 or None
+        Sum of the squares of each vertex's normals before compression.
+    surface : RestSurface or None
+        What the rest pose is to resemble; None if it is free.
     """
 
     z: Array
@@ -129,6 +142,10 @@ class Trajectories(Alignment):
     x2: Array
     importance: Array
     frame_scale: Array
+    faces: NDArray[np.int32]
+    normals: Array | None = None
+    n2: Array | None = None
+    surface: RestSurface | None = None
 
     @property
     def n_vertices(self) -> int:
@@ -150,9 +167,34 @@ class Trajectories(Alignment):
         out = full.reshape(self.n_frames, 3, four, b)
         return np.ascontiguousarray(out / self.frame_scale[:, None, None, None])
 
+    @property
+    def n_points(self) -> int:
+        """Number of points of a vertex: its position and, where normals are solved, its normal."""
+        return 1 if self.normals is None else 2
+
+    def squares(self, rows: Any, length: float) -> Array:
+        """Squared lengths (n, P) of the trajectories of some vertices' points.
+
+        `length` is that of a normal as a point.
+        """
+        if self.n2 is None:
+            return self.x2[rows, None]
+        return np.stack([self.x2[rows], length**2 * self.n2[rows]], axis=1)
+
+    def products(self, rows: Any, reduced: Array, length: float) -> Array:
+        """Sums Y (n, P, 4, B) of some vertices' points; `reduced` as of ``transform_sums``."""
+        z = self.z[rows]
+        if self.normals is None:
+            return np.asarray((z @ reduced).reshape(len(z), 1, 4, -1))
+        y = np.empty((len(z), 2, reduced.shape[1]))
+        np.matmul(z, reduced, out=y[:, 0])
+        np.matmul(length * self.normals[rows], reduced, out=y[:, 1])
+        return y.reshape(len(z), 2, 4, -1)
+
     def select_frames(self, frames: NDArray[np.intp]) -> Trajectories:
-        """A copy with the chosen frames, for uncompressed trajectories only."""
+        """A copy with the chosen frames, for uncompressed trajectories without normals only."""
         assert self.q is None
+        assert self.normals is None
         z = np.ascontiguousarray(self.z.reshape(self.n_vertices, -1, 3)[:, frames])
         flat = z.reshape(self.n_vertices, -1)
         return dataclasses.replace(
@@ -165,13 +207,51 @@ class Trajectories(Alignment):
         )
 
     def select_vertices(self, chosen: NDArray[np.intp]) -> Trajectories:
-        """A copy with the chosen vertices, in the same frames and basis."""
+        """A copy with the chosen vertices, in the same frames and basis, without a surface."""
+
+        def rows(x: Array | None) -> Array | None:
+            return None if x is None else np.ascontiguousarray(x[chosen])
+
         return dataclasses.replace(
             self,
             z=np.ascontiguousarray(self.z[chosen]),
             x2=self.x2[chosen],
             importance=self.importance[chosen],
+            faces=self.faces[:0],
+            normals=rows(self.normals),
+            n2=rows(self.n2),
+            surface=None,
         )
+
+    @serial_blas()
+    def with_normals(self) -> Trajectories:
+        """A copy with the normals of all frames, computed from the positions that it holds.
+
+        They are the means of the normals of the triangles around a vertex, weighted by the angles
+        there (Thürmer and Wüthrich 1998).  The basis is that of the positions: it spans what bones
+        can do, and so all of the normals that a model can fit.
+        """
+        n, n_frames = self.n_vertices, self.n_frames
+        normals, n2 = np.zeros(self.z.shape), np.zeros(n)
+        for first, last in chunk_bounds(n_frames, _AT_ONCE):
+            columns = slice(3 * first, 3 * last)
+            x = self.z[:, columns] if self.q is None else self.z @ self.q[columns].T
+            points = np.ascontiguousarray(x.reshape(n, -1, 3).transpose(1, 0, 2))
+            points /= self.frame_scale[first:last, None, None]
+            here = np.empty_like(points)
+
+            def work(_: int, i: int, k: int, points: Array = points, here: Array = here) -> None:
+                normals_range(points, self.faces, self.faces, here, i, k)
+
+            run_chunks(work, chunk_bounds(last - first, 8))
+            here *= self.frame_scale[first:last, None, None]
+            flat = np.ascontiguousarray(here.transpose(1, 0, 2)).reshape(n, -1)
+            n2 += np.einsum("ij,ij->i", flat, flat)
+            if self.q is None:
+                normals[:, columns] = flat
+            else:
+                normals += flat @ self.q[columns]
+        return dataclasses.replace(self, normals=normals, n2=n2)
 
     @serial_blas()
     def compressed(self, bones: int) -> Trajectories:
@@ -252,6 +332,7 @@ def gather(
         centre=centre,
         rotation=rotation,
         scale=scale,
+        faces=sequences[0].faces,
     )
     return data.compressed(bones) if compress else data
 

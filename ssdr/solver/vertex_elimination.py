@@ -39,7 +39,7 @@ class _Groups(NamedTuple):
     bones: NDArray[np.intp]  # (G, K) bones of each group, ascending, padded with B
     sizes: NDArray[np.intp]  # (G,) number of bones of each group
     slot: NDArray[np.intp]  # (V, K) column of each of the group's bones in the model's weights
-    rest: Array
+    points: Array
     weights: Array  # (V, K) in the order of the group's bones
     importance: Array
     free: NDArray[np.bool_]
@@ -82,12 +82,13 @@ class ReducedSystem:
         vertices: VertexSystem,
         precision: type[np.floating[Any]],
     ) -> None:
-        self.n_bones = n_bones = model.n_bones
+        self.n_bones = model.n_bones
         self.keep, self.move_rest = locked.vertex_mask(data.n_vertices), not locked.rest
         n = data.n_vertices
         self._tasks = chunk_bounds(n, max(CHUNK, -(-n // _TASKS)))
         self._order, self._groups = _group(data, model, self.keep, vertices, precision)
-        self.u, c = bone_sums(data, model.indices, model.weights, model.rest, n_bones)
+        self.length = vertices.length
+        self.u, c = bone_sums(data, model, length=self.length)
         stacked, u = vertices.stacked, stack_blocks(self.u)
         c *= data.frame_scale[:, None, None, None]
         _, answer = self._eliminate(np.zeros_like(u), 1.0)
@@ -112,8 +113,10 @@ class ReducedSystem:
         step = self.best_step(change)
 
         def work(_: int, i: int, k: int) -> None:
-            rows = model.rest[i:k], model.indices[i:k], model.weights[i:k]
-            apply_vertex_step(step[i:k], *rows, self.keep[i:k], self.move_rest)
+            names = ("rest", "normals", "indices", "weights")
+            rows = [getattr(model, name)[i:k] for name in names]
+            arrays: Any = step[i:k], *rows, self.length, self.keep[i:k], self.move_rest
+            apply_vertex_step(*arrays)
 
         run_chunks(work, self._tasks)
 
@@ -182,7 +185,7 @@ def _group(
         bones=bones[first],
         sizes=(bones[first] < n_bones).sum(axis=1),
         slot=slot,
-        rest=real(model.rest[order]),
+        points=real(model.points(vertices.length)[order]),
         weights=real(np.take_along_axis(model.weights[order], slot, axis=1)),
         importance=real(data.importance[order]),
         free=~keep[order],

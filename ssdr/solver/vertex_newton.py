@@ -1,14 +1,16 @@
 """Gauss–Newton on the weights and the rest position of each vertex, under given transforms.
 
 The alternation solves weights and rest position one after the other; here they move together.  The
-unknowns of a vertex are three coordinates and all its weights except the largest, since weights sum
-to 1.  These are at most D = K + 2.
+unknowns of a vertex are all its weights except the largest, since weights sum to 1, then three
+coordinates of its rest position and, where normals are solved, three of its normal.  These are at
+most D = K − 1 + 3P for P points of a vertex.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -16,9 +18,12 @@ from ..kernels.polish import polish_vertices
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from .model import CHUNK, FREE, Locked, Model
 from .moments import transform_sums
+from .objective import normal_length, rest_pulls
 from .trajectories import Array, Trajectories
 
 __all__ = ["VertexSystem", "newton_vertices", "optimise_vertices"]
+
+_CHANGED = ("rest", "indices", "weights", "error", "normals", "normal_error")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -33,11 +38,14 @@ class VertexSystem:
         Inverse of each vertex's Gauss–Newton matrix.
     gradient : (V, D) float64
         Half gradient of each vertex's squared error.
+    length : float
+        Length of a normal as a point.
     """
 
     stacked: Array
     inverse: Array
     gradient: Array
+    length: float
 
 
 @serial_blas()
@@ -62,16 +70,32 @@ def optimise_vertices(
         Matrices and gradients at the optimised model.
     """
     stacked, gram, gram4, reduced = transform_sums(data, model.transforms)
-    answers = newton_vertices(
-        lambda i, k: data.z[i:k] @ reduced,
-        data.x2,
+    length, hold = normal_length(data, model), rest_pulls(data, model, locked)
+    inverse, gradient = newton_vertices(
+        lambda i, k: data.products(slice(i, k), reduced, length),
+        data.squares(slice(None), length),
         (gram, gram4),
         model,
+        hold=hold,
+        length=length,
         locked=locked,
         entering=entering,
         rounds=rounds,
     )
-    return VertexSystem(stacked, *answers)
+    if data.surface is not None and not locked.rest:
+        _recentre(gradient, hold, rest_pulls(data, model, locked), model, locked)
+    return VertexSystem(stacked, inverse, gradient, length)
+
+
+def _recentre(gradient: Array, old: Array, new: Array, model: Model, locked: Locked) -> None:
+    """Change the gradients (in place) from the pulls `old` to `new`, of the same stiffness."""
+    free = ~locked.vertex_mask(len(gradient))
+    first = np.where(free, np.count_nonzero(model.weights, axis=1) - 1, 0)
+    columns = first[:, None] + np.arange(3)
+    change = old[:, :1] * (old[:, 1:] - new[:, 1:])
+    np.put_along_axis(
+        gradient, columns, np.take_along_axis(gradient, columns, axis=1) + change, axis=1
+    )
 
 
 def newton_vertices(
@@ -80,6 +104,8 @@ def newton_vertices(
     tables: tuple[Array, Array],
     model: Model,
     *,
+    hold: Array,
+    length: float,
     locked: Locked,
     entering: int,
     rounds: int,
@@ -89,14 +115,18 @@ def newton_vertices(
     Parameters
     ----------
     products : callable
-        Called with a range i, k of vertices; returns their rows (k − i, 4B) of the sums Y of
-        :mod:`~ssdr.solver.moments`.
-    x2 : (V,) array
-        Squared length of each vertex's trajectory.
+        Called with a range i, k of vertices; returns the sums Y (k − i, P, 4, B) of their points,
+        see :mod:`~ssdr.solver.moments`.
+    x2 : (V, P) array
+        Squared lengths of the trajectories of each vertex's points.
     tables : ((B, 10, B), (B, B, 4, 4)) arrays
         As :func:`~ssdr.solver.moments.gram_tables` returns them.
     model : Model
         Its rest pose, weights and error are changed, its transforms not read.
+    hold : (V, 4) array
+        Pulls on the rest positions, as of ``RestSurface.pulls``.
+    length : float
+        Length of a normal as a point.
     locked : Locked
     entering : int
         Largest number of bones that enter a vertex's influences; each enters only if that lowers
@@ -110,15 +140,16 @@ def newton_vertices(
     (V, D, D), (V, D) arrays
         `inverse` and `gradient` of :class:`VertexSystem`.
     """
-    n, size = len(model.rest), model.n_influences + 2
+    n, size = len(model.rest), model.n_influences - 1 + 3 * x2.shape[1]
     keep, flags = locked.vertex_mask(n), (not locked.rest, entering, rounds)
     inverse, gradient = np.empty((n, size, size)), np.empty((n, size))
 
     def work(_: int, i: int, k: int) -> None:
-        y = products(i, k).reshape(k - i, 4, model.n_bones)
-        rows = model.rest[i:k], model.indices[i:k], model.weights[i:k], model.error[i:k]
-        answers = inverse[i:k], gradient[i:k]
-        polish_vertices(y, x2[i:k], *tables, *rows, keep[i:k], *flags, *answers)
+        y = products(i, k)
+        rows = [getattr(model, name)[i:k] for name in _CHANGED]
+        held = hold[i:k], length, keep[i:k]
+        arrays: Any = y, x2[i:k], *tables, *rows, *held, *flags, inverse[i:k], gradient[i:k]
+        polish_vertices(*arrays)
 
     run_chunks(work, chunk_bounds(n, CHUNK))
     return inverse, gradient

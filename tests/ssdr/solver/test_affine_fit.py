@@ -7,6 +7,7 @@ import numpy as np
 import ssdr
 from helpers import motions
 from ssdr.solver.affine_fit import solve_affine
+from ssdr.solver.model import Model
 from ssdr.solver.moments import bone_sums
 from ssdr.solver.trajectories import gather
 
@@ -37,7 +38,7 @@ def test_bones_that_data_turn_inside_out_stop_before_and_still_descend() -> None
     data = gather([ssdr.MeshSequence(frames)], bones=3)
     inner, m = data.from_world(rest, np.tile(np.eye(4)[:3], (6, 3, 1, 1)))
     assert m is not None
-    u, c = bone_sums(data, indices, weights, inner, 3)
+    u, c = bone_sums(data, Model.with_weights(m, inner, indices, weights, 2))
     free = np.zeros(3, dtype=bool)
     goal = np.stack([data.frame(t) for t in range(6)])
     values = []

@@ -31,10 +31,11 @@ def test_moves_of_units_agree_with_a_naive_twin(move_rest: bool) -> None:
     indices = np.argsort(-units, axis=1, kind="stable")[:, :influences].astype(np.int32)
     weights = np.take_along_axis(units, indices, axis=1) / steps
     _, gram, _, reduced = transform_sums(data, model.transforms)
-    y = (data.z @ reduced).reshape(len(units), 4, model.n_bones)
+    sums = data.products(some, reduced, 0.0), data.squares(some, 0.0)
     pairs = np.ascontiguousarray(gram.transpose(0, 2, 1))
-    rest, error = model.rest.copy(), np.zeros(len(units))
-    move_units(y, data.x2, pairs, rest, indices, weights, error, locked, move_rest, steps)
+    rest, error, free = model.rest.copy(), np.zeros(len(units)), np.zeros((len(units), 4))
+    rows = rest, indices, weights, error, model.normals, model.normal_error
+    move_units(*sums, pairs, *rows, free, 0.0, locked, move_rest, steps)
     found = np.zeros(units.shape)
     np.add.at(found, (some[:, None], indices), weights)
     np.testing.assert_allclose(found, expected / steps, atol=1e-12)

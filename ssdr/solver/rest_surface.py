@@ -1,0 +1,126 @@
+"""A rest pose that stays a surface: a factor of the objective that grows as edges of it change.
+
+Positions in the frames hardly determine the rest pose: patches that one bone moves alone may lie
+anywhere in it, and small weights make up for large steps between neighbours.  Solved for positions
+alone, it becomes a crumpled mesh whose normals, weights and distances are of no use.  So the
+objective has the factor 1 + c·S, where the strain
+
+    S = Σ_edges ω |(p_i − p_j) − (h_i − h_j)|² / Σ_edges ω |h_i − h_j|²
+
+compares the edges of the rest pose p with those of a pose h of the input.  As a factor it costs the
+same share of the error whatever the error is, and nothing where a model is exact.
+
+The logarithm of a product is majorised by the linear terms of its factors (log is concave), and a
+difference along an edge by both its ends (|a − b|² <= 2|a − m|² + 2|b − m|²).  That leaves a
+quadratic pull on each rest position alone, so that vertices are still solved one by one, and no
+step that lowers the error with these pulls raises the objective.
+
+References
+----------
+Hunter and Lange, "A tutorial on MM algorithms", 2004.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array, csr_array
+
+from .trajectories import Array, Trajectories
+
+__all__ = ["RestSurface"]
+
+# c: an error 1 + c·S times as large is as bad as a strain S; an edge turned by 20° has S = 0.12.
+_STRENGTH = 1.5
+# Least squared length of an edge that counts as its own, relative to the mean.
+_SHORT = 0.1
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RestSurface:
+    """Edges of the pose that a rest pose is to resemble.
+
+    Vertices that coincide in every frame, as at seams, are neighbours of each other and of all
+    neighbours of the others.
+
+    Attributes
+    ----------
+    pose : (V, 3) array
+        h, in the solver's space.
+    edges : (V, V) sparse array
+        Weights ω of the edges, symmetric, with Σ_edges ω |h_i − h_j|² = 1.
+    degree : (V,) array
+        Row sums of `edges`.
+    """
+
+    pose: Array
+    edges: csr_array
+    degree: Array
+
+    @staticmethod
+    def build(data: Trajectories, pose: Array) -> RestSurface | None:
+        """The surface of `pose` under the triangles of the data; None without any edge."""
+        ends = data.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+        label = _coincident(data)
+        ends = np.unique(np.sort(label[ends], axis=1), axis=0).astype(np.int64)
+        ends = ends[ends[:, 0] != ends[:, 1]]
+        squared = ((pose[ends[:, 0]] - pose[ends[:, 1]]) ** 2).sum(axis=1)
+        if not squared.any():
+            return None
+        weight = 1.0 / (squared + _SHORT * squared.mean())
+        weight /= weight @ squared
+        n = len(pose)
+        i, j = ends.T
+        one_each = coo_array((np.r_[weight, weight], (np.r_[i, j], np.r_[j, i])), shape=(n, n))
+        edges = csr_array(one_each)
+        count = np.bincount(label, minlength=n)
+        if count.max() > 1:
+            share = csr_array((1.0 / count[label], (np.arange(n), label)), shape=(n, n))
+            copies = csr_array(coo_array((edges.sum(axis=1), (np.arange(n),) * 2), shape=(n, n)))
+            copies.data[count <= 1] = 0.0
+            edges = csr_array(share @ (edges + copies) @ share.T)
+            edges.setdiag(0.0)
+            edges.eliminate_zeros()
+        return RestSurface(pose.copy(), edges, np.asarray(edges.sum(axis=1), dtype=float).ravel())
+
+    def factor(self, rest: Array) -> float:
+        """The factor 1 + c·S of a rest pose (V, 3)."""
+        moved = rest - self.pose
+        strain = float(np.vdot(moved, self.degree[:, None] * moved - self.edges @ moved))
+        return 1.0 + _STRENGTH * max(strain, 0.0)
+
+    def pulls(self, rest: Array, error: float, importance: Array) -> Array:
+        """Pulls (V, 4) at a rest pose: stiffness μ and target m of the terms μ |p_i − m|².
+
+        `error` is the squared error of the model, and each term is relative to the squared error of
+        its vertex before that is multiplied by its `importance` (V,).
+        """
+        moved = rest - self.pose
+        around = np.asarray(self.edges @ moved)
+        some = np.maximum(self.degree, 1e-300)[:, None]
+        out = np.empty((len(rest), 4))
+        scale = 2.0 * _STRENGTH * error / self.factor(rest)
+        out[:, 0] = scale * self.degree / np.maximum(importance, 1e-6)
+        out[:, 1:] = self.pose + 0.5 * (moved + around / some)
+        return out
+
+    def scaled(self, ratio: float) -> RestSurface:
+        """The same surface in units of length that are 1/ratio times as large."""
+        edges = csr_array(self.edges / ratio**2)
+        return RestSurface(ratio * self.pose, edges, self.degree / ratio**2)
+
+
+def _coincident(data: Trajectories) -> NDArray[np.intp]:
+    """First vertex (V,) of those that have the same position as each vertex in every frame."""
+    n = data.n_vertices
+    label = np.arange(n)
+    _, place, count = np.unique(data.z[:, :3], axis=0, return_inverse=True, return_counts=True)
+    twins = np.flatnonzero(count[place.ravel()] > 1)
+    if len(twins):
+        rows = np.ascontiguousarray(data.z[twins]) + 0.0  # -0.0 equals 0.0, but not its bytes
+        bytes_of = rows.view(np.dtype((np.void, rows.dtype.itemsize * rows.shape[1]))).ravel()
+        _, first, group = np.unique(bytes_of, return_index=True, return_inverse=True)
+        label[twins] = twins[first][group.ravel()]
+    return label
