@@ -8,18 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..surface import Surface
+from ..normals import unit
 
-_UP = np.array([0.0, 1.0, 0.0])
-
-
-def unit(
-    vectors: NDArray[np.floating], fallback: NDArray[np.floating] = _UP, least: float = 1e-300
-) -> NDArray[np.float64]:
-    """Vectors ``(..., 3)`` scaled to length 1; `fallback` where their length is up to `least`."""
-    length = np.linalg.norm(np.asarray(vectors, dtype=np.float64), axis=-1, keepdims=True)
-    found = length > least
-    return np.asarray(np.where(found, vectors / np.where(found, length, 1.0), fallback))
+_UP = np.array([0.0, 1.0, 0.0])  # normal of a vertex without triangles
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -79,33 +70,6 @@ def split_corners(
 
     triangles = split.reshape(-1, 3).astype(np.int32)
     return Corners(vertex, triangles, spread(uv, np.zeros(2)), spread(normals, _UP))
-
-
-def corner_normals(
-    rest: NDArray[np.floating], faces: NDArray[np.integer], surface: Surface | None
-) -> NDArray[np.float32]:
-    """Normals ``(T, 3, 3)`` at triangle corners of a pose, hard where those of `surface` are.
-
-    Each is the mean of the normals of the triangles around a vertex, weighted by their angles
-    there. The mean is over the corners at which `surface` has equal normals, or over all corners of
-    the vertex if it has no normals.
-
-    References
-    ----------
-    Thürmer & Wüthrich, "Computing vertex normals from polygonal facets", 1998.
-    """
-    if not len(faces):
-        return np.zeros((0, 3, 3), dtype=np.float32)
-    p = rest.astype(np.float64)[faces]
-    face = unit(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]))
-    group: NDArray[np.integer] = faces.reshape(-1)
-    if surface is not None and surface.normals is not None:
-        key = np.concatenate(
-            [group[:, None], np.rint(surface.normals.reshape(-1, 3) * 1e3)], axis=1
-        )
-        group = np.unique(key.astype(np.int64), axis=0, return_inverse=True)[1].reshape(-1)
-    sums = _sums(face[:, None] * _angles(p)[..., None], group)
-    return unit(sums[group], np.repeat(face, 3, axis=0)).reshape(-1, 3, 3).astype(np.float32)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ..clips import Clip, one_rate, pick
 from ..errors import FormatError, InputError, MissingDependencyError, SsdrError, is_real, is_whole
+from ..normals import corner_normals
 from ..sequence import MeshSequence
 from ..space import METRES_Y_UP, UNKNOWN, Space
 from .budget import afford
@@ -286,13 +287,18 @@ def bake(skinning: Skinning) -> MeshSequence:
     """
     hint = "skinning.select(name) takes one out"
     check_one_rate(skinning.clips, f"where vertices are stored, which have one; {hint}")
+    frames, surface = skinning.skin(), skinning.surface
+    if surface is not None and surface.normals is not None:
+        # those of a skinning belong to its rest pose, which need not be a frame
+        normals = corner_normals(frames[0], skinning.faces, surface)
+        surface = dataclasses.replace(surface, normals=normals)
     return MeshSequence(
-        skinning.skin(),
+        frames,
         skinning.faces,
         skinning.fps,
         name=skinning.name,
         clip=skinning.clips[0].name if len(skinning.clips) == 1 else "",
-        surface=skinning.surface,
+        surface=surface,
         vertex_map=skinning.vertex_map,
         space=skinning.space,
         validate=False,

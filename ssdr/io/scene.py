@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from ..clips import Clip, in_order, unique_names
 from ..errors import InputError
 from ..lbs import skin
+from ..normals import corner_normals
 from ..sequence import MeshSequence
 from ..skinning import BoneModel, Skinning
 from ..space import Space
 from ..surface import Material, Surface
 from .budget import MOST_BYTES, afford
-from .corners import corner_normals
 from .registry import check
 from .storage import frame_blocks
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import FormatError
+from ...normals import unit
 from ...surface import Material
-from ..corners import unit
 from ..registry import check, choose
 from ..scene import Bones, Shape, file_weights
 from ..signatures import picture_type

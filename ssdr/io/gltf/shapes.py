@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from ...checks import check_floats
 from ...errors import InputError
+from ...normals import corner_normals
 from ...skinning import Skinning
-from ..corners import Corners, corner_normals
+from ..corners import Corners
 from .builder import ARRAY, Builder
 
 

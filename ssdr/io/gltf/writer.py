@@ -16,11 +16,12 @@ from ...checks import parse_tolerance
 from ...errors import InputError, check_choice
 from ...hierarchy.bone_ends import limb_axes, limb_ends
 from ...hierarchy.transforms import rest_diagonal
+from ...normals import corner_normals
 from ...quantisation import WeightStorage, weight_values
 from ...rigid import matrix_from_quaternion, quaternion_from_matrix, unflip_quaternions
 from ...skinning import Skinning
 from ...surface import Material, Surface
-from ..corners import Corners, corner_normals, split_corners
+from ..corners import Corners, split_corners
 from ..registry import SaveReport, seconds
 from ..rig import Rig, build_rig
 from ..scene import check_kept

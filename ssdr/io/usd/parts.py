@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
-from ..corners import unit
+from ...normals import unit
 from ..meshes.polygons import fan
 from ..registry import check
 from ..scene import Bones, Shape, file_weights

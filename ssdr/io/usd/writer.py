@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
+from ...normals import corner_normals
 from ...sequence import MeshSequence
 from ...skinning import Skinning
 from ...space import METRES_Y_UP, Space
 from ..atomic import atomic_path
-from ..corners import corner_normals
 from ..registry import SaveReport
 from ..rig import build_rig
 from ..storage import StorageError
