@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from ..clips import Clip, one_rate, pick
 from ..errors import FormatError, InputError, MissingDependencyError, SsdrError, is_real, is_whole
-from ..normals import corner_normals
 from ..sequence import MeshSequence
 from ..space import METRES_Y_UP, UNKNOWN, Space
 from .budget import afford
@@ -285,6 +284,8 @@ def bake(skinning: Skinning) -> MeshSequence:
     InputError
         If clips have different frame rates.
     """
+    from ..normals import corner_normals
+
     hint = "skinning.select(name) takes one out"
     check_one_rate(skinning.clips, f"where vertices are stored, which have one; {hint}")
     frames, surface = skinning.skin(), skinning.surface

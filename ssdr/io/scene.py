@@ -339,6 +339,34 @@ def match_template(
     return np.split(vertex, starts[1:-1])
 
 
+def template_normals(
+    parts: Sequence[ScenePart],
+    vertices: Sequence[NDArray[np.integer]],
+    model: Skinning,
+    rest: NDArray[np.floating],
+) -> list[NDArray[np.float32]]:
+    """For each part of a template file, the normals (T, 3, 3) of the model at its corners.
+
+    A model without normals has those of its rest pose, with the hard edges of the file.
+
+    Parameters
+    ----------
+    parts : sequence of ScenePart
+    vertices : sequence of int arrays
+        As :func:`match_template` returns them.
+    model : Skinning
+    rest : (V, 3) array
+        The model's rest pose, as it is written.
+    """
+    if model.surface is not None and model.surface.normals is not None:
+        ends = np.cumsum([len(part.faces) for part in parts])
+        return np.split(model.surface.normals, ends[:-1])
+    return [
+        corner_normals(rest[index], part.faces, Surface(normals=part.normals))
+        for part, index in zip(parts, vertices, strict=True)
+    ]
+
+
 def check_kept(lost: Sequence[str], strict: bool) -> None:
     """Raise an InputError if contents of a template would be lost and `strict` forbids it.
 

@@ -368,5 +368,5 @@ def corner_normals(points, faces, groups=None):
 
 def angles(a, b):
     """Angles in degrees between vectors, along the last axis."""
-    lengths = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
-    return np.degrees(np.arccos(np.clip((a * b).sum(axis=-1) / lengths, -1, 1)))
+    across = np.linalg.norm(np.cross(a, b), axis=-1)
+    return np.degrees(np.arctan2(across, (a * b).sum(axis=-1)))
