@@ -37,13 +37,13 @@ class Decomposition:
         result.
     offsets : (S + 1,) int array
         First frame of each of the S shots, followed by the total number of frames.
-    normals : NormalErrors or None
-        Angles, over about 500 frames at most, between the normals of the input's surface and those
-        that engines draw of `skinning`; None without triangles.
     compile_seconds : float
         Time that loading or compiling the kernels took in this call.
     warnings : tuple of str
         Messages of the warnings (:class:`SsdrWarning`) of the call.
+    normals : NormalErrors or None
+        Angles, over about 500 frames at most, between the normals of the input's surface and those
+        that engines draw of `skinning`; None without triangles.
 
     Examples
     --------
@@ -60,9 +60,9 @@ class Decomposition:
     stop_reason: str
     history: tuple[Record, ...]
     offsets: NDArray[np.int64]
-    normals: NormalErrors | None = None
     compile_seconds: float = 0.0
     warnings: tuple[str, ...] = ()
+    normals: NormalErrors | None = None
 
     @property
     def converged(self) -> bool:

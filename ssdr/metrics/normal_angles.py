@@ -17,7 +17,7 @@ from ..sequence import MeshSequence
 from ..skinning import Skinning
 from .inputs import Frames, as_pair, as_sequence, chunk_size, read
 
-__all__ = ["NormalErrors", "errors_of_model", "normals"]
+__all__ = ["NormalErrors", "errors_of_model", "known_errors", "normals"]
 
 _MOST = 500  # frames measured of a result of the solver, or a few less
 
@@ -61,6 +61,10 @@ class NormalErrors:
     per_frame: NDArray[np.float64]
     per_vertex: NDArray[np.float64]
     frames: NDArray[np.int64]
+
+    def as_dict(self) -> dict[str, float | None]:
+        """Dictionary of the plain numbers, for JSON."""
+        return {k: v for k, v in vars(self).items() if not isinstance(v, np.ndarray)}
 
     def __str__(self) -> str:
         return (
@@ -111,22 +115,33 @@ def normals(
     >>> errors.mean < 10, errors.per_vertex.shape
     (True, (799,))
     """
+    first = as_sequence(reference, faces, "reference")
     if isinstance(model, Skinning):
-        first = as_sequence(reference, faces, "reference")
         expected, found = first.vertices.shape[:2], (model.n_frames, model.n_vertices)
         if expected != found:
             text = "{} frames and {} vertices".format
             raise InputError("model", text(*expected), text(*found))
-        both = len(first.faces) and len(model.faces)
-        if both and not np.array_equal(first.faces, model.faces):
-            raise InputError("model", "the triangles of the reference", "others")
-        result = errors_of_model([first], model, most=None)
     else:
-        first, second = as_pair(reference, model, faces)
-        result = _errors_of_frames(first, second)
+        first, model = as_pair(first, model, faces)
+    result = known_errors(first, model)
     if result is None:
         raise InputError("faces", "a triangle with an area", "none")
     return result
+
+
+def known_errors(reference: MeshSequence, model: Skinning | MeshSequence) -> NormalErrors | None:
+    """Errors of the normals of a model of as many frames and vertices; None if none is known."""
+    if not isinstance(model, Skinning):
+        holders, parts = holders_of(reference, model), []
+        for span in chunk_bounds(reference.n_frames, chunk_size(reference)):
+            one, other = (surface_normals(read(x, *span), holders) for x in (reference, model))
+            parts.append(Angles.between(one, other, holders.vertex))
+        frames = np.arange(reference.n_frames)
+        return _errors(Angles.joined(parts), frames, reference.n_vertices)
+    both = len(reference.faces) and len(model.faces)
+    if both and not np.array_equal(reference.faces, model.faces):
+        raise InputError("model", "the triangles of the reference", "others")
+    return errors_of_model([reference], model, most=None)
 
 
 def errors_of_model(
@@ -142,14 +157,6 @@ def errors_of_model(
     """
     frames, drawn, own = drawn_angles(sequences, model, executor=executor, most=most)
     return _errors(drawn, frames, model.n_vertices, own)
-
-
-def _errors_of_frames(first: MeshSequence, second: MeshSequence) -> NormalErrors | None:
-    holders, parts = holders_of(first, second), []
-    for span in chunk_bounds(first.n_frames, chunk_size(first)):
-        one, other = (surface_normals(read(x, *span), holders) for x in (first, second))
-        parts.append(Angles.between(one, other, holders.vertex))
-    return _errors(Angles.joined(parts), np.arange(first.n_frames), first.n_vertices)
 
 
 def _errors(
