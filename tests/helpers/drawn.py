@@ -55,10 +55,13 @@ def from_gltf(path, *, clip=0):
 
     nodes = document["nodes"]
     animation = document["animations"][clip]
-    tracks = {}
+    tracks, amounts = {}, None
     for channel in animation["channels"]:
         sampler = animation["samplers"][channel["sampler"]]
         target = channel["target"]
+        if target["path"] == "weights":
+            amounts = read(sampler["output"])
+            continue
         tracks[target["node"], target["path"]] = read(sampler["output"])
     count = max(len(values) for values in tracks.values())
     assert {len(values) for values in tracks.values()} <= {1, count}
@@ -96,9 +99,17 @@ def from_gltf(path, *, clip=0):
         blended = np.zeros((count, len(joints), 4, 4))
         for k in range(joints.shape[1]):
             blended += weights[:, k, None, None] * moves[:, joints[:, k]]
-        points = np.concatenate([read(attributes["POSITION"]), np.ones((len(joints), 1))], axis=1)
-        positions = np.einsum("fnij,nj->fni", blended[:, :, :3], points)
-        normals = np.einsum("fnij,nj->fni", blended[:, :, :3, :3], read(attributes["NORMAL"]))
+        points, normals = (
+            np.tile(read(attributes[name]), (count, 1, 1)) for name in ("POSITION", "NORMAL")
+        )
+        if amounts is not None:
+            targets = primitives[0]["targets"]
+            for target, factor in zip(targets, amounts.reshape(count, -1).T, strict=True):
+                points += factor[:, None, None] * read(target["POSITION"])
+                normals += factor[:, None, None] * read(target["NORMAL"])
+        positions = np.einsum("fnij,fnj->fni", blended[:, :, :3, :3], points)
+        positions += blended[:, :, :3, 3]
+        normals = np.einsum("fnij,fnj->fni", blended[:, :, :3, :3], normals)
         vertex = read(attributes["_VERTEX"])[:, 0].astype(int) if "_VERTEX" in attributes else None
         result.append((positions, normals, faces.reshape(-1, 3), vertex))
     return result

@@ -290,6 +290,9 @@ def _mesh(
     """Add a mesh and return the JSON of its primitives."""
     surface = model.surface
     normals = rest_normals(model, rig.rest)
+    added: NDArray[np.float32] | None = None
+    if shapes is not None and normals is not None:
+        normals, added = shapes.normals(model, normals)
     uv = None if surface is None else surface.uv
     corners = split_corners(model.faces, model.n_vertices, uv, normals)
     index = np.zeros(len(corners.faces), dtype=np.int32)
@@ -301,8 +304,8 @@ def _mesh(
     if not len(corners.faces):
         return [{"attributes": attributes, "mode": 0}]
     primitives = _primitives(builder, surface or Surface(), corners, index, attributes)
-    if shapes is not None:
-        targets = shapes.add_targets(builder, model, corners)
+    if shapes is not None and added is not None:
+        targets = shapes.add_targets(builder, corners, added)
         for primitive in primitives:
             primitive["targets"] = targets
     return primitives
