@@ -34,14 +34,15 @@ _BINS = 18001  # of the histogram of angles, each a hundredth of a degree
 def holders_of(
     sequence: MeshSequence, model: MeshSequence | Skinning | None = None
 ) -> NormalHolders:
-    """Normals of a sequence, with the hard edges that it, or else a model of it, has.
+    """Normals of a sequence, or of a model of it, with the hard edges that the first or second has.
 
     If these are known, copies of a vertex, as there are at seams of UVs, have the same normals.
     Copies are those that coincide in several frames.
     """
     given = [x for x in (sequence, model) if x is not None]
-    surface = next((x.surface for x in given if x.surface and x.surface.normals is not None), None)
-    faces = next((x.faces for x in given if len(x.faces)), sequence.faces)
+    faces = next((x.faces for x in reversed(given) if len(x.faces)), sequence.faces)
+    known = [x for x in given if x.surface is not None and x.surface.normals is not None]
+    surface = next((x.surface for x in known if np.array_equal(x.faces, faces)), None)
     places = None
     if surface is not None:
         chosen = np.linspace(0, sequence.n_frames - 1, min(_COMPARED, sequence.n_frames))

@@ -106,6 +106,15 @@ def test_a_point_cloud_has_none(rng):
     assert ssdr.decompose(cloud, bones=2, effort="fast").normals is None
 
 
+def test_a_model_of_other_triangles_keeps_them(rng):
+    model = tube(rings=5, sides=5)
+    sequence = sequence_of(model, rng)
+    fewer = dataclasses.replace(model, faces=model.faces[::2], surface=None)
+    plain = ssdr.MeshSequence(sequence.vertices, fewer.faces)
+    found, expected = (with_fitted_normals([x], fewer).surface for x in (sequence, plain))
+    np.testing.assert_array_equal(found.normals, expected.normals)
+
+
 def test_long_sequences_are_measured_in_part(rng):
     model = tube(frames=60, rings=5, sides=5)
     sequence = sequence_of(model, rng)
