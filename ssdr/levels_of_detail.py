@@ -14,6 +14,8 @@ from .decomposition import decompose
 from .drivers.efforts import Effort
 from .errors import Cancelled, InputError
 from .frames.error import rmse
+from .frames.normals import with_fitted_normals
+from .metrics.normal_angles import errors_of_model
 from .result import Decomposition
 from .search.nested import nested_models
 from .search.progress import Callback, Progress
@@ -181,12 +183,14 @@ def _nest(
             weights=padded.weights,
             transforms=transforms[:, : model.n_bones].copy(),
         )
+        level = with_fitted_normals(sequences, level)
         found.append(level)
         arrays = level.rest, level.indices, level.weights, level.transforms
         errors.append(rmse(sequences, *arrays))
+    normals = errors_of_model(sequences, found[0])
     same = {f.name: getattr(best, f.name) for f in dataclasses.fields(Decomposition)}
     return LevelsOfDetail(
-        **same | {"skinning": found[0], "rmse": errors[0]},
+        **same | {"skinning": found[0], "rmse": errors[0], "normals": normals},
         levels=tuple(found),
         errors=tuple(errors),
         alone=tuple(one.rmse for one in alone),

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .metrics.normal_angles import NormalErrors
 from .search.progress import Record
 from .skinning import Skinning
 
@@ -40,6 +41,9 @@ class Decomposition:
         Time that loading or compiling the kernels took in this call.
     warnings : tuple of str
         Messages of the warnings (:class:`SsdrWarning`) of the call.
+    normals : NormalErrors or None
+        Angles, over about 500 frames at most, between the normals of the input's surface and those
+        that engines draw of `skinning`; None without triangles.
 
     Examples
     --------
@@ -58,6 +62,7 @@ class Decomposition:
     offsets: NDArray[np.int64]
     compile_seconds: float = 0.0
     warnings: tuple[str, ...] = ()
+    normals: NormalErrors | None = None
 
     @property
     def converged(self) -> bool:

@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from .drivers import in_memory
+from .drivers.hand_back import with_normals
 from .drivers.problem import check_problem
 from .errors import InputError, check_choice
 from .result import Decomposition
@@ -85,6 +86,7 @@ def round_weights(
     outcome = in_memory.solve(problem, (StartFromModel(), Compress()))
     found = {name: getattr(outcome.skinning, name) for name in _CHANGED}
     rounded = dataclasses.replace(skinning, **found, keyframes=None)
+    rounded, normals = with_normals(problem, rounded)
     return dataclasses.replace(
-        outcome, skinning=rounded, compile_seconds=compile_seconds, warnings=()
+        outcome, skinning=rounded, normals=normals, compile_seconds=compile_seconds, warnings=()
     )

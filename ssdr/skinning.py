@@ -54,7 +54,10 @@ class Skinning:
         Which transforms are keys; the others are interpolated, and `transforms` holds the
         interpolated values.  None: every frame is a key.
     surface, vertex_map, space
-        As in :class:`~ssdr.MeshSequence`.
+        As in :class:`~ssdr.MeshSequence`, but the normals are those that engines turn with the
+        bones: n becomes Σ_k w_k R_k n, made a unit.  Models that were fitted to frames have the
+        normals that come closest to those of the frames; they are not those of the rest pose as a
+        surface.
     bone_names : tuple of str, optional
         ``bone_0``, ``bone_1``, ... by default.
     name : str

@@ -57,8 +57,10 @@ class Surface:
     uv : (T, 3, 2) float32 or None
         Texture coordinates, v upward (as in OBJ and USD; glTF flips it).
     normals : (T, 3, 3) float32 or None
-        Unit normals in the file's reference frame; where corners of one vertex
-        differ there is a hard edge.
+        Unit normals; where corners of one vertex differ there is a hard edge.  Those of a
+        :class:`~ssdr.Skinning` belong to its rest pose, and engines turn them with the bones.
+        Those of a :class:`~ssdr.MeshSequence` are of the file's reference frame and only tell which
+        edges are hard.
     material_index : (T,) int32 or None
         Index into `materials`; None means that all triangles use the first.
     materials : tuple of Material

@@ -10,6 +10,7 @@ import typer
 
 from ..engines import ENGINES, EngineName, findings
 from ..errors import FormatError
+from ..sequence import MeshSequence
 from ..skinning import Skinning
 from .format_options import read_options
 from .options import FILES, Options, argument, option, takes
@@ -31,6 +32,8 @@ def check(options: CheckOptions) -> None:
 
     The exit code is 1 where something would be refused.
     """
+    from ..metrics.normal_angles import known_errors
+
     output = Output.start(options)
     source, engine = options.source, ENGINES[options.engine]
     (read,) = read_options([source], options)
@@ -43,12 +46,19 @@ def check(options: CheckOptions) -> None:
     rows = [("file", f"{source}, for {engine.title}")]
     rows += [(finding.kind, finding.text) for finding in found]
     rows += [] if found else [("nothing", "is refused, cut off, rounded or renamed")]
+    normals = None
+    if len(model.faces):
+        own = MeshSequence(model.skin(), model.faces, surface=model.surface, validate=False)
+        normals = known_errors(own, model)
+    if normals is not None:
+        rows.append(("normals", f"{normals}, as drawn, from those of its own surface"))
     rows.append(("space", f"{model.space}; once imported {engine.space}"))
     document = {
         "command": "check",
         "input": source,
         "for": options.engine,
         "refused": refused,
+        "normals": None if normals is None else normals.as_dict(),
         "findings": [dataclasses.asdict(finding) for finding in found],
         **dataclasses.asdict(model.space),
     }

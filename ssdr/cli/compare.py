@@ -19,6 +19,7 @@ from .reading import join, read_any, read_pairs
 from .view import check_page
 
 if TYPE_CHECKING:
+    from ..metrics.comparison import Comparison
     from ..viewer.page import Page
 
 _SLACK = 0.02  # in log10 (5 %), between the ratio of two diagonals and a power of ten
@@ -52,6 +53,7 @@ def compare(options: CompareOptions) -> None:
     output = Output.start(options)
     from ..io import in_space
     from ..metrics import compare as measure
+    from ..metrics.normal_angles import known_errors
 
     files = options.reference, options.other
     if options.target is not None:
@@ -60,28 +62,39 @@ def compare(options: CompareOptions) -> None:
     with output.waiting(f"loading {files[0]}, {files[1]}"):
         found = read_pairs(files, options.clip, read)
         pairs = [(n, *_on_the_same_vertices(a, in_space(b, a.space))) for n, a, b in found]
+    model = in_space(read_any(options.other, **read[1]), pairs[0][2].space)
     (_, a, b), compared = found[0], pairs[0][2].space
     if compared != b.space:
         output.warn(f"A is in {a.space}, B in {b.space}: compared in {compared}")
     hint = _other_units(pairs[0][1], pairs[0][2], read[1].get("scale", 1.0))
     if hint:
         output.warn(hint)
+
+    def drawn(result: Comparison, a: MeshSequence, shots: list[MeshSequence]) -> Comparison:
+        """The result, with the normals that engines draw if B is a skinning with A's triangles."""
+        if not isinstance(model, Skinning) or model.n_vertices != a.n_vertices:
+            return result
+        if not np.array_equal(model.faces, a.faces):
+            return result
+        clips = model if len(model.clips) == 1 else model.select(*(b.clip for b in shots))
+        return dataclasses.replace(result, normals=known_errors(a, clips))
+
     document: dict[str, Any] = {"command": "compare", "reference": files[0], "other": files[1]}
     with output.waiting("measuring"):
         results = [
-            (name, measure(a, b, hausdorff=options.hausdorff, sted=options.sted))
+            (name, drawn(measure(a, b, hausdorff=options.hausdorff, sted=options.sted), a, [b]))
             for name, a, b in pairs
         ]
         whole = results[0][1]
         text = str(whole)
         if len(results) > 1:
-            a, b = join([a for _, a, _ in pairs]), join([b for _, _, b in pairs])
-            whole = measure(a, b, hausdorff=False, sted=False)
+            a, shots = join([a for _, a, _ in pairs]), [b for _, _, b in pairs]
+            whole = drawn(measure(a, join(shots), hausdorff=False, sted=False), a, shots)
             document["clips"] = [{"name": name, **result.as_dict()} for name, result in results]
             text = "\n\n".join([*(f"{n}: {r}" for n, r in results), f"all clips: {whole}"])
     if options.target is not None:
         with output.waiting("writing the page"):
-            page = _write_page(options, options.target, pairs, read[1])
+            page = _write_page(options, options.target, pairs, model)
         document["output"] = page.path
         text += "\n" + "  ".join(page_row(page))
     output.result({**document, **whole.as_dict()}, text)
@@ -91,12 +104,11 @@ def _write_page(
     options: CompareOptions,
     target: Path,
     pairs: list[tuple[str, MeshSequence, MeshSequence]],
-    read: dict[str, Any],
+    model: MeshSequence | Skinning,
 ) -> Page:
-    """Page of B beside A; `read` are the options for B."""
+    """Page of B, which holds the `model`, beside A."""
     import ssdr
 
-    model = ssdr.io.in_space(read_any(options.other, **read), pairs[0][2].space)
     if not isinstance(model, Skinning):
         model = join([b for _, _, b in pairs])
     elif len(model.clips) > 1:

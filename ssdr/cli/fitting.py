@@ -275,6 +275,9 @@ def _print(
         "checkpoint": options.checkpoint,
     }
     rows = in_words(document | {"input": options.inputs}, _ROWS)
+    if result.normals is not None:
+        document["normals"] = result.normals.as_dict()
+        rows.insert(-1, ("normals", f"{result.normals}, as engines draw them"))
     if len(clips) > 1:
         rows.insert(1, ("clips", clips_text(clips)))
     rows += said

@@ -12,8 +12,11 @@ import numpy as np
 from ..clips import names_of
 from ..errors import SsdrWarning
 from ..frames import error as frames_error
+from ..frames.normals import with_fitted_normals
 from ..joints.mirror import mirror_of, side_names
 from ..joints.placement import refit_joints, spanning_tree
+from ..metrics.normal_angles import NormalErrors, errors_of_model
+from ..normals import corner_normals
 from ..quantisation import is_stored
 from ..result import Decomposition
 from ..search.progress import Record
@@ -25,7 +28,7 @@ from ..solver.trajectories import Alignment
 from ..solver.warmup import compile_kernels
 from .problem import Problem
 
-__all__ = ["Step", "finished", "outcome_of", "skinning_of"]
+__all__ = ["Step", "finished", "outcome_of", "skinning_of", "with_normals"]
 
 # Largest ratio of the true error to that of the objective at which records are scaled to the true
 # error.  A larger ratio means that the error is of vertices with almost no importance.
@@ -45,7 +48,8 @@ def skinning_of(
 ) -> Skinning:
     """Convert a model to a skinning in the input's space, with the faces and names of the input.
 
-    `sequences` are the frames of the model; all frames by default.
+    `sequences` are the frames of the model; all frames by default.  Its normals are those of the
+    rest pose, if the input has any: :func:`with_normals` fits better ones.
     """
     sequences = problem.sequences if sequences is None else sequences
     padded = model.with_influences(problem.influences)
@@ -56,6 +60,10 @@ def skinning_of(
         normalise_gauge(model, equal if importance is None else importance, problem.locked)
     rest, transforms = alignment.to_world(model.rest, model.transforms)
     first = sequences[0]
+    surface = first.surface
+    if surface is not None and surface.normals is not None:
+        normals = corner_normals(rest, first.faces, surface)
+        surface = dataclasses.replace(surface, normals=normals)
     skinning = Skinning(
         rest,
         padded.indices,
@@ -63,7 +71,7 @@ def skinning_of(
         transforms,
         faces=first.faces,
         bone_model=problem.locked.bone_model,
-        surface=first.surface,
+        surface=surface,
         vertex_map=first.vertex_map,
         **names_of(sequences),
     )
@@ -98,6 +106,7 @@ def outcome_of(
         before = rmse_of(start)
         if before < rmse:
             skinning, rmse = start, before
+    skinning, normals = with_normals(problem, skinning)
     values = np.array([value for _, _, value, _ in steps])
     hint = f"{idle} of {problem.bones} bones could each go at no loss: fewer bones would do"
     return Decomposition(
@@ -106,8 +115,16 @@ def outcome_of(
         stop_reason=reason,
         history=_history(steps, alignment.scale * np.sqrt(np.maximum(values, 0.0) / count), rmse),
         offsets=problem.offsets,
+        normals=normals,
         warnings=(hint,) if idle else (),
     )
+
+
+def with_normals(problem: Problem, skinning: Skinning) -> tuple[Skinning, NormalErrors | None]:
+    """A copy of the skinning with fitted rest normals, and their errors; None without any."""
+    sequences, executor = problem.sequences, problem.executor
+    fitted = with_fitted_normals(sequences, skinning, executor=executor)
+    return fitted, errors_of_model(sequences, fitted, executor=executor)
 
 
 def finished(problem: Problem, solve: Callable[[], Result]) -> Result:

@@ -19,6 +19,7 @@ from ..checks import (
 from ..clips import names_of
 from ..errors import check_flag
 from ..frames.error import rmse_of, squared_error
+from ..frames.normals import with_fitted_normals
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.alternation import bone_step
@@ -164,10 +165,10 @@ def fit_bones(
         sweeps += more
     out_rest, out = data.to_world(model.rest, model.transforms)
     squared = squared_error(sequences, out_rest, indices, weights, out)
+    names = names_of(sequences)
+    fitted = dataclasses.replace(skinning, transforms=out, keyframes=None, bone_model=kind, **names)
     return BoneFit(
-        skinning=dataclasses.replace(
-            skinning, transforms=out, keyframes=None, bone_model=kind, **names_of(sequences)
-        ),
+        skinning=with_fitted_normals(sequences, fitted),
         squared_error=squared,
         rmse=rmse_of(squared, n_frames),
         sweeps=sweeps,

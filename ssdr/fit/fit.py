@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..checks import check_floats, check_squarable, check_transforms
 from ..errors import InputError
 from ..frames.error import rmse_of
+from ..frames.normals import with_fitted_normals
 from ..sequence import MeshSequence, as_sequences
 from ..skinning import Skinning
 from ..solver.trajectories import Array, Trajectories, gather
@@ -71,7 +72,10 @@ def gathered(sequences: list[MeshSequence], skinning: Skinning, rest: Array) -> 
     return data, inner, data.moves_from_world(world, "skinning.transforms")
 
 
-def fit_of(data: Trajectories, error: Array, skinning: Skinning) -> Fit:
+def fit_of(
+    sequences: list[MeshSequence], data: Trajectories, error: Array, skinning: Skinning
+) -> Fit:
     """Fit of a model, from the squared error (V,) of its vertices in the solver's space."""
     squared = error * data.scale**2
+    skinning = with_fitted_normals(sequences, skinning)
     return Fit(skinning=skinning, squared_error=squared, rmse=rmse_of(squared, data.n_frames))

@@ -16,6 +16,7 @@ from ..checks import (
     check_whole,
 )
 from ..clips import names_of
+from ..frames.normals import with_fitted_normals
 from ..sequence import MeshSequence, as_sequences
 from ..skinning import Skinning
 from ..solver.alternation import vertex_step
@@ -96,7 +97,7 @@ def initialize(
     locked = Locked(rest=rest is not None, bone_model=bone_model)
     vertex_step(data, model, locked=locked)
     out_rest, transforms = data.to_world(model.rest, model.transforms)
-    return Skinning(
+    found = Skinning(
         out_rest,
         model.indices,
         model.weights,
@@ -105,3 +106,4 @@ def initialize(
         bone_model=bone_model,
         **names_of(sequences),
     )
+    return with_fitted_normals(sequences, found)

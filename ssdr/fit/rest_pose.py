@@ -69,4 +69,4 @@ def fit_rest_pose(
     rest, _ = data.to_world(model.rest, model.transforms)
     if stay is not None:
         rest[stay] = outer[stay]
-    return fit_of(data, model.error, dataclasses.replace(skinning, rest=rest))
+    return fit_of(sequences, data, model.error, dataclasses.replace(skinning, rest=rest))

@@ -92,4 +92,4 @@ def fit_weights(
             vertex_step(data, model, locked=locked, pull=pull, stiff=stiff)
     padded = model.with_influences(k)
     skin = dataclasses.replace(skinning, indices=padded.indices, weights=padded.weights)
-    return fit_of(data, model.error, skin)
+    return fit_of(sequences, data, model.error, skin)

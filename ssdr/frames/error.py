@@ -15,7 +15,7 @@ from ..sequence import MeshSequence
 from ..skinning import skin
 from .executor import Executor, Frames, Local, SpanTask, spans_of
 
-__all__ = ["largest_error", "rmse", "rmse_of", "squared_error"]
+__all__ = ["largest_error", "of_each_span", "rmse", "rmse_of", "squared_error"]
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ def squared_error(
         Where the work is done; in this process by default.
     """
     total = np.zeros(len(skinning[0]))
-    for part in _of_each_span(_squared_error_of_span, sequences, skinning, executor):
+    for part in of_each_span(_squared_error_of_span, sequences, skinning, executor):
         total += part
     return total
 
@@ -58,18 +58,24 @@ def largest_error(
     sequences: Sequence[MeshSequence], *skinning: Any, executor: Executor | None = None
 ) -> float:
     """Largest distance |d| of a vertex to its target; arguments as in :func:`squared_error`."""
-    squares = list(_of_each_span(_largest_square_of_span, sequences, skinning, executor))
+    squares = list(of_each_span(_largest_square_of_span, sequences, skinning, executor))
     return math.sqrt(np.max(squares))  # NumPy's maximum, since Python's skips NaN
 
 
-def _of_each_span(
+def of_each_span(
     function: Callable[..., Any],
     sequences: Sequence[MeshSequence],
     skinning: Sequence[Any],
     executor: Executor | None,
+    spans: list[tuple[int, int]] | None = None,
 ) -> Iterator[Any]:
+    """Results of ``function(frames, transforms, *skinning[:-1])`` for each span, in their order.
+
+    `transforms` are those of the frames of the span, out of ``skinning[-1]``.  By default the
+    spans cover all frames.
+    """
     *bound, transforms = skinning
-    spans = spans_of(len(transforms))
+    spans = spans_of(len(transforms)) if spans is None else spans
 
     def own(k: int) -> tuple[Any]:
         return (transforms[slice(*spans[k])],)

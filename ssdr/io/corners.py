@@ -1,4 +1,4 @@
-"""UVs and normals at triangle corners: vertices split for them, and normals of another pose."""
+"""UVs, normals and tangents of a file: vertices split for them, and those of another pose."""
 
 from __future__ import annotations
 
@@ -8,18 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..surface import Surface
+from ..normals import corner_normals, unit
+from ..skinning import Skinning
 
-_UP = np.array([0.0, 1.0, 0.0])
-
-
-def unit(
-    vectors: NDArray[np.floating], fallback: NDArray[np.floating] = _UP, least: float = 1e-300
-) -> NDArray[np.float64]:
-    """Vectors ``(..., 3)`` scaled to length 1; `fallback` where their length is up to `least`."""
-    length = np.linalg.norm(np.asarray(vectors, dtype=np.float64), axis=-1, keepdims=True)
-    found = length > least
-    return np.asarray(np.where(found, vectors / np.where(found, length, 1.0), fallback))
+_UP = np.array([0.0, 1.0, 0.0])  # normal of a vertex without triangles
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -81,83 +73,54 @@ def split_corners(
     return Corners(vertex, triangles, spread(uv, np.zeros(2)), spread(normals, _UP))
 
 
-def corner_normals(
-    rest: NDArray[np.floating], faces: NDArray[np.integer], surface: Surface | None
-) -> NDArray[np.float32]:
-    """Normals ``(T, 3, 3)`` at triangle corners of a pose, hard where those of `surface` are.
+def rest_normals(model: Skinning, rest: NDArray[np.floating]) -> NDArray[np.float32] | None:
+    """Normals ``(T, 3, 3)`` to write for a model: its own, or else those of the mesh `rest`.
 
-    Each is the mean of the normals of the triangles around a vertex, weighted by their angles
-    there. The mean is over the corners at which `surface` has equal normals, or over all corners of
-    the vertex if it has no normals.
-
-    References
-    ----------
-    Thürmer & Wüthrich, "Computing vertex normals from polygonal facets", 1998.
+    None without triangles.
     """
-    if not len(faces):
-        return np.zeros((0, 3, 3), dtype=np.float32)
-    p = rest.astype(np.float64)[faces]
-    face = unit(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]))
-    group: NDArray[np.integer] = faces.reshape(-1)
-    if surface is not None and surface.normals is not None:
-        key = np.concatenate(
-            [group[:, None], np.rint(surface.normals.reshape(-1, 3) * 1e3)], axis=1
-        )
-        group = np.unique(key.astype(np.int64), axis=0, return_inverse=True)[1].reshape(-1)
-    sums = _sums(face[:, None] * _angles(p)[..., None], group)
-    return unit(sums[group], np.repeat(face, 3, axis=0)).reshape(-1, 3, 3).astype(np.float32)
+    if not len(model.faces):
+        return None
+    own = None if model.surface is None else model.surface.normals
+    return corner_normals(rest, model.faces, None) if own is None else own
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Deformation:
-    """A mesh in two poses, which carries normals and tangents from the first to the second.
+def carry_tangents(
+    tangents: NDArray[np.float64],
+    normals: NDArray[np.floating],
+    faces: NDArray[np.integer],
+    source: NDArray[np.float64],
+    target: NDArray[np.float64],
+) -> NDArray[np.float32]:
+    """Tangents ``(V, 4)`` of a mesh that is deformed from one pose to another.
 
-    Attributes
+    Each triangle transforms the tangents at its corners by its own deformation.  The result is the
+    mean of these, weighted by the angles at the corners, and perpendicular to the normals.  So
+    edges stay as smooth or hard as they were, and where the mesh moves rigidly, tangents move with
+    it.  A tangent is only made perpendicular if all its triangles are degenerate.  The signs in the
+    last column stay.
+
+    Parameters
     ----------
-    holder : (T, 3) int array
-        Index of the normal or tangent at each corner.
+    tangents : (V, 4) array
+        In the source pose.
+    normals : (V, 3) array
+        In the target pose.
     faces : (T, 3) int array
     source, target : (V, 3) float64 arrays
         Vertices in the first and the second pose.
     """
-
-    holder: NDArray[np.integer]
-    faces: NDArray[np.integer]
-    source: NDArray[np.float64]
-    target: NDArray[np.float64]
-
-    def carry_normals(self, normals: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Unit normals ``(N, 3)`` in the target pose, from those in the source pose.
-
-        Each triangle that has a normal at a corner transforms it by the cofactor matrix of the
-        triangle's deformation. The result is the mean of these, weighted by the angles at the
-        corners. So edges stay as smooth or hard as they were, and where the mesh moves rigidly,
-        normals move with it. A normal stays unchanged if all its triangles are degenerate.
-        """
-        return self._carry(normals, cofactors=True).astype(np.float32)
-
-    def carry_tangents(
-        self, tangents: NDArray[np.float64], normals: NDArray[np.floating]
-    ) -> NDArray[np.float32]:
-        """Tangents ``(N, 4)`` in the target pose, perpendicular to `normals` of that pose.
-
-        The signs in the last column stay.
-        """
-        moved = self._carry(tangents[:, :3], cofactors=False)
-        flat = moved - (moved * normals).sum(axis=1, keepdims=True) * normals
-        return np.concatenate([unit(flat, moved, 1e-6), tangents[:, 3:]], axis=1).astype(np.float32)
-
-    def _carry(self, vectors: NDArray[np.float64], *, cofactors: bool) -> NDArray[np.float64]:
-        before, usable = _triangle_frames(self.source[self.faces])
-        after, also = _triangle_frames(self.target[self.faces])
-        usable &= also
-        before[~usable] = after[~usable] = np.eye(3)
-        gradient = after @ np.linalg.inv(before)
-        if cofactors:
-            gradient = np.swapaxes(np.linalg.inv(gradient), -1, -2)
-        moved = unit(np.einsum("tij,tcj->tci", gradient, vectors[self.holder]), np.zeros(3))
-        moved *= (usable[:, None] * _angles(self.target[self.faces]))[..., None]
-        return unit(_sums(moved, self.holder.reshape(-1), len(vectors)), vectors, 1e-9)
+    before, usable = _triangle_frames(source[faces])
+    after, also = _triangle_frames(target[faces])
+    usable &= also
+    before[~usable] = after[~usable] = np.eye(3)
+    gradient = after @ np.linalg.inv(before)
+    moved = unit(np.einsum("tij,tcj->tci", gradient, tangents[faces, :3]), np.zeros(3))
+    moved *= (usable[:, None] * _angles(target[faces]))[..., None]
+    sums = np.zeros((len(tangents), 3))
+    np.add.at(sums, faces.reshape(-1), moved.reshape(-1, 3))
+    moved = unit(sums, tangents[:, :3], 1e-9)
+    flat = moved - (moved * normals).sum(axis=1, keepdims=True) * normals
+    return np.concatenate([unit(flat, moved, 1e-6), tangents[:, 3:]], axis=1).astype(np.float32)
 
 
 def _triangle_frames(p: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
@@ -177,11 +140,3 @@ def _angles(p: NDArray[np.float64]) -> NDArray[np.float64]:
     toward, back = np.roll(p, -1, axis=1) - p, np.roll(p, 1, axis=1) - p
     cross = np.linalg.norm(np.cross(toward, back), axis=2)
     return np.asarray(np.arctan2(cross, (toward * back).sum(axis=2)))
-
-
-def _sums(
-    values: NDArray[np.float64], group: NDArray[np.integer], size: int = 0
-) -> NDArray[np.float64]:
-    """Sums ``(n, 3)`` of the vectors in each of n groups, at least `size` of them."""
-    rows = values.reshape(-1, 3)
-    return np.stack([np.bincount(group, rows[:, c], size) for c in range(3)], axis=1)

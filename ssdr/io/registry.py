@@ -284,15 +284,22 @@ def bake(skinning: Skinning) -> MeshSequence:
     InputError
         If clips have different frame rates.
     """
+    from ..normals import corner_normals
+
     hint = "skinning.select(name) takes one out"
     check_one_rate(skinning.clips, f"where vertices are stored, which have one; {hint}")
+    frames, surface = skinning.skin(), skinning.surface
+    if surface is not None and surface.normals is not None:
+        # those of a skinning belong to its rest pose, which need not be a frame
+        normals = corner_normals(frames[0], skinning.faces, surface)
+        surface = dataclasses.replace(surface, normals=normals)
     return MeshSequence(
-        skinning.skin(),
+        frames,
         skinning.faces,
         skinning.fps,
         name=skinning.name,
         clip=skinning.clips[0].name if len(skinning.clips) == 1 else "",
-        surface=skinning.surface,
+        surface=surface,
         vertex_map=skinning.vertex_map,
         space=skinning.space,
         validate=False,

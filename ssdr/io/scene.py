@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from ..clips import Clip, in_order, unique_names
 from ..errors import InputError
 from ..lbs import skin
+from ..normals import corner_normals
 from ..sequence import MeshSequence
 from ..skinning import BoneModel, Skinning
 from ..space import Space
 from ..surface import Material, Surface
 from .budget import MOST_BYTES, afford
-from .corners import corner_normals
 from .registry import check
 from .storage import frame_blocks
 
@@ -337,6 +337,34 @@ def match_template(
     if not np.array_equal(vertex[join_faces(parts)], model.faces):
         raise InputError("template", "a file with the model's triangles", str(path))
     return np.split(vertex, starts[1:-1])
+
+
+def template_normals(
+    parts: Sequence[ScenePart],
+    vertices: Sequence[NDArray[np.integer]],
+    model: Skinning,
+    rest: NDArray[np.floating],
+) -> list[NDArray[np.float32]]:
+    """For each part of a template file, the normals (T, 3, 3) of the model at its corners.
+
+    A model without normals has those of its rest pose, with the hard edges of the file.
+
+    Parameters
+    ----------
+    parts : sequence of ScenePart
+    vertices : sequence of int arrays
+        As :func:`match_template` returns them.
+    model : Skinning
+    rest : (V, 3) array
+        The model's rest pose, as it is written.
+    """
+    if model.surface is not None and model.surface.normals is not None:
+        ends = np.cumsum([len(part.faces) for part in parts])
+        return np.split(model.surface.normals, ends[:-1])
+    return [
+        corner_normals(rest[index], part.faces, Surface(normals=part.normals))
+        for part, index in zip(parts, vertices, strict=True)
+    ]
 
 
 def check_kept(lost: Sequence[str], strict: bool) -> None:

@@ -5,16 +5,19 @@ from __future__ import annotations
 from .comparison import Comparison, compare
 from .edge_difference import Sted, sted
 from .hausdorff_distance import Hausdorff, hausdorff
+from .normal_angles import NormalErrors, normals
 from .vertex_distances import Distances, distances, rmse
 
 __all__ = [
     "Comparison",
     "Distances",
     "Hausdorff",
+    "NormalErrors",
     "Sted",
     "compare",
     "distances",
     "hausdorff",
+    "normals",
     "rmse",
     "sted",
 ]

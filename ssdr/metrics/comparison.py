@@ -10,11 +10,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import check_flag
+from ..sequence import MeshSequence
+from ..skinning import Skinning
 from .edge_difference import Sted
 from .edge_difference import sted as _sted
 from .hausdorff_distance import Hausdorff
 from .hausdorff_distance import hausdorff as _hausdorff
 from .inputs import Frames, as_pair
+from .normal_angles import NormalErrors
+from .normal_angles import known_errors as _normals
 from .vertex_distances import Distances, distances
 
 __all__ = ["Comparison", "compare"]
@@ -30,6 +34,9 @@ class Comparison(Distances):
     hausdorff : Hausdorff or None
     sted : Sted or None
         None if it was not asked for.
+    normals : NormalErrors or None
+        Those that are drawn of a skinning, those of the surface of other frames; None without
+        triangles.
 
     Examples
     --------
@@ -43,6 +50,7 @@ class Comparison(Distances):
     n_vertices: int
     hausdorff: Hausdorff | None = None
     sted: Sted | None = None
+    normals: NormalErrors | None = None
 
     def as_dict(self, *, arrays: bool = False) -> dict[str, Any]:
         """Dictionary of plain numbers, for JSON.
@@ -63,6 +71,9 @@ class Comparison(Distances):
             ("mean distance", f"{self.mean:.6g}"),
             ("max distance", f"{self.max:.6g}  (frame {self.max_frame}, vertex {self.max_vertex})"),
         ]
+        if self.normals is not None:
+            kind = "of the surface" if self.normals.surface is None else "as engines draw them"
+            rows.append(("normals", f"{self.normals}, {kind}"))
         if self.hausdorff is not None:
             h = self.hausdorff
             rows.append(("Hausdorff, vertices", _mean_max(h.vertex_mean, h.vertex_max)))
@@ -79,7 +90,7 @@ class Comparison(Distances):
 
 def compare(
     reference: Frames,
-    other: Frames,
+    other: Frames | Skinning,
     faces: ArrayLike | None = None,
     *,
     hausdorff: bool = True,
@@ -90,7 +101,8 @@ def compare(
     Parameters
     ----------
     reference, other : MeshSequence or (F, V, 3) array
-        Sequences that are not in memory are read by chunks of frames.
+        Sequences that are not in memory are read by chunks of frames.  `other` may be a
+        :class:`~ssdr.Skinning`, whose normals are compared as engines draw them.
     faces : (T, 3) int array, optional
         Triangles of both; by default those of either sequence.  Without triangles, the Hausdorff
         distance is that of the vertices alone and STED has no spatial part.
@@ -105,7 +117,8 @@ def compare(
     Raises
     ------
     InputError
-        If shapes differ, a number is not finite or a flag is not a bool.
+        If shapes differ, a number is not finite or a flag is not a bool, or if a skinning has other
+        triangles than the reference.
 
     Examples
     --------
@@ -114,6 +127,9 @@ def compare(
     >>> round(comparison.rmse, 3), round(comparison.hausdorff.vertex_max, 3)
     (3.0, 3.0)
     """
+    model = other if isinstance(other, Skinning) else None
+    if isinstance(other, Skinning):
+        other = MeshSequence(other.skin(), other.faces, validate=False)
     first, second = as_pair(reference, other, faces)
     check_flag(hausdorff, "hausdorff")
     check_flag(sted, "sted")
@@ -123,13 +139,14 @@ def compare(
         n_vertices=first.n_vertices,
         hausdorff=_hausdorff(first, second) if hausdorff else None,
         sted=_sted(first, second) if sted else None,
+        normals=_normals(first, second if model is None else model),
     )
 
 
 def _plain(result: Any, arrays: bool) -> dict[str, Any]:
     plain: dict[str, Any] = {}
     for name, value in vars(result).items():
-        if isinstance(value, (Hausdorff, Sted)):
+        if isinstance(value, (Hausdorff, NormalErrors, Sted)):
             plain[name] = _plain(value, arrays)
         elif isinstance(value, np.ndarray):
             plain |= {name: value.tolist()} if arrays else {}

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from ..checks import check_squarable
+from ..drivers.hand_back import with_normals
 from ..drivers.problem import Problem
 from ..drivers.streamed import PASSES, SCANNED
 from ..errors import Cancelled
@@ -196,6 +197,7 @@ class Driver:
 
     def _result(self, skinning: Skinning, reason: str) -> Smallest:
         frames, ladder, problem = self.frames, self.ladder, self.problem
+        skinning, normals = with_normals(problem, skinning)
         error, rmse = frames.error_of_all(skinning), frames.error_of_all(skinning, "rmse")
         file = frames.file(skinning)
         worst = error if file is None else max(error, file.error)
@@ -211,6 +213,7 @@ class Driver:
             stop_reason=reason,
             history=(*ladder.records, last),
             offsets=problem.offsets,
+            normals=normals,
             warnings=() if held else (self._shortfall(skinning, worst, reason),),
             parsimony=Parsimony(
                 tolerance=self.asked,

@@ -8,7 +8,9 @@ import time
 import numpy as np
 
 from ..frames.error import squared_error
+from ..frames.normals import drawn_angles, with_fitted_normals
 from ..sequence import MeshSequence
+from ..skinning import Skinning
 from .alternation import bone_costs, bone_step, vertex_step
 from .gauss_newton import GaussNewton
 from .model import Model
@@ -26,7 +28,7 @@ def compile_kernels() -> float:
     if _ready:
         return 0.0
     began = time.perf_counter()
-    sequence = MeshSequence(np.random.default_rng(0).standard_normal((3, 8, 3)))
+    sequence = MeshSequence(np.random.default_rng(0).standard_normal((3, 8, 3)), [[0, 1, 2]])
     data = gather([sequence], bones=2)
     transforms = np.zeros((3, 2, 3, 4))
     transforms[..., :3] = np.eye(3)
@@ -34,7 +36,10 @@ def compile_kernels() -> float:
     vertex_step(data, model)
     bone_step(data, model)
     bone_costs(data, model)
-    squared_error([sequence], model.rest, model.indices, model.weights, model.transforms)
+    parts = model.rest, model.indices, model.weights, model.transforms
+    squared_error([sequence], *parts)
+    skinning = Skinning(*parts, faces=sequence.faces)
+    drawn_angles([sequence], with_fitted_normals([sequence], skinning))
     GaussNewton(data, model).step(entering=1)
     _ready = True
     seconds = time.perf_counter() - began

@@ -337,3 +337,36 @@ def affine(rest, indices, weights, frame, bones, importance) -> np.ndarray:
     root = np.sqrt(importance)[:, None]
     found, *_ = np.linalg.lstsq(root * design, root * frame, rcond=None)
     return found.reshape(bones, 4, 3).transpose(0, 2, 1)
+
+
+def corner_normals(points, faces, groups=None):
+    """Normals (T, 3, 3) at corners: triangles' normals times angles, summed over equal groups.
+
+    The groups (T, 3) are the vertices by default.
+    """
+    groups = faces if groups is None else groups
+    sums = {}
+    for face, group in zip(faces, groups, strict=True):
+        p = points[face].astype(np.float64)
+        normal = np.cross(p[1] - p[0], p[2] - p[0])
+        size = np.linalg.norm(normal)
+        if size == 0:
+            continue
+        for c in range(3):
+            u, v = p[(c + 1) % 3] - p[c], p[(c + 2) % 3] - p[c]
+            angle = math.acos(np.clip(u @ v / np.linalg.norm(u) / np.linalg.norm(v), -1, 1))
+            key = int(group[c])
+            sums[key] = sums.get(key, 0) + angle * normal / size
+    out = np.zeros((len(faces), 3, 3))
+    for k, group in enumerate(groups):
+        for c in range(3):
+            total = sums.get(int(group[c]), np.zeros(3))
+            size = np.linalg.norm(total)
+            out[k, c] = total / size if size > 1e-12 else 0
+    return out
+
+
+def angles(a, b):
+    """Angles in degrees between vectors, along the last axis."""
+    across = np.linalg.norm(np.cross(a, b), axis=-1)
+    return np.degrees(np.arctan2(across, (a * b).sum(axis=-1)))

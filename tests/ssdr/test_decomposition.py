@@ -273,4 +273,5 @@ def test_what_the_sequence_carries_survives(seam: ssdr.MeshSequence) -> None:
     assert s.fps == seam.fps
     assert s.name == seam.name
     assert np.array_equal(s.faces, seam.faces)
-    assert s.surface is seam.surface
+    assert s.surface.uv is seam.surface.uv
+    assert s.surface.materials is seam.surface.materials

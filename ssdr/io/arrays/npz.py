@@ -33,7 +33,10 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 FORMAT_VERSION = 2  # of the arrays' names and meaning; raised when an old reader would misread
-_SURFACE = ("surface_uv", "surface_normals", "surface_material_index", "materials", "texture_*")
+_SURFACE = (
+    *("surface_uv", "surface_normals", "surface_material_index", "materials", "texture_*"),
+    "vertex_normals",  # (V, 3), in place of surface_normals where no vertex has two
+)
 _SKINNING = ("rest", "weights", "transforms", "faces", "fps", "format_version")
 _FIELDS = {"uv": "float32", "normals": "float32", "material_index": "int32"}  # of a Surface
 _SPACE = ("units", "up")
@@ -214,7 +217,7 @@ def _write(thing: Any, path: Path, arrays: dict[str, Any], compress: bool) -> Sa
     for key in _SPACE:
         if getattr(thing.space, key) is not None:
             arrays[key] = np.array(getattr(thing.space, key))
-    arrays |= _surface_arrays(thing.surface)
+    arrays |= _surface_arrays(thing)
     size = write_arrays(path, arrays, compress=compress)
     return SaveReport(path=path, bytes=size, influences=getattr(thing, "n_influences", None))
 
@@ -252,13 +255,20 @@ def _only(array: NDArray[Any], key: str, what: str, kinds: str) -> Any:
     return array.ravel()[0]
 
 
-def _surface_arrays(surface: Surface | None) -> dict[str, NDArray[Any]]:
+def _surface_arrays(thing: MeshSequence | Skinning) -> dict[str, NDArray[Any]]:
     arrays: dict[str, NDArray[Any]] = {}
+    surface = thing.surface
     if surface is None:
         return arrays
     for field in _FIELDS:
         if getattr(surface, field) is not None:
             arrays[f"surface_{field}"] = np.asarray(getattr(surface, field))
+    if surface.normals is not None:
+        at_vertices = np.zeros((thing.n_vertices, 3), dtype=np.float32)
+        at_vertices[thing.faces] = surface.normals
+        if np.array_equal(at_vertices[thing.faces], surface.normals):
+            del arrays["surface_normals"]
+            arrays["vertex_normals"] = at_vertices
     records = [dataclasses.asdict(material) for material in surface.materials]
     for k, record in enumerate(records):
         texture = record.pop("texture")
@@ -272,6 +282,8 @@ def _surface_arrays(surface: Surface | None) -> dict[str, NDArray[Any]]:
 def surface_from(arrays: Mapping[str, NDArray[Any]]) -> Surface | None:
     """Surface that the arrays of an archive describe; None if they describe none."""
     fields: dict[str, Any] = {}
+    if "vertex_normals" in arrays:
+        arrays = {**arrays, "surface_normals": arrays["vertex_normals"][arrays["faces"]]}
     for field, kind in _FIELDS.items():
         array = arrays.get(f"surface_{field}")
         if array is None:

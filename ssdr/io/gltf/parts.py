@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import FormatError
+from ...normals import unit
 from ...surface import Material
-from ..corners import unit
 from ..registry import check, choose
 from ..scene import Bones, Shape, file_weights
 from ..signatures import picture_type
@@ -43,6 +43,8 @@ class PrimitiveGroup:
         For each vertex of the file, its index in `positions`, where copies at seams are merged.
     skin : int or None
         Index of the node's skin.
+    corners : (T, 3) int
+        Vertex of the file at each corner.
     material : (T,) int
         Index of each triangle's material; -1 for a triangle without one.
     skeleton, indices, weights, faces, uv, normals
@@ -96,7 +98,7 @@ class PrimitiveGroup:
         self.positions: NDArray[np.float64] = positions[vertex]
         self.targets = np.array(targets).reshape(-1, count, 3)[:, vertex]
         self.indices, self.weights = indices[vertex], weights[vertex]
-        self.faces = self.label[faces]
+        self.corners, self.faces = faces, self.label[faces]
 
     def _attribute(self, name: str, kind: str, **options: Any) -> Any:
         """Values of the attribute `name` at all vertices; None if there is no such attribute."""

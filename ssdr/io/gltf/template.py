@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...skinning import Skinning
-from ..corners import Deformation
+from ..corners import carry_tangents
 from ..registry import check, reading
 from ..rig import Rig
-from ..scene import match_template
+from ..scene import match_template, template_normals
 from .animation import Nodes, descendants, read_animations
 from .builder import ARRAY, ELEMENTS, Builder
 from .compression import DRACO
@@ -74,7 +74,7 @@ class Template:
             self.parts = read_parts(document, self.world, meshes)
             self.builder = Builder(document)
         self.json = self.builder.json
-        self.vertices = match_template(self.parts, model, path)
+        self.model, self.vertices = model, match_template(self.parts, model, path)
         self.replaced = {part.node for part in self.parts}
         self.names = [one.name for one in animations if document.items("animations")]
         new_names = [clip_names.get(name, name) for name in self.names]
@@ -107,9 +107,10 @@ class Template:
                 uses[mesh] -= 1
                 meshes.append(copy.deepcopy(meshes[mesh]))
                 nodes[node]["mesh"] = len(meshes) - 1
-        for part, vertices in zip(self.parts, self.vertices, strict=True):
+        normals = template_normals(self.parts, self.vertices, self.model, rig.rest)
+        for part, vertices, own in zip(self.parts, self.vertices, normals, strict=True):
             index = vertices[part.label]
-            attributes = self._carried_attributes(part, rig.rest[index])
+            attributes = self._new_attributes(part, rig.rest[index], own)
             attributes |= add_weights(self.builder, rig, index)
             for place, old in part.primitives.items():
                 primitive = meshes[nodes[part.node]["mesh"]]["primitives"][place]
@@ -130,30 +131,28 @@ class Template:
     def _determinant(self, node: int) -> float:
         return float(np.linalg.det(self.world.matrices(node)[0, :3, :3]))
 
-    def _carried_attributes(
-        self, part: PrimitiveGroup, rest: NDArray[np.float32]
+    def _new_attributes(
+        self, part: PrimitiveGroup, rest: NDArray[np.float32], normals: NDArray[np.float32]
     ) -> dict[str, int]:
-        """Accessors of a part's attributes, with normals and tangents carried to the pose `rest`.
+        """Accessors of a part's attributes in the pose `rest`, with the model's normals.
 
-        Skin weights are left out.
+        Tangents are carried to that pose; skin weights are left out.
         """
         document, builder = self.document, self.builder
-        group = list(part.primitives.values())
-        old = group[0]["attributes"]
+        old = next(iter(part.primitives.values()))["attributes"]
         kept = {k: v for k, v in old.items() if not k.startswith(("JOINTS_", "WEIGHTS_"))}
         kept["POSITION"] = builder.accessor(rest, "VEC3", target=ARRAY, bounds=True)
-        source = document.accessor(old["POSITION"], "VEC3", "POSITION")
-        faces = np.concatenate([triangles(document, one, len(rest)) for one in group])
-        deformation = Deformation(faces, faces, source, rest.astype(np.float64))
         if "NORMAL" in old:
-            normals = document.accessor(old["NORMAL"], "VEC3", "NORMAL")
-            normals = deformation.carry_normals(normals)
-            kept["NORMAL"] = builder.accessor(normals, "VEC3", target=ARRAY)
+            new = document.accessor(old["NORMAL"], "VEC3", "NORMAL").astype(np.float32)
+            new[part.corners] = normals
+            kept["NORMAL"] = builder.accessor(new, "VEC3", target=ARRAY)
             if "TANGENT" in old:
+                source = document.accessor(old["POSITION"], "VEC3", "POSITION")
                 tangents = document.accessor(old["TANGENT"], "VEC4", "TANGENT")
                 if self._mirrors(part):
                     tangents[:, 3] *= -1
-                tangents = deformation.carry_tangents(tangents, normals)
+                poses = source, rest.astype(np.float64)
+                tangents = carry_tangents(tangents, new, part.corners, *poses)
                 kept["TANGENT"] = builder.accessor(tangents, "VEC4", target=ARRAY)
         return kept
 

@@ -20,7 +20,7 @@ from ...quantisation import WeightStorage, weight_values
 from ...rigid import matrix_from_quaternion, quaternion_from_matrix, unflip_quaternions
 from ...skinning import Skinning
 from ...surface import Material, Surface
-from ..corners import Corners, corner_normals, split_corners
+from ..corners import Corners, rest_normals, split_corners
 from ..registry import SaveReport, seconds
 from ..rig import Rig, build_rig
 from ..scene import check_kept
@@ -114,8 +114,8 @@ def write_skinning(
         if template is not None or levels or compression != "none":
             raise InputError("shapes", "none beside a template, levels or a compression", "both")
     if template is None:
-        rigs = [_level(rig, skinning, level, rounding) for level in levels]
-        _fill(builder, skinning, rig, title, rigs, shapes)
+        coarser = [(level, _level(rig, skinning, level, rounding)) for level in levels]
+        _fill(builder, skinning, rig, title, coarser, shapes)
         return _report(skinning, rig, path, builder)
     if levels or compression != "none":
         raise InputError("template", "None beside levels or a compression", str(template))
@@ -252,15 +252,15 @@ def _fill(
     model: Skinning,
     rig: Rig,
     title: str,
-    coarser: Sequence[Rig] = (),
+    coarser: Sequence[tuple[Skinning, Rig]] = (),
     shapes: Shapes | None = None,
 ) -> None:
     """Add all of a file that holds nothing but the model, and its coarser levels of detail."""
     json = builder.json
     json["meshes"], nodes = [], []
-    for k, level in enumerate([rig, *coarser]):
+    for k, level in enumerate([(model, rig), *coarser]):
         named = f"{title}_LOD{k}" if coarser else title
-        json["meshes"].append({"name": named, "primitives": _mesh(builder, model, level, shapes)})
+        json["meshes"].append({"name": named, "primitives": _mesh(builder, *level, shapes)})
         nodes.append({"name": named, "mesh": k, "skin": 0})
     # The meshes stand at the top of the scene: glTF ignores the transform of a
     # skinned mesh's node, and importers disagree about its parents.
@@ -289,7 +289,10 @@ def _mesh(
 ) -> list[dict[str, Any]]:
     """Add a mesh and return the JSON of its primitives."""
     surface = model.surface
-    normals = corner_normals(rig.rest, model.faces, surface) if len(model.faces) else None
+    normals = rest_normals(model, rig.rest)
+    added: NDArray[np.float32] | None = None
+    if shapes is not None and normals is not None:
+        normals, added = shapes.normals(model, normals)
     uv = None if surface is None else surface.uv
     corners = split_corners(model.faces, model.n_vertices, uv, normals)
     index = np.zeros(len(corners.faces), dtype=np.int32)
@@ -301,8 +304,8 @@ def _mesh(
     if not len(corners.faces):
         return [{"attributes": attributes, "mode": 0}]
     primitives = _primitives(builder, surface or Surface(), corners, index, attributes)
-    if shapes is not None:
-        targets = shapes.add_targets(builder, model, corners)
+    if shapes is not None and added is not None:
+        targets = shapes.add_targets(builder, corners, added)
         for primitive in primitives:
             primitive["targets"] = targets
     return primitives

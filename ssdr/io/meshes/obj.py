@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import FormatError
+from ...normals import corner_normals
 from ...surface import Material, Surface
 from ..atomic import write_bytes
-from ..corners import corner_normals
 from ..references import find_inside
 from ..registry import check, read_file, reading
 from ..signatures import PICTURE_SUFFIXES, describe, picture_type

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
-from ..corners import unit
+from ...normals import unit
 from ..meshes.polygons import fan
 from ..registry import check
 from ..scene import Bones, Shape, file_weights
@@ -46,6 +46,8 @@ class MeshPrim:
         As in `ScenePart`, once :func:`~ssdr.io.usd.materials.read_materials` has set it.
     """
 
+    faces: NDArray[np.int64]
+    corners: NDArray[np.int64]
     material: NDArray[np.int64]
 
     def __init__(self, path: Path, prim: Any, skeleton: Any = None, query: Any = None) -> None:
@@ -65,6 +67,9 @@ class MeshPrim:
         self.weights = np.ones((self.n_points, 1))
         if self.joints is not None:
             self._read_influences()
+        elif np.linalg.det(self._transforms_at(_FIRST)[0, :, :3]) < 0:
+            # a mirroring transform turns triangles inside out
+            self.corners, self.faces = self.corners[:, ::-1], self.faces[:, ::-1]
 
     def _check(self, valid: Any, problem: str) -> None:
         """Raise a FormatError with the text `problem` unless `valid` is true."""

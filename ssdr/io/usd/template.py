@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, UsdUtils, Vt
 
 from ...clips import pick
+from ...normals import unit
 from ...skinning import Skinning
 from ...space import Space
 from ..atomic import atomic_path
-from ..corners import Deformation
 from ..registry import SaveReport, check, reading
 from ..rig import Rig
-from ..scene import check_kept, match_template
+from ..scene import check_kept, match_template, template_normals
 from .parts import MeshPrim
 from .reader import StageReader
 from .skeleton import bind, put_skeleton
@@ -26,7 +26,6 @@ from .stage import system_errors
 
 _REMOVED = ("velocities", "accelerations", "skel:blendShapes", "skel:blendShapeTargets")
 _READ = ("diffuseColor", "opacity", "metallic", "roughness")
-_FIRST = Usd.TimeCode.EarliestTime()
 
 
 def template_problem(path: Path) -> str:
@@ -107,9 +106,10 @@ def put(
     # The model's bones move the mesh in the world, not relative to the skeleton's parents.
     UsdGeom.Xformable(stage.GetPrimAtPath(place)).SetResetXformStack(True)
     first = float(samples[0].time[0])
-    for mesh, index in zip(meshes, vertices, strict=True):
+    normals = template_normals(meshes, vertices, model, rig.rest)
+    for mesh, index, own in zip(meshes, vertices, normals, strict=True):
         prim = stage.GetPrimAtPath(mesh.prim.GetPath())
-        matrix = _put_points(prim, mesh, rig.rest[index], first)
+        matrix = _put_points(prim, mesh, rig.rest[index], own, first)
         bind(prim, rig.indices[index], rig.weights[index], place, matrix, tokens)
     clip = rig.clips[0]
     begin = starts.get(clip.name, 0.0)
@@ -165,11 +165,18 @@ def _remove_skeletons(stage: Any, meshes: Sequence[MeshPrim], animations: list[A
             stage.RemovePrim(path)
 
 
-def _put_points(prim: Any, mesh: MeshPrim, rest: NDArray[np.float32], first: float) -> Any:
+def _put_points(
+    prim: Any,
+    mesh: MeshPrim,
+    rest: NDArray[np.float32],
+    normals: NDArray[np.float32],
+    first: float,
+) -> Any:
     """Put a mesh into the rest pose `rest` (in world space), and return the mesh's matrix.
 
     Points and normals are replaced, and blend shapes are removed. The matrix takes the new points
     to world space; it is that at the time code `first`, or the identity if that is not invertible.
+    `normals` (T, 3, 3) are those at triangle corners, in world space.
     """
     world = UsdGeom.XformCache(first).GetLocalToWorldTransform(mesh.prim)
     if abs(world.GetDeterminant()) <= 1e-12:
@@ -186,7 +193,7 @@ def _put_points(prim: Any, mesh: MeshPrim, rest: NDArray[np.float32], first: flo
     _set(shape.GetPointsAttr(), points)
     if shape.GetExtentAttr().HasAuthoredValue():
         _set(shape.GetExtentAttr(), np.stack([points.min(axis=0), points.max(axis=0)]))
-    _put_normals(prim, mesh, points)
+    _put_normals(prim, mesh, normals.astype(np.float64) @ np.linalg.inv(inverse[:3, :3]))
     return world
 
 
@@ -196,19 +203,22 @@ def _set(attribute: Any, values: NDArray[np.floating]) -> None:
     attribute.Set(Vt.Vec3fArray.FromNumpy(values.astype(np.float32)))
 
 
-def _put_normals(prim: Any, mesh: MeshPrim, points: NDArray[np.float64]) -> None:
-    """Carry the normals of a mesh to its new `points`; the interpolation of the normals stays."""
+def _put_normals(prim: Any, mesh: MeshPrim, normals: NDArray[np.float64]) -> None:
+    """Replace the normals of a mesh by those at its triangle corners; their interpolation stays.
+
+    A value that several corners have is the mean of theirs.
+    """
     values, interpolation, attribute = mesh.normal_values()
     index = mesh.value_index(interpolation)
     if values is None or index is None or not len(index) or index.max() >= len(values):
         return
-    old = np.array(values, dtype=np.float64).reshape(-1, 3)
-    source = mesh.raw_points(_FIRST)
+    new = np.zeros((len(values), 3))
+    np.add.at(new, index.reshape(-1), unit(normals).reshape(-1, 3))
     primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
     if primvar and primvar.IsIndexed():
         primvar.BlockIndices()
-    new = Deformation(index, mesh.faces, source, points).carry_normals(old)
-    _set(prim.GetAttribute(attribute.GetName()), new)
+    old = np.array(values, dtype=np.float64).reshape(-1, 3)
+    _set(prim.GetAttribute(attribute.GetName()), unit(new, old, 1e-9))
 
 
 def copy(path: Path, target: Path, *, clips: Sequence[str | int] | None = None) -> SaveReport:

@@ -17,7 +17,7 @@ from ...sequence import MeshSequence
 from ...skinning import Skinning
 from ...space import METRES_Y_UP, Space
 from ..atomic import atomic_path
-from ..corners import corner_normals
+from ..corners import rest_normals
 from ..registry import SaveReport
 from ..rig import build_rig
 from ..storage import StorageError
@@ -106,8 +106,8 @@ def write_skinning(
             mesh = _define_mesh(stage, top, skinning, path, notes)
             mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(rig.rest))
             mesh.CreateExtentAttr(_extent(rig.rest))
-            if len(skinning.faces):
-                normals = corner_normals(rig.rest, skinning.faces, skinning.surface)
+            normals = rest_normals(skinning, rig.rest)
+            if normals is not None:
                 _put_primvar(mesh, "normals", Sdf.ValueTypeNames.Normal3fArray, normals)
             identity = Gf.Matrix4d(1.0)
             bind(mesh.GetPrim(), rig.indices, rig.weights, skeleton, identity, tokens)

@@ -97,3 +97,18 @@ def test_metres_and_centimetres_get_a_hint(done, pair, wave, tmp_path):
 def test_a_scale_that_is_none_is_refused(refused, pair):
     for wrong in ("0", "-1", "NaN", "Infinity", '"2"'):
         assert "scale: expected" in refused("compare", *pair, "--read", f"scale={wrong}")
+
+
+def test_normals_are_those_that_engines_draw_of_a_model(done, run, clip, wave, tmp_path):
+    model = model_of(wave)
+    surface = ssdr.Surface(normals=np.tile(np.float32([0, 0.6, 0.8]), (len(wave.faces), 3, 1)))
+    model = dataclasses.replace(model, surface=surface)
+    ssdr.save(model, tmp_path / "m.npz")
+    ssdr.save(ssdr.MeshSequence(model.skin(), model.faces), tmp_path / "b.npz")
+    found = done("compare", clip, tmp_path / "m.npz", *QUICK)["normals"]
+    assert found == pytest.approx(ssdr.metrics.normals(wave, model).as_dict())
+    baked = done("compare", clip, tmp_path / "b.npz", *QUICK)["normals"]
+    assert baked["mean"] == pytest.approx(found["surface"])
+    assert "surface" not in baked
+    for name, words in (("m.npz", "as engines draw them"), ("b.npz", "of the surface")):
+        assert words in run("compare", clip, tmp_path / name, *QUICK)[1]

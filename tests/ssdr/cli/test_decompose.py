@@ -117,3 +117,14 @@ def test_a_run_starts_from_a_model_a_mesh_or_a_frame(faked, done, refused, clip,
     assert "--force overwrites" in refused(
         "decompose", clip, "-b", 2, "-o", tmp_path / "b.npz", "--checkpoint", model
     )
+
+
+def test_normals_are_those_that_the_file_is_drawn_with(run, done, clip, wave, tmp_path):
+    file = tmp_path / "a.glb"
+    arguments = ("decompose", clip, "-o", file, "-b", 3, "--effort", "fast", "-f")
+    found = done(*arguments)["normals"]
+    there = ssdr.metrics.normals(wave, ssdr.load_skinning(file)).as_dict()
+    assert found == pytest.approx(there, rel=1e-3)
+    assert "% inwards, as engines draw them" in run(*arguments)[1]
+    own = done("check", file, "--for", "three")["normals"]
+    assert own["surface"] < 1e-3 < own["mean"]

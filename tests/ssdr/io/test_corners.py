@@ -1,14 +1,12 @@
-"""Corners: seams are split and edges stay hard."""
+"""Corners: seams are split."""
 
 from __future__ import annotations
 
 import numpy as np
-import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from helpers.rig_model import largest_distance, tube
-from ssdr.io.corners import corner_normals, split_corners
+from ssdr.io.corners import split_corners
 
 
 @settings(deadline=None, max_examples=25)
@@ -29,15 +27,3 @@ def test_split_corners_is_the_inverse_of_its_map(seed):
     }
     unused = 9 - len(set(faces.ravel()))
     assert len(split.vertex) == len(rows) + unused
-
-
-def test_corner_normals_keep_hard_edges():
-    model = tube()
-    normals = corner_normals(model.rest, model.faces, model.surface)
-    assert largest_distance(normals, model.surface.normals) < 0.02
-    smooth = corner_normals(model.rest, model.faces, None)
-    mesh = trimesh.Trimesh(model.rest, model.faces, process=False)
-    peer = trimesh.geometry.weighted_vertex_normals(
-        len(model.rest), mesh.faces, mesh.face_normals, mesh.face_angles
-    )
-    np.testing.assert_allclose(smooth, peer[model.faces], atol=1e-5)

@@ -29,6 +29,29 @@ def test_npz_keeps_everything(tmp_path, seam, compress):
     np.testing.assert_array_equal(back.vertex_map, welded.vertex_map)
 
 
+def test_npz_stores_a_normal_a_vertex_where_that_is_enough(tmp_path, wave, seam):
+    model = ssdr.initialize(wave, bones=2)
+    ssdr.save(model, tmp_path / "a.npz")
+    with np.load(tmp_path / "a.npz") as archive:
+        assert archive["vertex_normals"].shape == (12, 3)
+        assert "surface_normals" not in archive.files
+        whole = {name: archive[name] for name in archive.files if name != "vertex_normals"}
+    back = ssdr.load_skinning(tmp_path / "a.npz").surface.normals
+    np.testing.assert_array_equal(back, model.surface.normals, strict=True)
+    # as earlier versions wrote it
+    np.savez(tmp_path / "b.npz", surface_normals=model.surface.normals, **whole)
+    old = ssdr.load_skinning(tmp_path / "b.npz").surface.normals
+    np.testing.assert_array_equal(old, model.surface.normals, strict=True)
+    welded, _ = seam.weld()
+    ssdr.save(welded, tmp_path / "c.npz")
+    with np.load(tmp_path / "c.npz") as archive:  # vertices of the seam have two
+        assert "vertex_normals" not in archive.files
+    whole["faces"] = whole["faces"] + 4
+    np.savez(tmp_path / "d.npz", vertex_normals=np.zeros((12, 3), np.float32), **whole)
+    with pytest.raises(FormatError, match=r"d\.npz"):
+        ssdr.load_skinning(tmp_path / "d.npz")
+
+
 def test_npz_is_read_by_numpy_and_numpy_is_read(tmp_path, wave):
     ssdr.save(wave, tmp_path / "a.npz")
     with np.load(tmp_path / "a.npz", allow_pickle=False) as archive:

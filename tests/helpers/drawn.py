@@ -1,0 +1,147 @@
+"""What an engine draws of a file, read by code of its own: positions and turned normals.
+
+Skinning here is that of three.js and of the glTF specification, section 3.7.3: the weighted sum of
+the joints' matrices moves points, and turns the normals of the file.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from helpers.glb import opened, values_of
+
+
+def vertex_normals(frames, faces, groups=None):
+    """Angle-weighted normals (F, T, 3, 3) at corners, one for each of `groups` (T, 3)."""
+    groups = faces if groups is None else groups
+    out = []
+    for points in np.asarray(frames, dtype=np.float64):
+        p = points[faces]
+        sides = [p[:, (c + 1) % 3] - p[:, c] for c in range(3)]
+        normal = np.cross(sides[0], sides[1])
+        with np.errstate(invalid="ignore"):
+            normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        total = np.zeros((groups.max() + 1, 3))
+        for c in range(3):
+            angle = np.radians(180 - _angles(sides[c], sides[c - 1]))
+            np.add.at(total, groups[:, c], np.nan_to_num(angle[:, None] * normal))
+        with np.errstate(invalid="ignore"):
+            out.append((total / np.linalg.norm(total, axis=1, keepdims=True))[groups])
+    return np.array(out)
+
+
+def _angles(a, b):
+    with np.errstate(invalid="ignore"):
+        cosine = (a * b).sum(axis=-1) / np.linalg.norm(a, axis=-1) / np.linalg.norm(b, axis=-1)
+    return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+
+
+def mean_angle(a, b):
+    """Mean angle in degrees, where both are known."""
+    return float(np.nanmean(_angles(a, b)))
+
+
+def from_gltf(path, *, clip=0):
+    """Each skinned mesh of a ``.glb``: positions, normals (F, N, 3), faces and ``_VERTEX``."""
+    document, binary = opened(path)
+
+    def read(number):
+        values = values_of(document, binary, number).astype(np.float64)
+        item = document["accessors"][number]
+        if item.get("normalized"):
+            values /= {5121: 255, 5123: 65535}[item["componentType"]]
+        return values
+
+    nodes = document["nodes"]
+    animation = document["animations"][clip]
+    tracks, amounts = {}, None
+    for channel in animation["channels"]:
+        sampler = animation["samplers"][channel["sampler"]]
+        target = channel["target"]
+        if target["path"] == "weights":
+            amounts = read(sampler["output"])
+            continue
+        tracks[target["node"], target["path"]] = read(sampler["output"])
+    count = max(len(values) for values in tracks.values())
+    assert {len(values) for values in tracks.values()} <= {1, count}
+    parent = {child: k for k, node in enumerate(nodes) for child in node.get("children", [])}
+
+    def local(node, path, default):
+        values = tracks.get((node, path), np.array([nodes[node].get(path, default)], float))
+        return np.broadcast_to(values, (count, values.shape[1]))
+
+    def world(node):
+        found = np.tile(np.eye(4), (count, 1, 1))
+        turn = Rotation.from_quat(local(node, "rotation", [0, 0, 0, 1])).as_matrix()
+        found[:, :3, :3] = turn * local(node, "scale", [1, 1, 1])[:, None]
+        found[:, :3, 3] = local(node, "translation", [0, 0, 0])
+        assert "matrix" not in nodes[node]
+        return world(parent[node]) @ found if node in parent else found
+
+    result = []
+    for node in nodes:
+        if "mesh" not in node or "skin" not in node:
+            continue
+        skin = document["skins"][node["skin"]]
+        binds = read(skin["inverseBindMatrices"]).reshape(-1, 4, 4).swapaxes(1, 2)
+        moves = np.stack([world(k) for k in skin["joints"]], axis=1) @ binds
+        primitives = document["meshes"][node["mesh"]]["primitives"]
+        attributes = primitives[0]["attributes"]
+        assert all(one["attributes"] == attributes for one in primitives)
+        faces = np.concatenate([read(one["indices"]).astype(int) for one in primitives])
+        sets = [k for k in (0, 1) if f"JOINTS_{k}" in attributes]
+        joints, weights = (
+            np.concatenate([read(attributes[f"{name}_{k}"]) for k in sets], axis=1)
+            for name in ("JOINTS", "WEIGHTS")
+        )
+        joints = joints.astype(int)
+        blended = np.zeros((count, len(joints), 4, 4))
+        for k in range(joints.shape[1]):
+            blended += weights[:, k, None, None] * moves[:, joints[:, k]]
+        points, normals = (
+            np.tile(read(attributes[name]), (count, 1, 1)) for name in ("POSITION", "NORMAL")
+        )
+        if amounts is not None:
+            targets = primitives[0]["targets"]
+            for target, factor in zip(targets, amounts.reshape(count, -1).T, strict=True):
+                points += factor[:, None, None] * read(target["POSITION"])
+                normals += factor[:, None, None] * read(target["NORMAL"])
+        positions = np.einsum("fnij,fnj->fni", blended[:, :, :3, :3], points)
+        positions += blended[:, :, :3, 3]
+        normals = np.einsum("fnij,fnj->fni", blended[:, :, :3, :3], normals)
+        vertex = read(attributes["_VERTEX"])[:, 0].astype(int) if "_VERTEX" in attributes else None
+        result.append((positions, normals, faces.reshape(-1, 3), vertex))
+    return result
+
+
+def from_usd(path, codes):
+    """Turned normals (F, T, 3, 3) at the corners of the only mesh of a USD file of triangles."""
+    from pxr import Usd, UsdGeom, UsdSkel
+
+    stage = Usd.Stage.Open(str(path))
+    prims = list(stage.Traverse())
+    mesh = next(UsdGeom.Mesh(prim) for prim in prims if prim.IsA(UsdGeom.Mesh))
+    skeleton = UsdSkel.Skeleton(next(prim for prim in prims if prim.IsA(UsdSkel.Skeleton)))
+    cache = UsdSkel.Cache()
+    cache.Populate(UsdSkel.Root.Find(mesh.GetPrim()), Usd.PrimDefaultPredicate)
+    skin, query = cache.GetSkinningQuery(mesh.GetPrim()), cache.GetSkelQuery(skeleton)
+    faces = np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
+    primvar = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("normals")
+    if primvar:
+        normals = np.array(primvar.ComputeFlattened(), dtype=float).reshape(-1, 3, 3)
+    else:
+        assert mesh.GetNormalsInterpolation() == "vertex"
+        normals = np.array(mesh.GetNormalsAttr().Get(), dtype=float)[faces]
+    bind = np.array(skin.GetGeomBindTransform())[:3, :3]  # of row vectors
+    normals = normals @ np.linalg.inv(bind).T
+    joints, weights = (
+        np.array(x).reshape(faces.max() + 1, -1)
+        for x in skin.ComputeVaryingJointInfluences(int(faces.max()) + 1)
+    )
+    out = []
+    for code in codes:
+        moves = np.array(query.ComputeSkinningTransforms(code))[:, :3, :3].swapaxes(1, 2)
+        blended = np.einsum("nk,nkij->nij", weights, moves[joints])
+        out.append(np.einsum("tcij,tcj->tci", blended[faces], normals))
+    return np.array(out)

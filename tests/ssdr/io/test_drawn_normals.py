@@ -1,0 +1,114 @@
+"""Normals of written files, as engines turn them, against those of the input's surface.
+
+The files are read, and their normals turned, by code that is not the package's.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+import ssdr
+from helpers import drawn, naive
+from helpers.rig_model import tube
+
+
+@pytest.fixture
+def bent(rng):
+    """A noisy tube with seams and hard edges, which bends."""
+    model = tube(rings=13, sides=10)
+    frames = model.skin() + 0.02 * rng.normal(size=(20, model.n_vertices, 3))
+    return ssdr.MeshSequence(frames, model.faces, surface=model.surface)
+
+
+def groups_of(sequence):
+    """Numbers of equal (vertex, normal of the surface) at corners."""
+    if sequence.surface is None or sequence.surface.normals is None:
+        return sequence.faces
+    key = [sequence.faces.reshape(-1, 1), sequence.surface.normals.reshape(-1, 3)]
+    return np.unique(np.concatenate(key, axis=1), axis=0, return_inverse=True)[1].reshape(-1, 3)
+
+
+def error_in(path, sequence):
+    """Mean angle over frames and normals between a file and the sequence that it is a model of."""
+    ((_, normals, faces, vertex),) = drawn.from_gltf(path)
+    groups = groups_of(sequence)
+    expected = drawn.vertex_normals(sequence.vertices, sequence.faces, groups)
+    order = np.lexsort(vertex[faces].T), np.lexsort(sequence.faces.T)
+    np.testing.assert_array_equal(vertex[faces][order[0]], sequence.faces[order[1]])
+    _, first = np.unique(groups[order[1]], return_index=True)
+    found = normals[:, faces[order[0]]].reshape(len(normals), -1, 3)[:, first]
+    return drawn.mean_angle(found, expected[:, order[1]].reshape(len(normals), -1, 3)[:, first])
+
+
+@pytest.mark.parametrize("rig", [None, "rigid"])
+def test_gltf_is_drawn_as_measured_and_better_than_geometric_normals(tmp_path, bent, rig):
+    result = ssdr.decompose(bent, bones=5, effort="fast", rig=rig)
+    ssdr.save(result, tmp_path / "a.glb")
+    error = error_in(tmp_path / "a.glb", bent)
+    assert error == pytest.approx(result.normals.mean, rel=1e-3)
+    surface = dataclasses.replace(result.skinning.surface, normals=None)
+    ssdr.save(dataclasses.replace(result.skinning, surface=surface), tmp_path / "b.glb")
+    smooth = dataclasses.replace(bent, surface=None)
+    assert error < error_in(tmp_path / "b.glb", smooth)
+
+
+def test_every_level_of_detail_has_its_own_normals(tmp_path, bent):
+    result = ssdr.levels(bent, bones=(6, 3), effort="fast")
+    ssdr.save(result.levels[0], tmp_path / "a.glb", levels=result.levels[1:])
+    expected = drawn.vertex_normals(bent.vertices, bent.faces, groups_of(bent))
+    for level, (_, normals, faces, vertex) in zip(
+        result.levels, drawn.from_gltf(tmp_path / "a.glb"), strict=True
+    ):
+        order = np.lexsort(vertex[faces].T), np.lexsort(bent.faces.T)
+        error = drawn.mean_angle(normals[:, faces[order[0]]], expected[:, order[1]])
+        there = ssdr.metrics.normals(bent, level)
+        assert error == pytest.approx(there.mean, rel=0.1)  # over corners, not over normals
+
+
+@pytest.mark.parametrize("compression", ["quantized", "meshopt"])
+def test_compact_files_round_the_normals_and_no_more(tmp_path, bent, compression):
+    if compression == "meshopt":
+        pytest.importorskip("meshoptimizer")
+    model = ssdr.decompose(bent, bones=5, effort="fast").skinning
+    ssdr.save(model, tmp_path / "a.glb", compression=compression)
+    read = ssdr.load_skinning(tmp_path / "a.glb")
+    place, triangle = (m.skin([0])[0, m.faces].reshape(-1, 3) for m in (read, model))
+    for corner, n in zip(place, read.surface.normals.reshape(-1, 3), strict=True):
+        near = cKDTree(triangle).query_ball_point(corner, 1e-3)
+        assert naive.angles(model.surface.normals.reshape(-1, 3)[near], n[None]).min() < 1.2
+
+
+def test_usd_is_drawn_as_measured(tmp_path, bent):
+    pytest.importorskip("pxr")
+    result = ssdr.decompose(bent, bones=5, effort="fast")
+    ssdr.save(result, tmp_path / "a.usda")
+    found = drawn.from_usd(tmp_path / "a.usda", range(20))
+    groups = groups_of(bent)
+    expected = drawn.vertex_normals(bent.vertices, bent.faces, groups)
+    _, first = np.unique(groups, return_index=True)
+    one, two = (x.reshape(20, -1, 3)[:, first] for x in (found, expected))
+    assert drawn.mean_angle(one, two) == pytest.approx(result.normals.mean, rel=1e-3)
+
+
+def test_numbered_meshes_have_the_normals_of_their_frames(tmp_path, bent):
+    model = ssdr.decompose(bent, bones=5, effort="fast").skinning
+    ssdr.save(model, tmp_path / "a_%02d.obj")
+    frames = model.skin()
+    for t in (0, 7):
+        one = ssdr.load(tmp_path / f"a_{t:02d}.obj")
+        expected = drawn.vertex_normals(frames[t : t + 1], model.faces, groups_of(bent))[0]
+        assert naive.angles(one.surface.normals, expected).max() < 0.01
+
+
+@pytest.mark.parametrize(("name", "most"), [("horse_gallop", 3.6), ("ea_bone", 5)])
+def test_real_animations(tmp_path, real, name, most):
+    sequence = real(name)
+    result = ssdr.decompose(sequence, bones=20, effort="fast")
+    ssdr.save(result, tmp_path / "a.glb")
+    error = error_in(tmp_path / "a.glb", sequence)
+    assert error < most
+    assert error == pytest.approx(result.normals.mean, abs=0.01)

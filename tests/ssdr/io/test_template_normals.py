@@ -1,0 +1,173 @@
+"""Normals in templates: those of the model, outwards in mirrored nodes, hard where the file's are.
+
+Expected normals come from the vertices that the file says, in loops over triangles.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import ssdr
+from helpers import drawn, naive
+from helpers.glb import packed
+from helpers.motions import grid
+
+FRAMES = 12
+
+
+def bent_roof():
+    """Vertices (F, V, 3) and triangles of two sheets that meet at a right angle, and bend.
+
+    Vertices at the ridge are doubled, so that each sheet has its own.
+    """
+    x, y = np.meshgrid(np.linspace(0, 1, 5), np.linspace(0, 2, 9), indexing="ij")
+    left = np.stack([-x, y, -x], axis=-1).reshape(-1, 3)
+    right = np.stack([x, y, -x], axis=-1).reshape(-1, 3)
+    faces = grid(5, 9)
+    faces = np.concatenate([faces[:, ::-1], faces + 45])
+    rest, frames = np.concatenate([left, right]), []
+    upper = np.clip(rest[:, 1:2] - 0.5, 0, 1)
+    for t in range(FRAMES):
+        turn = Rotation.from_rotvec([0.7 * np.sin(2 * np.pi * t / FRAMES), 0, 0]).as_matrix()
+        frames.append((1 - upper) * rest + upper * ((rest - [0, 1, 0]) @ turn.T + [0, 1, 0]))
+    return np.array(frames), faces
+
+
+def morphing(path, frames, faces, nodes):
+    """A ``.glb`` whose nodes show one mesh, with a morph target for each frame but the first."""
+    normals = np.zeros_like(frames[0])
+    np.add.at(normals, faces, naive.corner_normals(frames[0], faces))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    arrays = [(frames[0], "VEC3"), (normals, "VEC3"), (faces.astype("<u2").ravel(), "SCALAR")]
+    arrays += [(frame - frames[0], "VEC3") for frame in frames[1:]]
+    arrays += [(np.arange(len(frames)) / 24, "SCALAR")]
+    arrays += [(np.eye(len(frames))[:, 1:].ravel(), "SCALAR")]
+    views, accessors, binary = [], [], b""
+    for array, kind in arrays:
+        array = array if array.dtype == "<u2" else array.astype("<f4")
+        code = 5123 if array.dtype == "<u2" else 5126
+        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": array.nbytes})
+        accessors.append(
+            {
+                "bufferView": len(views) - 1,
+                "componentType": code,
+                "count": len(array),
+                "type": kind,
+                "min": np.atleast_1d(array.min(axis=0)).tolist(),
+                "max": np.atleast_1d(array.max(axis=0)).tolist(),
+            }
+        )
+        binary += array.tobytes() + b"\0" * (-array.nbytes % 4)
+    count, time = len(frames) - 1, 2 + len(frames)
+    primitive = {
+        "attributes": {"POSITION": 0, "NORMAL": 1},
+        "indices": 2,
+        "targets": [{"POSITION": 3 + k} for k in range(count)],
+    }
+    channels = [{"sampler": 0, "target": {"node": k, "path": "weights"}} for k in range(len(nodes))]
+    document = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": list(range(len(nodes)))}],
+        "nodes": [{"mesh": 0, **node} for node in nodes],
+        "meshes": [{"primitives": [primitive], "weights": [0] * count}],
+        "animations": [{"channels": channels, "samplers": [{"input": time, "output": time + 1}]}],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": len(binary)}],
+    }
+    return packed(path, document, binary)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("fitted", [False, True])
+def test_gltf(tmp_path, mirrored, fitted):
+    frames, faces = bent_roof()
+    nodes = [{"name": "a"}, {"name": "b", "translation": [3, 0, 0]}]
+    if mirrored:
+        nodes[1]["scale"] = [-1, 1, 1]
+    source = morphing(tmp_path / "a.glb", frames, faces, nodes)
+    model = ssdr.decompose(ssdr.load(source), bones=2, effort="balanced").skinning
+    if not fitted:
+        plain = dataclasses.replace(model.surface, normals=None)
+        model = dataclasses.replace(model, surface=plain)
+    ssdr.save(model, tmp_path / "b.glb", template=source)
+    first, second = drawn.from_gltf(tmp_path / "b.glb")
+    expected = drawn.vertex_normals(frames, faces)
+    assert np.abs(first[0] - frames).max() < 0.03
+    for (_, normals, triangles, _), sign in ((first, 1), (second, -1 if mirrored else 1)):
+        turned = triangles[:, ::sign]
+        np.testing.assert_array_equal(turned, faces)  # a mirrored node turned the front away
+        error = drawn.mean_angle(normals[:, turned], expected * [sign, 1, 1])
+        assert error < (3 if fitted else 10)
+    ridge = [np.flatnonzero(np.isclose(frames[0, :, 0], 0) & half) for half in halves()]
+    for k in range(3):
+        assert naive.angles(first[1][0, ridge[0][k]], first[1][0, ridge[1][k]]) > 60
+
+
+def halves():
+    return np.arange(90) < 45, np.arange(90) >= 45
+
+
+def test_a_seam_of_uvs_does_not_show(tmp_path):
+    """Vertices doubled where the file's normals are equal keep one normal."""
+    frames, faces = bent_roof()
+    low = np.array(frames)
+    low[..., 2] *= 0.3
+    low[:, :, 2] += 0.2 * np.cos(frames[:, :, 0] * 3)
+    source = morphing(tmp_path / "a.glb", low, faces, [{}])
+    sequence = ssdr.load(source)
+    smooth = ssdr.Surface(normals=np.tile(np.float32([0, 0, 1]), (len(faces), 3, 1)))
+    sequence = dataclasses.replace(sequence, surface=smooth)
+    model = ssdr.decompose(sequence, bones=2, effort="fast").skinning
+    at = {}
+    for face, normals in zip(model.faces, model.surface.normals, strict=True):
+        at |= dict(zip(face.tolist(), normals, strict=True))
+    apart = drawn.vertex_normals(low, faces)
+    one, two = (np.flatnonzero(np.isclose(frames[0, :, 0], 0) & half) for half in halves())
+    dense = model.dense_weights()
+    for i, k in zip(one, two, strict=True):
+        for t in range(FRAMES):
+            a, b = (
+                np.einsum("b,bij,j->i", dense[h], model.transforms[t, :, :, :3], at[h])
+                for h in (i, k)
+            )
+            assert naive.angles(a, b) < 10
+    kept = [apart[0][tuple(np.argwhere(faces == i)[0])] for i in (one[0], two[0])]
+    assert naive.angles(*kept) > 15  # each side alone would show
+
+
+@pytest.mark.parametrize("scale", [(1, 1, 1), (-1, 1, 1), (1, 2, -0.5)])
+def test_usd(tmp_path, scale):
+    pytest.importorskip("pxr")
+    from pxr import Gf, Usd, UsdGeom, Vt
+
+    frames, faces = bent_roof()
+    source, target = tmp_path / "a.usda", tmp_path / "b.usda"
+    stage = Usd.Stage.CreateNew(str(source))
+    stage.SetStartTimeCode(0)
+    stage.SetEndTimeCode(FRAMES - 1)
+    top = UsdGeom.Xform.Define(stage, "/Top")
+    stage.SetDefaultPrim(top.GetPrim())
+    mesh = UsdGeom.Mesh.Define(stage, "/Top/Roof")
+    mesh.AddScaleOp().Set(Gf.Vec3f(*scale))
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, np.int32)))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(faces.astype(np.int32).ravel()))
+    normals = np.zeros_like(frames[0])
+    normals[faces] = naive.corner_normals(frames[0], faces)
+    mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(normals.astype(np.float32)))
+    mesh.SetNormalsInterpolation("vertex")
+    for t, points in enumerate(frames):
+        mesh.CreatePointsAttr().Set(Vt.Vec3fArray.FromNumpy(points.astype(np.float32)), t)
+    stage.GetRootLayer().Save()
+    result = ssdr.decompose(ssdr.load(source), bones=2, effort="fast")
+    ssdr.save(result, target, template=source)
+    expected = drawn.vertex_normals(frames * scale, faces) * np.sign(np.prod(scale))
+    found = drawn.from_usd(target, range(FRAMES))
+    error = drawn.mean_angle(found, expected)
+    assert error < 5
+    assert error == pytest.approx(result.normals.mean, abs=0.5)
