@@ -78,8 +78,9 @@ class Angles:
 
 
 def errors(reference: ssdr.MeshSequence, model: ssdr.Skinning | ssdr.MeshSequence) -> Angles:
-    """Mean, 95th percentile, share beyond 20° and beyond 90° over all frames and corners."""
-    every = np.array([angles(reference, model, t) for t in range(model.n_frames)])
+    """Mean, 95th percentile, share beyond 20° and beyond 90° over all frames and vertices."""
+    found = [angles(reference, model, t) for t in range(model.n_frames)]
+    every = np.array([per_vertex(model.faces, one, model.n_vertices) for one in found])
     return Angles(
         float(every.mean()),
         float(np.percentile(every, 95)),
