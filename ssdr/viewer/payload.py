@@ -95,9 +95,9 @@ def payload(
     truth = None if reference is None else Truth.of(model, reference)
     motion = walk(model, truth, basis[1], hidden=alone)
     measured = None if alone else truth
-    angles = None
-    if measured is not None and len(model.faces):
-        angles = metrics.normals(measured.on(model), model if skinned else subject)
+    angles = (
+        None if measured is None else _angles(measured.on(model), model if skinned else subject)
+    )
     scale = motion.diagonal or 1.0
     surface = model.surface
     if skinned:
@@ -141,7 +141,7 @@ def payload(
         "path": blocks.array((motion.path[frames] / scale).astype(np.float32)),
         "follow": bool(np.linalg.norm(np.ptp(motion.path, axis=0)) > _TRAVELS * scale),
         "error": None if measured is None else _error(motion, frames),
-        "angles": None if angles is None else _angles(angles),
+        "angles": angles and {"mean": angles.mean, "top": max(angles.p95, _LEAST_ANGLE)},
         "input": _input(model, truth, motion, frames, scale, blocks) if truth and held else None,
         "summary": summary(model, skinned, motion, measured, file),
         "figures": figures(model, skinned, motion, measured, angles, file, reference_name),
@@ -267,9 +267,14 @@ def _error(motion: Motion, frames: NDArray[np.int64]) -> dict[str, Any]:
     }
 
 
-def _angles(found: metrics.NormalErrors) -> dict[str, float]:
-    """Mean error of normals, in degrees, and the top of its colour scale."""
-    return {"mean": found.mean, "top": max(found.p95, _LEAST_ANGLE)}
+def _angles(
+    reference: MeshSequence, subject: Skinning | MeshSequence
+) -> metrics.NormalErrors | None:
+    """Error of normals; None where no triangle has an area."""
+    try:
+        return metrics.normals(reference, subject)
+    except InputError:
+        return None
 
 
 def _input(

@@ -12,11 +12,13 @@ from .normal_angles import Angles
 
 def normals(reference, model) -> Angles:
     """Errors of the normals of the vertices."""
+    if not len(model.faces):
+        raise ssdr.InputError("faces", "a triangle with an area", "none")
     scene = Scene.of(model, reference)
     every = np.array([scene.errors(t, "normals") for t in range(model.n_frames)])
     return Angles(
         float(every.mean()),
-        float(np.percentile(every, 95)),
+        float(np.percentile(every, 95, method="inverted_cdf")),
         float((every > 20).mean()),
         float((every > 90).mean()),
     )
