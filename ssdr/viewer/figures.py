@@ -57,13 +57,13 @@ def figures(
         where = f"in frame {motion.worst_frame} at vertex {motion.worst[motion.worst_frame]}"
         largest = motion.in_words(float(motion.largest.max()))
         rows += [("RMSE", motion.in_words(motion.rmse), source), ("Largest error", largest, where)]
+    unit = "the mesh's units; per cent above are of this"
+    rows.append(("Diagonal", f"{motion.diagonal:.4g}", unit))
     if angles is not None:
         source = f"mean angle to those of {reference_name}"
         source += ", as engines draw them" if skinned else ""
         source += f"; 95 % within {angles.p95:.3g}°, {100 * angles.inwards:.2g} % inwards"
         rows.append(("Normals", f"{angles.mean:.3g}°", source))
-    unit = "the mesh's units; per cent above are of this"
-    rows.append(("Diagonal", f"{motion.diagonal:.4g}", unit))
     return rows
 
 
