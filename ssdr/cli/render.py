@@ -15,7 +15,7 @@ from .output import Output
 from .reading import read_model, read_truth
 from .saving import check_file
 
-_STYLES = "plain|weights|bones|error"
+_STYLES = "plain|weights|bones|error|normals"
 
 
 @dataclasses.dataclass(kw_only=True)

@@ -47,7 +47,7 @@ def split_corners(
     columns = [flat[:, None]]
     for values in (uv, normals):
         if values is not None:
-            plain = np.ascontiguousarray(values, dtype=np.float32).reshape(len(flat), -1)
+            plain = np.ascontiguousarray(values.reshape(len(flat), values.shape[-1]), np.float32)
             # 0 is added so that -0 has the bits of 0
             columns.append((plain + np.float32(0)).view(np.int32).astype(np.int64))
     _, first, inverse = np.unique(

@@ -13,12 +13,18 @@ from PIL import Image, ImageDraw, ImageFont
 from ..errors import FormatError, InputError
 from ..io.atomic import atomic_path
 from ..sequence import MeshSequence
-from .panels import INK, QUIET, Panels, as_many, checked_frames, draw_scale
+from .panels import DEGREES, INK, QUIET, Panels, as_many, checked_frames, draw_scale
 from .parts import Part
 from .raster import Camera
 from .scene import Scene, Style, Unit
 
-_ROWS = {"plain": "shape", "weights": "skin weights", "bones": "bones", "error": "error"}
+_ROWS: dict[Style, str] = {
+    "plain": "shape",
+    "weights": "skin weights",
+    "bones": "bones",
+    "error": "error",
+    "normals": "error of normals",
+}
 
 
 def render_frame(
@@ -36,7 +42,11 @@ def render_frame(
     elevation: float = 12.0,
     perspective: bool = True,
 ) -> Image.Image:
-    """Picture of one frame.
+    """Picture of one frame, lit as engines light it.
+
+    A skinning is lit by the normals of its rest pose, turned by the blended 3×3 blocks of its
+    bones: its ``surface.normals`` or, without them, those of its rest pose as a surface. A sequence
+    is lit by the normals of its surface.
 
     Parameters
     ----------
@@ -45,21 +55,22 @@ def render_frame(
         Negative counts from the end.
     reference : MeshSequence, optional
         The true animation, from which the error is measured.
-    style : {"plain", "weights", "bones", "error"}, optional
+    style : {"plain", "weights", "bones", "error", "normals"}, optional
         "plain" shows the shape, "weights" colours it by skin weights, "error" by the distance to
-        the reference.  "bones" draws bones from joint to joint or, without a hierarchy, as balls
-        with axes at the posed centroids of the vertices that they move.  By default "weights" for
-        a skinning and "plain" for a sequence.
+        the reference, "normals" by the angle of the normals that light it to those of the
+        reference's surface.  "bones" draws bones from joint to joint or, without a hierarchy, as
+        balls with axes at the posed centroids of the vertices that they move.  By default "weights"
+        for a skinning and "plain" for a sequence.
     size : (int, int)
         Width and height in pixels.
     camera : Camera, optional
         By default one that sees the whole motion.
     scale : float, optional
-        Error with the darkest colour, in the mesh's units; by default a round number above nearly
-        all errors of this frame.
+        Error with the darkest colour, in the mesh's units or, for "normals", in degrees; by default
+        a round number above nearly all errors of this frame.
     parts : sequence of Part, optional
-        Parts of the subject with colours of their own, for "plain" and "bones"; "error" colours the
-        measured ones.  Every vertex belongs to one part.
+        Parts of the subject with colours of their own, for "plain" and "bones"; "error" and
+        "normals" colour the measured ones.  Every vertex belongs to one part.
     up : {"x", "y", "z", "-x", "-y", "-z"}
     azimuth, elevation : float
         Degrees, as in :meth:`Camera.fit`.  By default the azimuth that shows most of the subject.
@@ -127,7 +138,7 @@ def contact_sheet(
     width : int
         Pixels; the height follows from it.
     styles : sequence of Style, optional
-        Rows below the reference; by default all that apply to the subject.
+        Rows below the reference; by default all that apply to the subject, but for "normals".
     title : str, optional
         The subject's name by default.
     parts : sequence of Part, optional
@@ -186,12 +197,12 @@ def contact_sheet(
     cell, height = panels.view.size
     lines = 0 if heads is None else 1 + any("\n" in h for h in heads)
     head = round((118, 160, 188)[lines] * scale)
-    foot = round((104 if panels.with_error else 24) * scale)
+    foot = round((104 * len(panels.scales) or 24) * scale)
     page = Image.new("RGB", (width, head + len(names) * (height + gap) + foot), "white")
     draw = ImageDraw.Draw(page)
     small, medium, large = (ImageFont.load_default(max(8, s * scale)) for s in (19, 23, 42))
     draw.text((edge, 24 * scale), title or scene.name, INK, large)
-    draw.text((edge, 76 * scale), scene.summary(panels.with_error, unit), QUIET, medium)
+    draw.text((edge, 76 * scale), scene.summary("error" in panels.scales, unit), QUIET, medium)
     tops = [head + r * (height + gap) for r in range(len(names))]
     for name, top in zip(names, tops, strict=True):
         upright_text(page, name, (edge, top), (label, height), medium)
@@ -209,33 +220,42 @@ def contact_sheet(
             if style == "error" and shown.has_parts:
                 text = shown.figures([frame], unit)
             draw.text((x + 12 * scale, top + height - 9 * scale), text, QUIET, small, "ls")
-    if panels.with_error:
-        left, top = edge + label, page.height - round(70 * scale)
-        _draw_scale(
-            page, panels, unit, (left, top, min(width - 2 * left, round(700 * scale))), small
-        )
+    left, top = edge + label, page.height - foot + round(34 * scale)
+    wide = min(width - 2 * left, round(700 * scale))
+    for style in panels.scales:
+        _draw_scale(page, panels, style, unit, (left, top, wide), small)
+        top += round(104 * scale)
     return page
 
 
 def _draw_scale(
-    page: Image.Image, panels: Panels, unit: Unit, bar: tuple[int, int, int], font: Any
+    page: Image.Image,
+    panels: Panels,
+    style: Style,
+    unit: Unit,
+    bar: tuple[int, int, int],
+    font: Any,
 ) -> None:
-    """Draw the colour bar of the error.
+    """Draw the colour bar of the error that a style shows, with values above.
 
-    It says what is measured, with values above and percentages of the bounding box's diagonal
-    below.
+    It says what is measured; below a distance are percentages of the bounding box's diagonal.
     """
     draw, scene, scale = ImageDraw.Draw(page), panels.scene, page.width / 1600
+    shown, of_normals = panels.scales[style], style == "normals"
     left, top, width = bar
     above = top - 6 * scale
-    below = top + draw_scale(page, panels, unit, bar, scale, font) + 6 * scale
-    for share, anchor in ((0.0, "la"), (0.5, "ma"), (1.0, "ra")):
-        text = f"{100 * panels.top * share / scene.diagonal:.3g} %"
+    height = draw_scale(page, shown, DEGREES if of_normals else unit, bar, scale, font)
+    below = top + height + 6 * scale
+    for share, anchor in () if of_normals else ((0.0, "la"), (0.5, "ma"), (1.0, "ra")):
+        text = f"{100 * shown.top * share / scene.diagonal:.3g} %"
         draw.text((left + (width - 1) * share, below), text, QUIET, font, anchor)
     x = left + width + 24 * scale
     truth = f"of the {scene.measured_name} to the truth" if scene.has_parts else "to the input"
-    draw.text((x, above), f"distance {truth}", INK, font, "ls")
-    draw.text((x, below), "in % of the diagonal", QUIET, font, "la")
+    what, how = "distance", "in % of the diagonal"
+    if of_normals:
+        what, how = "angle of normals", "as engines draw them" if scene.has_bones else ""
+    draw.text((x, above), f"{what} {truth}", INK, font, "ls")
+    draw.text((x, below), how, QUIET, font, "la")
 
 
 def write_picture(picture: Image.Image, path: str | os.PathLike[str], **options: Any) -> None:

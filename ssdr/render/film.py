@@ -16,7 +16,7 @@ from PIL import Image, ImageDraw, ImageFont
 from ..errors import FormatError, InputError
 from ..sequence import MeshSequence
 from .figures import write_picture
-from .panels import INK, QUIET, Panels, as_many, draw_scale
+from .panels import DEGREES, INK, QUIET, Panels, as_many, draw_scale
 from .parts import Part
 from .scene import Scene, Style, Unit, evenly
 
@@ -226,10 +226,15 @@ class Film:
         for n, title in enumerate(self.titles or ()):
             left = n * (width + gap)
             draw.text((left + edge, head / 2), title, INK, large, "lm")
-            if self.panels.rows[n][1] == "error":
+            style = self.panels.rows[n][1]
+            if style in self.panels.scales:
+                shown, unit = (
+                    self.panels.scales[style],
+                    DEGREES if style == "normals" else self.unit,
+                )
                 long = 130 * scale
                 bar = (round(left + width - edge - long), round(head - 28 * scale), round(long))
-                draw_scale(picture, self.panels, self.unit, bar, scale, small, ticks="lr")
+                draw_scale(picture, shown, unit, bar, scale, small, ticks="lr")
         if self.captions is None:
             return
         line, right = head + height + 32 * scale, picture.width - edge

@@ -14,15 +14,32 @@ from ..errors import InputError
 from .palette import heat, linear_from_srgb, srgb_from_linear
 from .parts import NEUTRAL
 from .raster import Float, block_mean
-from .scene import Scene, Style, Unit, number
+from .scene import ERRORS, Scene, Style, Unit, number
 from .skeleton import draw_bones
 from .studio import Stage
 from .view import View
 
 INK, QUIET = "#20242c", "#6b7280"
+DEGREES: Unit = ("°", 1.0)
 _SAMPLES = 2  # per pixel along each axis
 _EVEN = 0.45  # share of the light without direction on colours that show values
 _GHOST = 0.55  # opacity of a surface that shows its bones
+
+
+@dataclasses.dataclass(frozen=True)
+class Scale:
+    """Colour scale of an error, which begins at 0.
+
+    Attributes
+    ----------
+    top : float
+        Error that has the last colour, in the mesh's units or in degrees.
+    exceeded : bool
+        Whether a frame has a larger error.
+    """
+
+    top: float
+    exceeded: bool
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -34,17 +51,14 @@ class Panels:
     rows : tuple of (Scene, Style)
     frames : tuple of int
     view : View
-    top : float
-        Error that has the last colour of the scale, in the mesh's units.
-    exceeded : bool
-        Whether a frame has a larger error.
+    scales : dict of Style to Scale
+        Of the styles of `rows` that show an error.
     """
 
     rows: tuple[tuple[Scene, Style], ...]
     frames: tuple[int, ...]
     view: View
-    top: float
-    exceeded: bool
+    scales: dict[Style, Scale]
 
     @classmethod
     def of(
@@ -71,7 +85,8 @@ class Panels:
         with_reference : bool
             Whether the reference, if any, is the first row.
         top : float, optional
-            Error with the last colour; by default a round number that few errors exceed.
+            Error with the last colour, in the mesh's units or, for "normals", in degrees; by
+            default a round number that few errors exceed.
         **look
             Options of :meth:`View.of`.
         """
@@ -81,22 +96,18 @@ class Panels:
             rows.insert(0, (Scene.of(scene.reference, None, parts), "plain"))
         order = checked_frames(frames, scene.subject.n_frames)
         view = View.of(scene, order, size, **look)
-        exceeded = False
-        if any(style == "error" for _, style in rows):
-            high, largest = scene.error_range(order)
-            top = top or _round_up(high)
-            exceeded = largest > top
-        return cls(tuple(rows), tuple(order), view, top or 1.0, exceeded)
+        scales: dict[Style, Scale] = {}
+        for style in ERRORS:
+            if any(shown == style for _, shown in rows):
+                high, largest = scene.error_range(order, style)
+                end = top or _round_up(high)
+                scales[style] = Scale(end, largest > end)
+        return cls(tuple(rows), tuple(order), view, scales)
 
     @property
     def scene(self) -> Scene:
         """Scene of the subject."""
         return self.rows[-1][0]
-
-    @property
-    def with_error(self) -> bool:
-        """Whether a row shows the error."""
-        return any(style == "error" for _, style in self.rows)
 
     def draw(self, frame: int) -> list[Image.Image]:
         """Draw one frame in the style of each row; one picture per row."""
@@ -106,9 +117,10 @@ class Panels:
             if id(scene) not in stages:
                 stages[id(scene)] = self._stage(scene, frame)
             stage = stages[id(scene)]
-            even = _EVEN if style in ("weights", "error") else 0.0
+            even = _EVEN if style == "weights" or style in ERRORS else 0.0
             opacity = _GHOST if style == "bones" else 1.0
-            picture = stage.draw(self._colors(scene, style, frame), even, opacity)
+            colors = self._colors(scene, style, frame)[scene.split.vertex]
+            picture = stage.draw(colors, even, opacity)
             if style == "bones":
                 camera, shift = self.view.camera, self.view.shift[frame]
                 draw_bones(picture, stage.nearness, camera, scene, frame, shift)
@@ -118,10 +130,12 @@ class Panels:
 
     def _stage(self, scene: Scene, frame: int) -> Stage:
         size = (self.view.size[0] * _SAMPLES, self.view.size[1] * _SAMPLES)
-        points = scene.visible(frame) - self.view.shift[frame]
+        split, camera = scene.split, self.view.camera
+        points = scene.visible(frame)[split.vertex] - self.view.shift[frame]
         if not len(scene.faces):
-            return Stage.of_cloud(self.view.camera, size, points, scene.ball_radius)
-        return Stage.of_mesh(self.view.camera, size, points, scene.faces, self.view.ground)
+            return Stage.of_cloud(camera, size, points, scene.ball_radius)
+        normals = scene.drawn_normals(frame)
+        return Stage.of_mesh(camera, size, points, split.faces, self.view.ground, normals)
 
     def _colors(self, scene: Scene, style: Style, frame: int) -> Float:
         """Linear RGB of each vertex, ``(V, 3)``."""
@@ -129,9 +143,10 @@ class Panels:
             return scene.weight_colors
         colors = np.zeros((len(scene.measured), 3))
         for part in scene.parts:
-            colors[part.vertices] = linear_from_srgb(NEUTRAL if style == "error" else part.color)
-        if style == "error":
-            colors[scene.measured] = heat(scene.errors(frame)[scene.measured] / self.top)
+            colors[part.vertices] = linear_from_srgb(NEUTRAL if style in ERRORS else part.color)
+        if style in ERRORS:
+            errors = scene.errors(frame, style)[scene.measured]
+            colors[scene.measured] = heat(errors / self.scales[style].top)
         return colors
 
 
@@ -159,9 +174,12 @@ def _checked_style(style: Style | None, scene: Scene) -> Style:
     if style not in get_args(Style):
         raise InputError("style", f"one of {', '.join(get_args(Style))}", repr(style))
     if style in ("weights", "bones") and not scene.has_bones:
-        raise InputError("style", "plain or error for a sequence, which has no bones", repr(style))
-    if style == "error" and scene.reference is None:
+        expected = "plain, error or normals for a sequence, which has no bones"
+        raise InputError("style", expected, repr(style))
+    if style in ERRORS and scene.reference is None:
         raise InputError("reference", "a MeshSequence to measure the error against", None)
+    if style == "normals" and not len(scene.faces):
+        raise InputError("style", "plain, bones, weights or error for a cloud of points", style)
     return style
 
 
@@ -179,7 +197,7 @@ def _round_up(value: float) -> float:
 
 def draw_scale(
     page: Image.Image,
-    panels: Panels,
+    shown: Scale,
     unit: Unit,
     bar: tuple[int, int, int],
     scale: float,
@@ -192,7 +210,7 @@ def draw_scale(
     ----------
     page : PIL.Image.Image
         Updated in place.
-    panels : Panels
+    shown : Scale
     unit : (str, float)
     bar : (int, int, int)
         Left, top and width.
@@ -215,7 +233,7 @@ def draw_scale(
     draw.rectangle((left, y, left + width - 1, y + height - 1), outline="#c4c9d2")
     for share, anchor in zip(np.linspace(0, 1, len(ticks)), ticks, strict=True):
         x = left + (width - 1) * share
-        text = f"{'> ' if share == 1 and panels.exceeded else ''}{number(panels.top * share, unit)}"
+        text = f"{'> ' if share == 1 and shown.exceeded else ''}{number(shown.top * share, unit)}"
         draw.line((x, y - 4 * scale, x, y), fill=QUIET)
         draw.text((x, y - 6 * scale), text, INK, font, anchor + "s")
     return height

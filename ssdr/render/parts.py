@@ -34,7 +34,8 @@ class Part:
     color : (r, g, b)
         sRGB, 0 to 1.
     measured : bool
-        Whether errors are measured on this part.  Other parts are grey in the style "error".
+        Whether errors are measured on this part.  Other parts are grey in the styles "error" and
+        "normals".
 
     Raises
     ------

@@ -12,18 +12,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from .. import lbs
 from ..errors import InputError
 from ..hierarchy.bone_ends import limb_ends
+from ..io.corners import Corners, split_corners
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from .palette import bone_colors, mix
 from .parts import Part, checked_parts, checked_regions
+from .raster import unit as normalised
+from .shading import corner_normals, rest_normals
 
-Style = Literal["plain", "weights", "bones", "error"]
+Style = Literal["plain", "weights", "bones", "error", "normals"]
 Unit = tuple[str, float]
 Float = NDArray[np.float64]
 
 _SOME_FRAMES = 24  # frames that represent a sequence; fewer may miss motion
+# Share of the errors that a scale holds, less where few are much larger than all others, and an
+# error that float32 rounding alone does not reach, relative to the diagonal or in degrees.
+ERRORS: dict[Style, tuple[float, float]] = {"error": (0.995, 1e-6), "normals": (0.95, 0.1)}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -114,11 +121,38 @@ class Scene:
         other = self.reference.name if self.reference is not None else ""
         return self.subject.name or other or "untitled"
 
-    @property
+    @functools.cached_property
     def faces(self) -> NDArray[np.int32]:
-        if self.vertex_map is not None and self.reference is not None:
-            return np.asarray(self.reference.faces)
-        return np.asarray(self.subject.faces)
+        """Triangles ``(T, 3)`` of the subject, on the vertices shown."""
+        return np.asarray(self._first[self.subject.faces], dtype=np.int32)
+
+    @functools.cached_property
+    def _first(self) -> NDArray[np.intp]:
+        """First vertex shown for each vertex of the subject."""
+        if self.vertex_map is None:
+            return np.arange(self.subject.n_vertices)
+        return np.asarray(np.unique(self.vertex_map, return_index=True)[1])
+
+    @functools.cached_property
+    def split(self) -> Corners:
+        """Triangles as they are lit: with a vertex for each rest normal that a model has there."""
+        given = rest_normals(self.model) if self.has_bones else None
+        return split_corners(self.faces, len(self.measured), None, given)
+
+    def drawn_normals(self, frame: int) -> Float | None:
+        """Unit normals of the vertices of `split` as engines draw them; None for a sequence.
+
+        Rest normals are turned by the blended 3×3 blocks of the bones, as in the shaders of
+        three.js (``skinnormal_vertex``).
+        """
+        if self.split.normals is None:
+            return None
+        rows = self.split.vertex
+        rows = rows if self.vertex_map is None else self.vertex_map[rows]
+        turns = self.model.transforms[frame].copy()
+        turns[..., 3] = 0
+        skin = self.model.indices[rows], self.model.weights[rows]
+        return normalised(lbs.skin(self.split.normals, *skin, turns, dtype=np.float64))
 
     @functools.cached_property
     def diagonal(self) -> float:
@@ -148,22 +182,41 @@ class Scene:
     def _loose(self) -> NDArray[np.bool_]:
         return np.asarray(np.bincount(self.faces.ravel(), minlength=len(self.measured)) == 0)
 
-    def errors(self, frame: int) -> Float:
-        """Distance of each vertex to the reference, ``(V,)``."""
+    def errors(self, frame: int, style: Style = "error") -> Float:
+        """Distance ``(V,)`` of each vertex to the reference or, as "normals", angle in degrees."""
         assert self.reference is not None
         truth = np.asarray(self.reference.frames(frame), dtype=np.float64)
+        if style == "normals":
+            return self._angles(frame, truth)
         return np.asarray(np.linalg.norm(self.positions(frame) - truth, axis=1))
+
+    def _angles(self, frame: int, truth: Float) -> Float:
+        """Angles ``(V,)``, in degrees, of the normals drawn to those of the reference's surface.
+
+        The mean over the triangles at a vertex; 0 where there is none.
+        """
+        faces, surface = self.faces, self.subject.surface
+        drawn = self.drawn_normals(frame)
+        a: Any = None if drawn is None else drawn[self.split.faces]
+        a = corner_normals(self.positions(frame), faces, surface) if a is None else a
+        b = corner_normals(truth, faces, surface)
+        angle = np.arctan2(np.linalg.norm(np.cross(a, b), axis=2), (a * b).sum(axis=2))
+        corner, count = faces.ravel(), len(self.measured)
+        total = np.bincount(corner, np.degrees(angle).ravel(), count)
+        mean = np.asarray(total / np.bincount(corner, minlength=count).clip(1))
+        return mean if self.vertex_map is None else mean[self._first][self.vertex_map]
 
     @functools.cached_property
     def measured(self) -> NDArray[np.bool_]:
         """Mask ``(V,)`` of the vertices of measured parts."""
         return np.asarray(np.any([p.vertices for p in self.parts if p.measured], axis=0))
 
-    def error_range(self, frames: Sequence[int]) -> tuple[float, float]:
-        """99.5th percentile and maximum of the errors of measured vertices in some frames."""
-        errors = np.stack([self.errors(t)[self.measured] for t in frames])
-        # bounded below, so that float32 rounding does not look like an error
-        return max(float(np.quantile(errors, 0.995)), 1e-6 * self.diagonal), float(errors.max())
+    def error_range(self, frames: Sequence[int], style: Style = "error") -> tuple[float, float]:
+        """High percentile and maximum of the errors of measured vertices in some frames."""
+        errors = np.stack([self.errors(t, style)[self.measured] for t in frames])
+        share, least = ERRORS[style]
+        least *= self.diagonal if style == "error" else 1.0
+        return max(float(np.quantile(errors, share)), least), float(errors.max())
 
     def rmse(
         self, frames: Sequence[int] | None = None, where: NDArray[np.bool_] | None = None
@@ -241,7 +294,8 @@ class Scene:
 
 def number(value: float, unit: Unit) -> str:
     """Text of a number in a unit, with three digits."""
-    return f"{unit[1] * value:.3g} {unit[0]}".rstrip()
+    name, factor = unit
+    return f"{factor * value:.3g}{'' if name == '°' else ' '}{name}".rstrip()
 
 
 def evenly(count: int, most: int = _SOME_FRAMES) -> list[int]:

@@ -67,6 +67,7 @@ class Stage:
         points: Float,
         faces: NDArray[np.int32],
         ground: float,
+        normals: Float | None = None,
     ) -> Stage:
         """Light a mesh.
 
@@ -79,6 +80,8 @@ class Stage:
         faces : (T, 3) int32
         ground : float
             Height of the floor, on which shadows fall.
+        normals : (V, 3) float64, optional
+            By default those of the surface, with creases.
         """
         bias = _BIAS * float(np.linalg.norm(np.ptp(points, axis=0)))
         dome, beams = sky(camera, points, faces), lamp(camera, points, faces)
@@ -90,6 +93,7 @@ class Stage:
         pixels, hit, share = triangles_seen(camera, points, faces, nearness)
         corners = faces[hit]
         flat, smooth = normals_of(points, faces)
+        smooth = smooth if normals is None else normals
         # Light of sky and floor varies slowly, so that it is computed at vertices, not pixels.
         seen = np.zeros(len(points), dtype=bool)
         seen[corners] = True
@@ -98,9 +102,10 @@ class Stage:
         at, arrived = between(share, points[corners]), between(share, light[corners])
         toward = camera.eye - at if camera.perspective else camera.axes[2]
         side = (flat[hit] * toward).sum(axis=1, keepdims=True) > 0
-        # At a crease a corner has the normal of its triangle.
-        own, normal = flat[hit][:, None], smooth[corners]
-        normal = np.where((normal * own).sum(axis=2, keepdims=True) < _CREASE, own, normal)
+        normal = smooth[corners]
+        if normals is None:  # at a crease a corner has the normal of its triangle
+            own = flat[hit][:, None]
+            normal = np.where((normal * own).sum(axis=2, keepdims=True) < _CREASE, own, normal)
         normal = unit(between(share, normal)) * np.where(side, 1.0, -1.0)
         reached = beams.shares(at, normal, bias).mean(axis=1)[:, None]
         around = np.where(side, *np.split(arrived, 2, axis=1))

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from rich.filesize import decimal
 
+from .. import metrics
 from ..parsimony.report import size
 from ..skinning import Skinning
 from .motion import Motion, Truth
@@ -18,6 +19,7 @@ def figures(
     skinned: bool,
     motion: Motion,
     truth: Truth | None,
+    angles: metrics.NormalErrors | None,
     file: Path | None,
     reference_name: str,
 ) -> list[tuple[str, str, str]]:
@@ -57,6 +59,11 @@ def figures(
         rows += [("RMSE", motion.in_words(motion.rmse), source), ("Largest error", largest, where)]
     unit = "the mesh's units; per cent above are of this"
     rows.append(("Diagonal", f"{motion.diagonal:.4g}", unit))
+    if angles is not None:
+        source = f"mean angle to those of {reference_name}"
+        source += ", as engines draw them" if skinned else ""
+        source += f"; 95 % within {angles.p95:.3g}°, {100 * angles.inwards:.2g} % inwards"
+        rows.append(("Normals", f"{angles.mean:.3g}°", source))
     return rows
 
 

@@ -102,6 +102,11 @@ class Truth:
             )
         return cls(reference, rows)
 
+    def on(self, model: Skinning) -> MeshSequence:
+        """The reference with the vertices, triangles and hard edges of the model."""
+        vertices = self.sequence.vertices if self.rows is None else self.read(slice(None))
+        return MeshSequence(vertices, model.faces, surface=model.surface, validate=False)
+
     def read(self, frames: slice) -> Float:
         """Vertices of some frames."""
         block = np.asarray(self.sequence.frames(frames), dtype=np.float64)

@@ -89,8 +89,8 @@ def view(
     """Write a page that shows a model or a sequence beside another, and open it in the browser.
 
     The page is one HTML file with everything in it. It needs no network and can be sent by mail.
-    It plays the animation, compares it with the input, colours it by texture, bone, weight or
-    error, and turns the joints of a rigid tree.
+    It plays the animation, lights it as engines do, compares it with the input, colours it by
+    texture, bone, weight, error or error of normals, and turns the joints of a rigid tree.
 
     Parameters
     ----------

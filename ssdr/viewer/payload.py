@@ -16,14 +16,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import metrics
 from ..clips import Clip
 from ..errors import InputError
 from ..hierarchy.bone_ends import limb_ends
 from ..hierarchy.transforms import RIGID, rest_diagonal
 from ..render.palette import bone_colors, heat, mix, srgb_from_linear
 from ..render.raster import up_axes
+from ..render.shading import rest_normals
 from ..sequence import MeshSequence
 from ..skinning import Skinning
+from ..surface import Surface
 from .blocks import Blocks
 from .figures import figures, summary
 from .motion import Motion, Truth, walk
@@ -35,6 +38,7 @@ MOST_INFLUENCES = 8  # that the shader sums
 _SPAN_BYTES = 1 << 20  # of 16-bit differences that are decoded at a time
 _WEIGHT_STEPS = 1 << 20
 _EMPTY_BYTES = 100_000  # of a page without content: markup, style and script
+_LEAST_ANGLE = 1.0  # degrees at the end of a scale
 _TRAVELS = 0.8  # of the diagonal: the camera follows a mesh that goes farther
 Float = NDArray[np.float64]
 
@@ -91,7 +95,13 @@ def payload(
     truth = None if reference is None else Truth.of(model, reference)
     motion = walk(model, truth, basis[1], hidden=alone)
     measured = None if alone else truth
+    angles = (
+        None if measured is None else _angles(measured.on(model), model if skinned else subject)
+    )
     scale = motion.diagonal or 1.0
+    surface = model.surface
+    if skinned:
+        surface = dataclasses.replace(surface or Surface(), normals=rest_normals(model))
     blocks = Blocks()
     rest = model.rest.astype(np.float64)
     rest_center = (rest.min(axis=0) + rest.max(axis=0)) / 2
@@ -108,7 +118,7 @@ def payload(
         "heat": heat_scales(),
         "rest": blocks.fixed((rest - rest_center) / scale),
         **weight_entries(model, blocks),
-        **surface_entries(model.faces, model.surface, model.n_vertices, blocks, notes),
+        **surface_entries(model.faces, surface, model.n_vertices, blocks, notes, turned=skinned),
         "rig": _rig(model, rest_center, scale, blocks) if skinned else None,
     }
     held = truth is not None and keep_input
@@ -131,9 +141,10 @@ def payload(
         "path": blocks.array((motion.path[frames] / scale).astype(np.float32)),
         "follow": bool(np.linalg.norm(np.ptp(motion.path, axis=0)) > _TRAVELS * scale),
         "error": None if measured is None else _error(motion, frames),
+        "angles": angles and {"mean": angles.mean, "top": max(angles.p95, _LEAST_ANGLE)},
         "input": _input(model, truth, motion, frames, scale, blocks) if truth and held else None,
         "summary": summary(model, skinned, motion, measured, file),
-        "figures": figures(model, skinned, motion, measured, file, reference_name),
+        "figures": figures(model, skinned, motion, measured, angles, file, reference_name),
         "notes": notes,
     }
     return Payload(document=document, blocks=tuple(blocks.data), notes=tuple(notes))
@@ -254,6 +265,16 @@ def _error(motion: Motion, frames: NDArray[np.int64]) -> dict[str, Any]:
         "frame": motion.worst_frame,
         "diagonal": motion.diagonal,
     }
+
+
+def _angles(
+    reference: MeshSequence, subject: Skinning | MeshSequence
+) -> metrics.NormalErrors | None:
+    """Error of normals; None where no triangle has an area."""
+    try:
+        return metrics.normals(reference, subject)
+    except InputError:
+        return None
 
 
 def _input(

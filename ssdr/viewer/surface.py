@@ -25,12 +25,15 @@ def surface_entries(
     n_vertices: int,
     blocks: Blocks,
     notes: list[str],
+    *,
+    turned: bool = False,
 ) -> dict[str, Any]:
-    """Document entries of the triangles, sorted by material, their UVs, hard edges and textures.
+    """Document entries of the triangles, sorted by material, their UVs, normals and textures.
 
     A vertex is copied where its UV or its normal differs between triangles: at a seam or a hard
     edge.  `copies` lists the vertex of each copy.  If there are hard edges, vertices and copies
-    with the same number in `groups` share a normal.
+    with the same number in `groups` share a normal of the surface.  Normals that are `turned` with
+    the bones are among the entries, too.
     """
     uv = normals = None
     materials: tuple[Material, ...] = ()
@@ -61,11 +64,17 @@ def surface_entries(
         "faces": blocks.array(corners.faces[order].reshape(-1).astype(np.uint32), delta=True),
         "copies": blocks.array(corners.vertex[n_vertices:].astype(np.uint32), delta=True),
         "groups": groups,
+        "normals": _directions(corners.normals, blocks) if turned and len(faces) else None,
         "uv": None if corners.uv is None else blocks.array(corners.uv.astype(np.float32)),
         "parts": parts,
         "looks": any(part["texture"] for part in parts)
         or len({str(part["color"]) for part in parts}) > 1,
     }
+
+
+def _directions(normals: Any, blocks: Blocks) -> dict[str, Any]:
+    """Entry of unit vectors, in steps of 2⁻¹⁵."""
+    return {**blocks.array(np.rint(32767 * normals).astype(np.int16)), "step": 1 / 32767}
 
 
 def _look(material: Material | None, uv: Any, blocks: Blocks, notes: list[str]) -> dict[str, Any]:

@@ -39,7 +39,7 @@ async function unpacked(entry) {
 // The mesh, the weights and the motion: all but the input, which comes in spans.
 async function loaded() {
   const optional = (entry) => (entry ? unpacked(entry) : null);
-  const entries = ["rest", "indices", "weights", "transforms", "path", "faces", "copies", "uv", "groups"];
+  const entries = ["rest", "indices", "weights", "transforms", "path", "faces", "copies", "uv", "groups", "normals"];
   const arrays = await Promise.all(entries.map((name) => optional(doc[name])));
   const mesh = Object.fromEntries(entries.map((name, k) => [name, arrays[k]]));
   mesh.shade = await optional(doc.rig?.shade);

@@ -3,7 +3,7 @@
 const state = {
   frame: 0, playing: false, speed: 1, clip: doc.clips.length > 1 ? -1 : 0,
   view: doc.rig ? "result" : "input", color: "plain", bone: -1, vertex: -1, turns: new Map(),
-  joints: false, names: false, worst: true, fixed: true, follow: doc.follow, divider: 0.5,
+  joints: false, names: false, worst: true, fixed: true, surface: false, follow: doc.follow, divider: 0.5,
 };
 const camera = new Camera();
 const input = doc.input && new Input(doc.input);
@@ -13,9 +13,10 @@ let resting = true; // nothing has moved yet
 let asked = false, stale = true, last = 0, clock = 0, waiting = [];
 
 const range = () => (state.clip < 0 ? [0, doc.frames] : [doc.clips[state.clip].start, doc.clips[state.clip].stop]);
-const needsInput = () => input && (state.view !== "result" || state.color === "error");
+const compared = () => state.color === "error" || state.color === "normals";
+const needsInput = () => input && (state.view !== "result" || compared());
 // The turns that are drawn: a pose by hand has no input to be compared with, and waits for Result.
-const turned = () => (state.view === "result" && state.color !== "error" ? state.turns : NO_TURNS);
+const turned = () => (state.view === "result" && !compared() ? state.turns : NO_TURNS);
 const heading = () => $("stage").querySelector("header").offsetHeight + 14;
 const errorTop = () => (state.fixed ? doc.error.top : doc.error.largest[state.frame] || doc.error.top);
 const NO_TURNS = new Map();
@@ -26,7 +27,7 @@ function set(changes) {
   const before = { ...state };
   Object.assign(state, changes);
   if ("clip" in changes && changes.clip !== before.clip) state.frame = range()[0];
-  if (changes.turns?.size) Object.assign(state, { view: "result", color: state.color === "error" ? "bones" : state.color });
+  if (changes.turns?.size) Object.assign(state, { view: "result", color: compared() ? "bones" : state.color });
   if (state.color === "weight" && state.bone < 0) state.bone = doc.rig.share.indexOf(Math.max(...doc.rig.share));
   if (state.color !== before.color || state.bone !== before.bone) paint();
   const moves = resting && (state.playing || state.frame !== before.frame);
@@ -197,13 +198,13 @@ function draw() {
   renderer.begin(Math.round(width * dense), Math.round(height * dense));
   const view = camera.view(shift());
   const heat = heatColors().flat();
-  const top = doc.error ? errorTop() / doc.scale : 1;
-  const mode = { plain: 0, texture: 1, bones: 2, weight: 2, error: 3 }[state.color];
+  const top = state.color === "normals" ? doc.angles.top : doc.error ? errorTop() / doc.scale : 1;
+  const mode = { plain: 0, texture: 1, bones: 2, weight: 2, error: 3, normals: 4 }[state.color];
   for (const { port, clip = port, which, ghost } of ports()) {
     const projection = camera.projection(port[2] / port[3]);
     const input1 = which === 1 && state.color !== "texture" && doc.rig;
     renderer.show(which, {
-      port: pixels(port), clip: pixels(clip), view, projection, heat, top, ghost,
+      port: pixels(port), clip: pixels(clip), view, projection, heat, top, ghost, engine: !state.surface,
       mode: ghost || input1 ? 0 : mode, color: ghost ? GHOST : CLAY,
     });
   }
@@ -323,5 +324,6 @@ window.ssdr = {
   vertices: (frame) => inUnits(skinned(mesh, pose(mesh, frame, new Map()))),
   input: async (frame) => inUnits(skinned(mesh, pose(mesh, frame, new Map()), await input.wait(frame))),
   read: (which) => inUnits(renderer.read(which), 4),
+  normals: () => renderer.read(2),
   place: (bone) => projectorOf(ports().at(-1).port)(moved(shown.matrices, bone, doc.rig.heads[bone])),
 };

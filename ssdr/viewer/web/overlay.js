@@ -136,7 +136,7 @@ function drawOver(pen, project, port, clip, { matrices, state, vertexAt, worst }
   const { rig } = doc;
   if (rig && (state.joints || state.names || state.bone >= 0)) {
     const parts = limbs(matrices, project).sort((a, b) => b.head[2] - a.head[2]);
-    const thin = state.color === "weight" || state.color === "error"; // what matters lies below
+    const thin = ["weight", "error", "normals"].includes(state.color); // what matters lies below
     for (const part of parts) {
       const selected = part.bone === state.bone;
       pen.globalAlpha = thin && !selected ? 0.5 : 1;

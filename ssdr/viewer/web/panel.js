@@ -15,6 +15,8 @@ function boneButton(bone, much, choose) {
 
 const percent = (part) => (part < 0.001 ? "< 0.1 %" : `${(100 * part).toFixed(1)} %`);
 
+const CHECKS = ["joints", "names", "worst", "follow", "fixed", "surface"];
+
 // Fills what does not change, and binds every control to `set`, which changes the state.
 function buildPanel(set, choose, showWorst) {
   const { rig } = doc;
@@ -38,7 +40,7 @@ function buildPanel(set, choose, showWorst) {
   for (const radio of document.querySelectorAll("[type=radio]")) {
     radio.addEventListener("change", () => set({ [radio.name]: radio.value }));
   }
-  for (const id of ["joints", "names", "worst", "follow", "fixed"]) {
+  for (const id of CHECKS) {
     $(id).addEventListener("change", () => set({ [id]: $(id).checked }));
   }
   if (rig) {
@@ -92,7 +94,7 @@ function treeOrder() {
 // Brings the controls to the state.
 function showState(state, mesh, top) {
   for (const radio of document.querySelectorAll("[type=radio]")) radio.checked = state[radio.name] === radio.value;
-  for (const id of ["joints", "names", "worst", "follow", "fixed"]) $(id).checked = state[id];
+  for (const id of CHECKS) $(id).checked = state[id];
   $("error-rows").hidden = state.color !== "error";
   $("clip").value = state.clip;
   $("speed").value = state.speed;
@@ -108,19 +110,25 @@ function showState(state, mesh, top) {
 }
 
 function showLegend(state, top) {
-  const scaled = state.color === "error" || (state.color === "weight" && state.bone >= 0);
+  const normals = state.color === "normals";
+  const scaled = normals || state.color === "error" || (state.color === "weight" && state.bone >= 0);
   $("legend").hidden = !scaled;
   if (!scaled) return;
   const error = state.color === "error";
-  $("legend-title").textContent = error
-    ? `Error, ${state.fixed ? "the same scale in every frame" : "its own scale in every frame"}`
+  $("legend-title").textContent =
+    normals ? `Angle of normals to the input's${doc.rig ? (state.surface ? ", of the surface" : ", as engines draw them") : ""}`
+    : error ? `Error, ${state.fixed ? "the same scale in every frame" : "its own scale in every frame"}`
     : `Weight of ${shortName(state.bone)}`;
   const colors = heatColors().map((color) => rgb(color.map((v) => Math.round(255 * v))));
   $("legend-bar").style.background = `linear-gradient(90deg, ${colors})`;
   const cut = error && state.fixed && doc.error.max > top;
-  const most = error && `Largest ${state.fixed ? "of all" : "in this frame"}: ${withShare(state.fixed ? doc.error.max : top)}`;
+  const inDegrees = (value) => `${digits(value, 2)}°`;
+  const most = normals ? `Mean${state.surface ? " as engines draw them" : ""}: ${inDegrees(doc.angles.mean)}` : error && `Largest ${state.fixed ? "of all" : "in this frame"}: ${withShare(state.fixed ? doc.error.max : top)}`;
   $("legend-most").textContent = most || "";
-  const words = error ? ["0", brief(top / 2), (cut ? "≥ " : "") + brief(top)] : ["0", "0.5", "1"];
+  const words =
+    normals ? ["0°", inDegrees(doc.angles.top / 2), `≥ ${inDegrees(doc.angles.top)}`]
+    : error ? ["0", brief(top / 2), (cut ? "≥ " : "") + brief(top)]
+    : ["0", "0.5", "1"];
   [...$("legend-ticks").children].forEach((tick, k) => (tick.textContent = words[k]));
 }
 

@@ -8,9 +8,9 @@ class Renderer {
     if (!gl) throw new Error("no WebGL2");
     this.gl = gl;
     this.mesh = mesh;
-    this.skin = this.program(this.skinVertex, SKIN_FRAGMENT, ["model", "truth"]);
+    this.skin = this.program(this.skinVertex, SKIN_FRAGMENT, ["model", "truth", "turned"]);
     this.draw = this.program(DRAW_VERTEX, DRAW_FRAGMENT);
-    this.rows = Math.ceil(doc.vertices / WIDE);
+    this.rows = Math.ceil(mesh.map.length / WIDE);
     this.prepareSkin();
     this.prepareDraw();
     this.images = [];
@@ -66,29 +66,31 @@ class Renderer {
     return texture;
   }
 
+  // What the skinning needs for each vertex and copy; copies have normals of their own.
   prepareSkin() {
     const { gl, mesh } = this;
-    const { influences } = mesh;
+    const { influences, map } = mesh;
     this.skinArrays = gl.createVertexArray();
     gl.bindVertexArray(this.skinArrays);
-    this.buffer(mesh.rest);
-    this.attribute(0, 3, gl.FLOAT);
-    const eight = (values) => {
-      if (influences === 8) return values;
-      const out = new values.constructor(8 * doc.vertices);
-      for (let v = 0; v < doc.vertices; v++) {
-        out.set(values.subarray(v * influences, (v + 1) * influences), 8 * v);
-      }
+    const copied = (values, size, wide) => {
+      const out = new values.constructor(wide * map.length);
+      map.forEach((v, n) => out.set(values.subarray(v * size, (v + 1) * size), wide * n));
       return out;
     };
-    this.buffer(eight(mesh.indices));
+    this.buffer(copied(mesh.rest, 3, 3));
+    this.attribute(0, 3, gl.FLOAT);
+    this.buffer(copied(mesh.indices, influences, 8));
     this.attribute(1, 4, gl.UNSIGNED_INT, 32, 0);
     this.attribute(2, 4, gl.UNSIGNED_INT, 32, 16);
-    this.buffer(eight(mesh.weights));
+    this.buffer(copied(mesh.weights, influences, 8));
     this.attribute(3, 4, gl.FLOAT, 32, 0);
     this.attribute(4, 4, gl.FLOAT, 32, 16);
-    this.off = doc.input && this.buffer(6 * doc.vertices, gl.DYNAMIC_DRAW);
+    this.off = doc.input && this.buffer(6 * map.length, gl.DYNAMIC_DRAW); // copies have their vertex's
     if (this.off) this.attribute(5, 3, gl.SHORT, 6);
+    if (mesh.normals) {
+      this.buffer(mesh.normals);
+      this.attribute(6, 3, gl.FLOAT);
+    }
     gl.bindVertexArray(null);
     const boneRows = Math.ceil(mesh.bones / BONES_WIDE);
     this.boneData = new Float32Array(12 * BONES_WIDE * boneRows);
@@ -96,7 +98,7 @@ class Renderer {
     this.feedback = gl.createTransformFeedback();
     const bytes = 16 * WIDE * this.rows;
     const target = gl.TRANSFORM_FEEDBACK_BUFFER;
-    this.outputs = [0, 1].map(() => this.buffer(bytes, gl.DYNAMIC_COPY, target));
+    this.outputs = [0, 1, 2].map(() => this.buffer(bytes, gl.DYNAMIC_COPY, target));
     gl.bindBuffer(target, null);
     gl.bindTransformFeedback(gl.TRANSFORM_FEEDBACK, this.feedback);
     this.outputs.forEach((buffer, k) => gl.bindBufferBase(target, k, buffer));
@@ -196,7 +198,7 @@ class Renderer {
     gl.enable(gl.RASTERIZER_DISCARD);
     gl.bindTransformFeedback(gl.TRANSFORM_FEEDBACK, this.feedback);
     gl.beginTransformFeedback(gl.POINTS);
-    gl.drawArrays(gl.POINTS, 0, doc.vertices);
+    gl.drawArrays(gl.POINTS, 0, this.mesh.map.length);
     gl.endTransformFeedback();
     gl.bindTransformFeedback(gl.TRANSFORM_FEEDBACK, null);
     gl.disable(gl.RASTERIZER_DISCARD);
@@ -210,7 +212,8 @@ class Renderer {
     gl.bindBuffer(gl.PIXEL_UNPACK_BUFFER, null);
   }
 
-  // Vertices as the shader left them, four numbers each: those of the model (0) or the input (1).
+  // Vertices as the shader left them, four numbers each: of the model (0), of the input (1), or the
+  // model's normals, turned (2).
   read(which) {
     const { gl } = this;
     const out = new Float32Array(4 * doc.vertices);
@@ -233,19 +236,19 @@ class Renderer {
   }
 
   // Draws the model (0) or the input (1) into `port` within `clip`, both [x, y, width, height].
-  show(which, { port, clip = port, view, projection, mode, color, heat, top, ghost = false }) {
+  // An `engine` lights by rest normals, where there are any.
+  show(which, { port, clip = port, view, projection, mode, color, heat, top, ghost = false, engine = true }) {
     const { gl, draw, mesh } = this;
     gl.viewport(...port);
     gl.scissor(...clip);
     gl.useProgram(draw.program);
-    const textures = [["points", this.points[which]], ["ring", this.ring]];
-    textures.forEach(([name, texture], unitNumber) => {
-      gl.activeTexture(gl.TEXTURE0 + unitNumber);
+    const [points, others, turned] = [this.points[which], this.points[1 - which], this.points[2]];
+    Object.entries({ points, others, turned, ring: this.ring, image: null }).forEach(([name, texture], unitNumber) => {
+      gl.activeTexture(gl.TEXTURE0 + unitNumber); // that of the image stays active
       gl.bindTexture(gl.TEXTURE_2D, texture);
       gl.uniform1i(draw.at[name], unitNumber);
     });
-    gl.uniform1i(draw.at.image, 2);
-    gl.activeTexture(gl.TEXTURE2);
+    gl.uniform1i(draw.at.engine, engine && which === 0 && !!mesh.normals);
     gl.uniformMatrix4fv(draw.at.view, false, view);
     gl.uniformMatrix4fv(draw.at.projection, false, projection);
     gl.uniform3fv(draw.at.heat, heat);

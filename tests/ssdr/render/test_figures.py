@@ -33,7 +33,7 @@ def is_drawn(picture):
     return np.asarray(picture.convert("L")).std() > 3
 
 
-@pytest.mark.parametrize("style", ["plain", "weights", "bones", "error"])
+@pytest.mark.parametrize("style", ["plain", "weights", "bones", "error", "normals"])
 def test_every_style_draws_something_of_its_own(model, wave, style):
     picture = render.render_frame(model, 1, style=style, reference=wave, size=(120, 90))
     assert picture.size == (120, 90)

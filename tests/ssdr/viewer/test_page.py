@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
 
 import ssdr
+from helpers import normal_angles
 from helpers.page import Held
 from ssdr.viewer.page import page_text
 
@@ -197,6 +199,44 @@ def test_seams_hard_edges_and_materials():
     assert [part["count"] for part in d["parts"]] == [1, 2]
     assert page.block(d["parts"][1]["texture"]["block"]) == PNG
     assert d["parts"][0]["texture"] is None
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_rest_normals_of_vertices_and_copies(own):
+    model = made()
+    normals = np.zeros((3, 3, 3), np.float32)
+    normals[:2, :, 2], normals[2] = 1, [0.6, 0, 0.8]  # a hard edge before the third
+    if own:
+        model = dataclasses.replace(model, surface=ssdr.Surface(normals=normals))
+    else:
+        normals = normal_angles.surface_normals(model.rest, model.faces)
+    page = held(model)
+    faces = page.array(page.document["faces"]).reshape(-1, 3)
+    found = page.array(page.document["normals"])
+    assert len(found) == (5 + 2 if own else 5)
+    np.testing.assert_allclose(found[faces], normals, atol=2e-5)
+    assert held(ssdr.MeshSequence(model.skin(), model.faces)).document["normals"] is None
+
+
+def test_the_error_of_normals_is_that_of_the_metric():
+    model = made()
+    rng = np.random.default_rng(1)
+    truth = ssdr.MeshSequence(model.skin() + 0.1 * rng.normal(size=(5, 5, 3)), model.faces)
+    expected = normal_angles.errors(truth, model)
+    page = held(model, truth, keep_input=False, reference_name="dance.abc").document
+    rows = {name: (value, note) for name, value, note in page["figures"]}
+    value, note = rows["Normals"]
+    assert value == f"{expected.mean:.3g}°"
+    found = re.search(r"dance\.abc, as engines draw them; 95 % within (.*)°, 0 % inwards", note)
+    assert float(found[1]) == pytest.approx(expected.p95, abs=0.1)
+    assert page["angles"]["mean"] == pytest.approx(expected.mean, rel=1e-4)
+    pair = held(ssdr.MeshSequence(model.skin(), model.faces), truth).document
+    assert pair["angles"]["mean"] > 0
+    assert "engines" not in {name: note for name, _, note in pair["figures"]}["Normals"]
+    assert held(made(faces=None), truth.vertices).document["angles"] is None
+    assert held(model).document["angles"] is None
+    flat = dataclasses.replace(model, rest=0 * model.rest)  # no triangle has an area
+    assert held(flat, flat.skin()).document["error"]["max"] == 0
 
 
 def test_a_texture_that_is_no_picture_is_left_out():

@@ -1,0 +1,138 @@
+"""Pictures of models are lit as engines light them; their normals have a colour for their error."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import ssdr
+from helpers import normal_angles as naive
+from ssdr import render
+from ssdr.render.scene import Scene
+
+LOOK = {"size": (80, 80), "azimuth": 0.0, "elevation": 60.0}
+
+
+@pytest.fixture
+def model(wave, rng):
+    """Two bones that turn apart, blended over the grid; rest normals of its own at each vertex."""
+    x = wave.vertices[0, :, 0].astype(np.float64) / 2
+    turn = np.linspace(0, 1.2, wave.n_frames)
+    transforms = np.tile(np.eye(3, 4), (wave.n_frames, 2, 1, 1))
+    transforms[:, 1, 0, 0] = transforms[:, 1, 2, 2] = np.cos(turn)
+    transforms[:, 1, 2, 0] = np.sin(turn)
+    transforms[:, 1, 0, 2] = -np.sin(turn)
+    weights = np.stack([1 - x, x], axis=1)
+    normals = rng.normal(size=(len(x), 3)) * 0.3 + [0, 0, 1]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    surface = ssdr.Surface(normals=normals[wave.faces].astype(np.float32))
+    skin = np.tile([0, 1], (len(x), 1)), weights, transforms
+    return ssdr.Skinning(wave.vertices[0], *skin, faces=wave.faces, fps=wave.fps, surface=surface)
+
+
+def tilted(n_frames=2, degrees=30.0, flip=1.0):
+    """A flat square that stands still, and a model of it whose rest normals are tilted."""
+    square = np.array([[-1, 0, 1], [1, 0, 1], [1, 0, -1], [-1, 0, -1]], float)
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    truth = ssdr.MeshSequence(np.tile(square, (n_frames, 1, 1)), faces)
+    angle = np.radians(degrees)
+    normals = np.tile(np.float32([0, flip * np.cos(angle), np.sin(angle)]), (2, 3, 1))
+    still = np.tile(np.eye(3, 4), (n_frames, 1, 1, 1))
+    bones = np.zeros((4, 1), int), np.ones((4, 1)), still
+    return truth, ssdr.Skinning(square, *bones, faces=faces, surface=ssdr.Surface(normals=normals))
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_normals_are_those_of_the_rest_pose_turned_by_the_blended_matrices(model, own):
+    model = model if own else dataclasses.replace(model, surface=None)
+    scene = Scene.of(model, None)
+    for frame in range(model.n_frames):
+        drawn = scene.drawn_normals(frame)[scene.split.faces]
+        np.testing.assert_allclose(drawn, naive.drawn_normals(model, frame), atol=2e-6)
+    assert Scene.of(ssdr.MeshSequence(model.skin(), model.faces), None).drawn_normals(0) is None
+
+
+def test_a_hard_edge_has_two_normals(model):
+    normals = model.surface.normals.copy()
+    normals[::2] = np.float32([0, 0, 1])
+    hard = dataclasses.replace(model, surface=ssdr.Surface(normals=normals))
+    scene = Scene.of(hard, None)
+    assert len(scene.split.vertex) > model.n_vertices
+    drawn = scene.drawn_normals(2)[scene.split.faces]
+    np.testing.assert_allclose(drawn, naive.drawn_normals(hard, 2), atol=2e-6)
+
+
+def test_errors_of_normals_are_angles_to_the_input(model, wave):
+    for subject in (model, ssdr.MeshSequence(model.skin(), wave.faces)):
+        found = Scene.of(subject, wave).errors(3, "normals")
+        expected = naive.per_vertex(wave.faces, naive.angles(wave, subject, 3), wave.n_vertices)
+        np.testing.assert_allclose(found, expected, atol=1e-4)
+    truth, answer = tilted(degrees=30)
+    np.testing.assert_allclose(Scene.of(answer, truth).errors(1, "normals"), 30, atol=1e-5)
+
+
+def test_a_welded_model_has_the_errors_of_the_welded_input(seam):
+    welded, _ = seam.weld()
+    still = np.tile(np.eye(3, 4), (seam.n_frames, 1, 1, 1))
+    n = welded.n_vertices
+    skin = np.zeros((n, 1), int), np.ones((n, 1)), still
+    kept = {"faces": welded.faces, "surface": welded.surface, "vertex_map": welded.vertex_map}
+    model = ssdr.Skinning(welded.vertices[0], *skin, **kept)
+    here, there = (Scene.of(model, truth).errors(2, "normals") for truth in (welded, seam))
+    np.testing.assert_allclose(there, here[welded.vertex_map], atol=1e-9)
+    assert here.max() > 1
+    assert np.ptp(np.asarray(render.render_frame(model, 2, reference=seam, style="normals"))) > 60
+
+
+def test_a_model_is_lit_by_its_rest_normals_and_a_sequence_by_its_surface():
+    truth, answer = tilted(degrees=0)
+    wrong = tilted(degrees=75)[1]
+    inwards = tilted(degrees=0, flip=-1.0)[1]
+    shown = [
+        np.asarray(render.render_frame(subject, style="plain", **LOOK), dtype=int)[30:50, 30:50]
+        for subject in (truth, answer, wrong, inwards)
+    ]
+    np.testing.assert_allclose(shown[1], shown[0], atol=1)
+    for other in shown[2:]:
+        assert np.abs(other - shown[0]).mean() > 15
+    assert shown[3].mean() < shown[0].mean() - 15  # not turned to the viewer
+
+
+def test_the_error_of_normals_has_a_scale_in_degrees(monkeypatch):
+    truth, answer = tilted(degrees=29)
+    seen = []
+    from ssdr.render import figures
+
+    draw = figures.ImageDraw.ImageDraw
+    write = draw.text
+    monkeypatch.setattr(
+        draw, "text", lambda s, xy, t, *a, **k: seen.append(t) or write(s, xy, t, *a, **k)
+    )
+    render.contact_sheet(answer, reference=truth, styles=["error", "normals"], frames=1, width=400)
+    for text in ("30°", "15°", "angle of normals to the input", "distance to the input"):
+        assert text in seen
+    options = {"reference": truth, "style": "normals", **LOOK}
+    pale, dark = (
+        np.asarray(render.render_frame(answer, scale=top, **options), dtype=int)[40, 40]
+        for top in (3000.0, 29.0)
+    )
+    assert pale.mean() > dark.mean() + 100
+
+
+def test_films_state_the_scale_of_normals():
+    truth, answer = tilted(degrees=29)
+    look = {"reference": truth, "style": ["normals"], "size": (120, 120)}
+    film = render.Film.of(answer, titles=["input", "normals"], **look)
+    scale = film.panels.scales["normals"]
+    assert (scale.top, scale.exceeded) == (30.0, False)
+    assert next(film.pictures()).size == film.size
+
+
+def test_a_cloud_of_points_has_no_normals(wave):
+    cloud = ssdr.MeshSequence(wave.vertices)
+    with pytest.raises(ssdr.InputError, match="a cloud of points"):
+        render.render_frame(cloud, style="normals", reference=cloud)
+    with pytest.raises(ssdr.InputError, match="measure the error against"):
+        render.render_frame(wave, style="normals")
