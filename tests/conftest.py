@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import helpers.normals_stand_in  # noqa: F401
 import ssdr
 
 pytest.register_assert_rewrite("helpers.measures", "helpers.stretches", "helpers.surfaces")

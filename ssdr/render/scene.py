@@ -14,14 +14,15 @@ from scipy.spatial import cKDTree
 
 from .. import lbs
 from ..errors import InputError
+from ..frames.normals import holders_of
 from ..hierarchy.bone_ends import limb_ends
-from ..io.corners import Corners, split_corners
+from ..io.corners import Corners, rest_normals, split_corners
+from ..normals import NormalHolders, surface_normals
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from .palette import bone_colors, mix
 from .parts import Part, checked_parts, checked_regions
 from .raster import unit as normalised
-from .shading import corner_normals, rest_normals
 
 Style = Literal["plain", "weights", "bones", "error", "normals"]
 Unit = tuple[str, float]
@@ -136,7 +137,7 @@ class Scene:
     @functools.cached_property
     def split(self) -> Corners:
         """Triangles as they are lit: with a vertex for each rest normal that a model has there."""
-        given = rest_normals(self.model) if self.has_bones else None
+        given = rest_normals(self.model, self.model.rest) if self.has_bones else None
         return split_corners(self.faces, len(self.measured), None, given)
 
     def drawn_normals(self, frame: int) -> Float | None:
@@ -190,18 +191,24 @@ class Scene:
             return self._angles(frame, truth)
         return np.asarray(np.linalg.norm(self.positions(frame) - truth, axis=1))
 
+    @functools.cached_property
+    def _holders(self) -> NormalHolders:
+        """Normals of the reference's surface, hard where those of the subject are."""
+        assert self.reference is not None
+        vertices, surface = self.reference.vertices, self.subject.surface
+        return holders_of(MeshSequence(vertices, self.faces, surface=surface, validate=False))
+
     def _angles(self, frame: int, truth: Float) -> Float:
         """Angles ``(V,)``, in degrees, of the normals drawn to those of the reference's surface.
 
         The mean over the triangles at a vertex; 0 where there is none.
         """
-        faces, surface = self.faces, self.subject.surface
-        drawn = self.drawn_normals(frame)
-        a: Any = None if drawn is None else drawn[self.split.faces]
-        a = corner_normals(self.positions(frame), faces, surface) if a is None else a
-        b = corner_normals(truth, faces, surface)
+        holders, drawn = self._holders, self.drawn_normals(frame)
+        own, b = surface_normals(np.stack([self.positions(frame), truth]), holders)
+        a = own[holders.corner] if drawn is None else drawn[self.split.faces]
+        b = b[holders.corner]
         angle = np.arctan2(np.linalg.norm(np.cross(a, b), axis=2), (a * b).sum(axis=2))
-        corner, count = faces.ravel(), len(self.measured)
+        corner, count = self.faces.ravel(), len(self.measured)
         total = np.bincount(corner, np.degrees(angle).ravel(), count)
         mean = np.asarray(total / np.bincount(corner, minlength=count).clip(1))
         return mean if self.vertex_map is None else mean[self._first][self.vertex_map]

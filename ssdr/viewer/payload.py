@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 from .. import metrics
 from ..clips import Clip
 from ..errors import InputError
+from ..frames.normals import holders_of
 from ..hierarchy.bone_ends import limb_ends
 from ..hierarchy.transforms import RIGID, rest_diagonal
+from ..io.corners import rest_normals
 from ..render.palette import bone_colors, heat, mix, srgb_from_linear
 from ..render.raster import up_axes
-from ..render.shading import rest_normals
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..surface import Surface
@@ -101,7 +102,8 @@ def payload(
     scale = motion.diagonal or 1.0
     surface = model.surface
     if skinned:
-        surface = dataclasses.replace(surface or Surface(), normals=rest_normals(model))
+        normals = rest_normals(model, model.rest)
+        surface = dataclasses.replace(surface or Surface(), normals=normals)
     blocks = Blocks()
     rest = model.rest.astype(np.float64)
     rest_center = (rest.min(axis=0) + rest.max(axis=0)) / 2
@@ -118,7 +120,15 @@ def payload(
         "heat": heat_scales(),
         "rest": blocks.fixed((rest - rest_center) / scale),
         **weight_entries(model, blocks),
-        **surface_entries(model.faces, surface, model.n_vertices, blocks, notes, turned=skinned),
+        **surface_entries(
+            model.faces,
+            surface,
+            model.n_vertices,
+            blocks,
+            notes,
+            turned=skinned,
+            holders=None if truth is None else holders_of(truth.on(model), model),
+        ),
         "rig": _rig(model, rest_center, scale, blocks) if skinned else None,
     }
     held = truth is not None and keep_input

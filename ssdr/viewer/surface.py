@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ..io.corners import split_corners
+from ..normals import NormalHolders, normal_holders
 from ..surface import Material, Surface
 from .blocks import Blocks
 
@@ -27,13 +28,14 @@ def surface_entries(
     notes: list[str],
     *,
     turned: bool = False,
+    holders: NormalHolders | None = None,
 ) -> dict[str, Any]:
     """Document entries of the triangles, sorted by material, their UVs, normals and textures.
 
     A vertex is copied where its UV or its normal differs between triangles: at a seam or a hard
     edge.  `copies` lists the vertex of each copy.  If there are hard edges, vertices and copies
-    with the same number in `groups` share a normal of the surface.  Normals that are `turned` with
-    the bones are among the entries, too.
+    with the same number in `groups` share a normal of the surface, by default those at one vertex
+    with one value.  Normals that are `turned` with the bones are among the entries, too.
     """
     uv = normals = None
     materials: tuple[Material, ...] = ()
@@ -47,10 +49,8 @@ def surface_entries(
     corners = split_corners(faces, n_vertices, uv, normals)
     groups = None
     if normals is not None and len(faces):
-        key = np.concatenate(
-            [faces.reshape(-1, 1), np.rint(1e3 * normals.reshape(-1, 3)).astype(np.int64)], axis=1
-        )
-        _, group = np.unique(key, axis=0, return_inverse=True)
+        holders = holders or normal_holders(faces, n_vertices, surface)
+        group = holders.group[holders.corner]
         shared = np.full(len(corners.vertex), group.max() + 1)  # of vertices in no triangle
         shared[corners.faces.reshape(-1)] = group.reshape(-1)
         groups = blocks.array(shared.astype(np.uint32), delta=True)
