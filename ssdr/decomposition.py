@@ -91,9 +91,9 @@ def decompose(
         Length in the mesh's units: a difference of 1 in a weight between the ends of an edge
         costs as much as an error of this length at one vertex in every frame.  0: no such cost.
     rest_pose : {"surface", "free"}
-        "surface": a rest pose whose edges resemble those of the first frame (or of the rest frame
-        of a :class:`Start`), on which weights can be painted and cloth bound, and which every
-        program lights well.  "free": whatever has the least error, which is a crumpled mesh.
+        "surface": a rest pose that resembles one of the frames, on which weights can be painted
+        and cloth bound, and which every program lights well.  "free": whatever has the least error,
+        which is a crumpled mesh.
     normals : bool
         Whether the last steps also fit the normals that engines draw, rest normals turned with the
         bones, to those of the animation.  Without it they are fitted only after the model is found.

@@ -21,7 +21,9 @@ from .search.nested import nested_models
 from .search.progress import Callback, Progress
 from .sequence import MeshSequence, as_sequences
 from .skinning import Skinning
-from .solver.model import Model
+from .solver.alternation import vertex_step
+from .solver.model import Locked, Model
+from .solver.rest_surface import RestSurface
 from .solver.trajectories import gather
 from .solver.vertex_newton import optimise_vertices
 
@@ -152,10 +154,14 @@ def _nest(
     """Levels made from the decompositions `alone`, the finest of which comes first."""
     best = alone[0]
     counts = [one.skinning.n_bones for one in alone]
-    data = gather(sequences, bones=counts[0])
+    data = gather(sequences, bones=counts[0], compress=False)
     rest, transforms = data.from_world(best.skinning.rest, best.skinning.transforms)
+    # each level has a rest pose of its own, which resembles that of the finest
+    data = dataclasses.replace(data, surface=RestSurface.build(data, rest)).compressed(counts[0])
     skin = best.skinning.indices, np.asarray(best.skinning.weights, dtype=np.float64)
     finest = Model.with_weights(transforms, rest, *skin, min(influences, counts[0]))
+    every = np.ones(data.n_vertices, dtype=bool)
+    vertex_step(data, finest, locked=Locked(rest=True, weights=every))  # sets the errors
     optimise_vertices(data, finest)
 
     def report(fraction: float) -> None:

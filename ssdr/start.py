@@ -24,8 +24,10 @@ class Start:
     ----------
     rest : (V, 3) array, optional
         Rest pose, which is kept.
-    rest_frame : int
-        If `rest` is not given, the frame whose vertices the solve of the rest pose starts with.
+    rest_frame : int, optional
+        If `rest` is not given, the frame whose vertices the solve of the rest pose starts with, and
+        whose surface it resembles.  By default the frame whose edges are nearest to the mean of
+        those of all frames, or the first for ``rest_pose="free"``.
     indices, weights : (V, K) arrays, optional
         Skin weights, which are kept at `locked_vertices`.
     locked_vertices : mask or indices, optional
@@ -45,7 +47,7 @@ class Start:
     """
 
     rest: Any = None
-    rest_frame: int = 0
+    rest_frame: int | None = None
     indices: Any = None
     weights: Any = None
     locked_vertices: Any = None

@@ -105,7 +105,9 @@ def _from_parts(start: Start, shape: tuple[int, int, int, int], bone_model: Bone
         raise InputError("start.locked_bones", "None without transforms", "a mask")
     return Given(
         rest=None if start.rest is None else _check_rest(start.rest, n),
-        rest_frame=check_whole(start.rest_frame, "start.rest_frame", 0, n_frames - 1),
+        rest_frame=start.rest_frame
+        if start.rest_frame is None
+        else check_whole(start.rest_frame, "start.rest_frame", 0, n_frames - 1),
         indices=indices,
         weights=weights,
         transforms=transforms,
@@ -149,7 +151,7 @@ def with_skeleton(
         raise InputError("start.transforms", "None beside a skeleton", "an array")
     points = np.asarray(skeleton.joint_positions, dtype=np.float64)
     tree = Tree(skeleton.parents.astype(np.int64), points, rigid=False)
-    pose, nearest, skin = _frame(sequences, given.rest_frame), None, None
+    pose, nearest, skin = _frame(sequences, given.rest_frame or 0), None, None
     if skeleton.n_vertices == n:
         pose = np.asarray(skeleton.rest, dtype=np.float64)
         skin = _largest(skeleton, influences)

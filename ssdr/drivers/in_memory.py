@@ -6,6 +6,7 @@ from ..result import Decomposition
 from ..search.given import Given
 from ..search.progress import Clock, ProgressReport
 from ..search.run import Run, Schedule
+from ..search.stages import Unfold
 from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import Trajectories
 from .hand_back import outcome_of, skinning_of
@@ -46,8 +47,12 @@ def begin(
     clock: Clock,
     schedule: Schedule | None = None,
 ) -> Run:
-    """Begin a run on the frames of `data`, by default with the schedule of the problem's effort."""
-    data = problem.with_rest_surface(data, given)
+    """Begin a run on the frames of `data`, by default with the schedule of the problem's effort.
+
+    The rest pose keeps to the surface that `data` may have.
+    """
+    if data.surface is None:
+        data, given = problem.with_rest_surface(data, given)
     smoothness = WeightSmoothness.build(data, problem.sequences[0].faces, problem.smoothness)
     if schedule is None:
         schedule = schedule_for(
@@ -62,6 +67,7 @@ def begin(
         )
     if problem.normals:
         schedule = normals_last(schedule)
+    schedule = (*schedule, Unfold())
     return Run(
         data,
         schedule,

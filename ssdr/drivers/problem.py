@@ -26,7 +26,7 @@ from ..search.progress import Callback
 from ..sequence import MeshSequence, as_sequences
 from ..skinning import Skinning
 from ..solver.model import Locked
-from ..solver.rest_surface import RestSurface
+from ..solver.rest_surface import RestSurface, central_frame
 from ..solver.trajectories import Array, Trajectories, gather
 from ..start import Skeleton, Start
 from .checkpoint import Checkpoint
@@ -129,16 +129,19 @@ class Problem:
             compress=False,
         )
 
-    def with_rest_surface(self, data: Trajectories, given: Given) -> Trajectories:
-        """A copy of uncompressed trajectories with what the rest pose is to resemble, if anything.
+    def with_rest_surface(self, data: Trajectories, given: Given) -> tuple[Trajectories, Given]:
+        """Copies of `data`, uncompressed, with what the rest pose is to resemble, and of `given`.
 
-        That is the rest pose of `given`, of its skeleton, or else its rest frame.
+        That is the rest pose of `given`, of its skeleton, or else its rest frame, which is chosen
+        unless the caller named it.
         """
         if self.rest_pose == "free" or self.locked.rest:
-            return data
+            return data, given
         pose = given.tree_pose if given.rest is None else given.rest
-        pose = data.frame(given.rest_frame) if pose is None else pose
-        return dataclasses.replace(data, surface=RestSurface.build(data, pose))
+        if pose is None and given.rest_frame is None:
+            given = dataclasses.replace(given, rest_frame=central_frame(data))
+        pose = given.first_pose(data) if pose is None else pose
+        return dataclasses.replace(data, surface=RestSurface.build(data, pose)), given
 
     @property
     def placed(self) -> bool:

@@ -107,7 +107,7 @@ def scan_of(problem: Problem, clock: Clock) -> Scan:
     return scan(
         problem.sequences,
         problem.vertex_importance,
-        [problem.given.rest_frame],
+        [problem.given.rest_frame or 0],
         executor=problem.executor,
         on_progress=on_progress,
     )
@@ -142,9 +142,11 @@ def _settling(
     """
     smoothed = problem.smoothness > 0
     schedule = settling_schedule(problem.effort, smoothed=smoothed)
+    ratio = first.whole.scale / data.scale
+    if first.whole.surface is not None:
+        data = dataclasses.replace(data, surface=first.whole.surface.scaled(ratio))
     run = begin(problem, data, given, first.clock, schedule)
     run.iteration = first.iteration
-    ratio = first.data.scale / data.scale
     run.model = carried(first.best_model, few.nearest[more.chosen], ratio, given, problem.locked)
     return run
 

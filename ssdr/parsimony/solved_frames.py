@@ -76,8 +76,8 @@ class SolvedFrames:
             self.sequences = [subset(self.sequences, chosen, executor=problem.executor)]
             importance, given = self.scan.importance(importance), given.of_frames(chosen)
         data = problem.trajectories(self.sequences, importance)
-        self.given = given.inside(data)
-        self.data = problem.with_rest_surface(data, self.given).compressed(problem.bones)
+        data, self.given = problem.with_rest_surface(data, given.inside(data))
+        self.data = data.compressed(problem.bones)
 
     def squared(self, rmse: float) -> float:
         """Convert an RMSE to the squared error in the solver's space, summed over these frames."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..hierarchy.tree import Tree
-from ..solver.trajectories import Alignment, Array
+from ..solver.trajectories import Alignment, Array, Trajectories
 
 __all__ = ["Given"]
 
@@ -21,8 +21,8 @@ class Given:
     ----------
     rest : (V, 3) array or None
         Rest pose; it is kept unless `free`.
-    rest_frame : int
-        Frame from which the rest pose is solved if `rest` is None.
+    rest_frame : int or None
+        Frame from which the rest pose is solved if `rest` is None; None until it is chosen.
     indices, weights : (V, K) arrays or None
         Skin weights; those of `locked_vertices` are kept.
     transforms : (F, B0, 3, 4) array or None
@@ -52,7 +52,7 @@ class Given:
     """
 
     rest: Array | None = None
-    rest_frame: int = 0
+    rest_frame: int | None = None
     indices: NDArray[np.int32] | None = None
     weights: Array | None = None
     transforms: Array | None = None
@@ -67,6 +67,10 @@ class Given:
     extra_parents: tuple[int, ...] = ()
     rotations: Array | None = None
 
+    def first_pose(self, data: Trajectories) -> Array:
+        """Rest pose (V, 3) with which a solve starts, in the space of `data`."""
+        return data.frame(self.rest_frame or 0) if self.rest is None else self.rest.copy()
+
     @property
     def leading_locked_bones(self) -> NDArray[np.bool_] | None:
         """Mask `locked_bones`, cut after the last locked bone; None if no bone is locked."""
@@ -79,7 +83,7 @@ class Given:
         transforms = self.transforms
         return replace(
             self,
-            rest_frame=int(np.searchsorted(chosen, self.rest_frame)),
+            rest_frame=self.rest_frame and int(np.searchsorted(chosen, self.rest_frame)),
             transforms=None if transforms is None else np.ascontiguousarray(transforms[chosen]),
         )
 

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from ..kernels.polish import polish_vertices
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..solver.alternation import alternate, bone_costs, bone_step, vertex_step
-from ..solver.gauge import normalise_gauge
+from ..solver.gauge import free_gauge
 from ..solver.gauss_newton import GaussNewton
 from ..solver.initialization import fit_patches
 from ..solver.model import CHUNK, Locked, Model
@@ -276,7 +276,7 @@ def alternate_some(
     for _ in range(int(rng.integers(1, _MOST_ALTERNATIONS + 1))):
         bone_step(data, moved, locked=locked)
         vertex_step(data, moved, locked=locked)
-        normalise_gauge(moved, data.importance, locked)
+        free_gauge(data, moved, locked)
     return moved
 
 
@@ -293,7 +293,7 @@ def polish_steps(data: Trajectories, model: Model, count: int, locked: Locked) -
     polish = GaussNewton(data, model, locked=locked)
     for k in range(count):
         polish.step(entering=entering_at(k))
-    normalise_gauge(model, data.importance, locked)
+    free_gauge(data, model, locked)
 
 
 # --- where a new bone is placed ----------------------------------------------------------------

@@ -69,6 +69,9 @@ class Nested:
         """Move all bones together `rounds` times, after each level has chosen its influences."""
         n, damping = self.data.n_vertices, None
         stacked = self.data.select_vertices(np.tile(np.arange(n), len(levels)))
+        if self.data.surface is not None:
+            surface = self.data.surface.repeated(len(levels))
+            stacked = dataclasses.replace(stacked, surface=surface)
         for _ in range(rounds):
             for level in levels:
                 level.restart_support()

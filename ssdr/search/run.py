@@ -327,6 +327,16 @@ class Run:
             self.best = with_rest_normals(self.data, self.best)
             self.best_value = self.value(self.best)
 
+    def stiffen(self, faces: NDArray[np.int32]) -> None:
+        """Count the edges of some triangles of the rest pose ten times as much from now on."""
+        assert self.whole.surface is not None
+        surface = self.whole.surface.stiffened(faces)
+        self.whole = self.data = dataclasses.replace(self.whole, surface=surface)
+
+    def keep_present(self) -> None:
+        """Take the present model as the best, whatever its objective."""
+        self.best, self.best_value = self.present.copy(), self.value(self.present)
+
     def take_sample(self, count: int) -> None:
         """Work on a sample of `count` vertices from now on, spread evenly over the range of motion.
 

@@ -59,7 +59,7 @@ class AllVertices(Stage):
         run.take_all()
         if chosen is not None:
             data, given = run.data, run.given
-            rest = data.frame(given.rest_frame) if given.rest is None else given.rest.copy()
+            rest = given.first_pose(data)
             near = np.asarray(cKDTree(rest[chosen]).query(rest)[1])
             model = few.select_vertices(near)
             if given.rest is None:

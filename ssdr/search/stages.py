@@ -12,10 +12,11 @@ from typing import ClassVar
 import numpy as np
 
 from ..solver.alternation import bone_step, vertex_step
-from ..solver.gauge import normalise_gauge
+from ..solver.gauge import free_gauge
 from ..solver.gauss_newton import GaussNewton
 from ..solver.model import Locked, Model
 from ..solver.trajectories import Trajectories
+from ..solver.vertex_newton import optimise_vertices
 from .moves import (
     add_and_merge_bones,
     alternate_some,
@@ -41,6 +42,7 @@ __all__ = [
     "Relax",
     "Search",
     "SolveNormals",
+    "Unfold",
 ]
 
 # Relative decrease of the objective below which an alternation counts as a failure.
@@ -97,7 +99,7 @@ class Alternate(Stage):
             if run.smoothness is not None:
                 pull, stiff = run.smoothness.terms(model)
             vertex_step(data, model, locked=run.locked, pull=pull, stiff=stiff)
-            normalise_gauge(model, data.importance, run.locked)
+            free_gauge(data, model, run.locked)
             run.iteration += 1
             still = before - run.value(model) < max(self.gain, _PLATEAU) * before
             failures = failures + 1 if still else 0
@@ -183,6 +185,38 @@ class SolveNormals(Stage):
         if len(run.whole.faces) and run.asked.bone_model == "rigid":
             run.solve_normals()
         yield
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Unfold(Stage):
+    """Turn triangles of the rest pose back that are turned over, by stiffer edges around them.
+
+    It makes the best model the one that a run returns, as a rest pose with folds is no surface.
+
+    Attributes
+    ----------
+    rounds : int
+        Solves of weights and rest pose after the edges have become stiffer.
+    """
+
+    phase: ClassVar[str] = "unfold"
+    steps: int = 8
+    cost: float = 3
+    rounds: int = 4
+
+    def apply(self, run: Run) -> Iterator[None]:
+        if run.whole.surface is None:
+            return
+        run.model = run.best_model.with_restarted_support()
+        for _ in range(self.steps):
+            turned = run.whole.surface.turned(run.model.rest, run.whole.faces)
+            if not turned.any():
+                return
+            run.stiffen(run.whole.faces[turned])
+            for _ in range(self.rounds):
+                optimise_vertices(run.data, run.model, locked=run.locked, entering=0)
+            run.keep_present()
+            yield
 
 
 # --- changes -----------------------------------------------------------------------------------

@@ -52,8 +52,7 @@ class StartFromMotion(Stage):
     def _model(self, run: Run, *, quick: bool = False) -> Model:
         data, given = run.data, run.present_parts
         influences = self.influences or run.influences
-        rest = data.frame(given.rest_frame) if given.rest is None else given.rest
-        bones = given.transforms
+        rest, bones = given.first_pose(data), given.transforms
         if self.factor > 1 and run.locked.bones is None:
             bones = None  # given bones that are not locked have served as a start already
         if given.indices is not None and given.weights is not None:
@@ -87,7 +86,7 @@ class QuickStart(StartFromMotion):
             return
         chosen = np.linspace(0, data.n_frames - 1, _FEW_FRAMES).round().astype(np.intp)
         few = data.select_frames(chosen)
-        rest = data.frame(given.rest_frame) if given.rest is None else given.rest
+        rest = given.first_pose(data)
         influences, kind = self.influences or run.influences, run.locked.bone_model
         model = start_model(few, rest, run.bones, influences, run.rng, None, kind, quick=True)
         vertex_step(few, model, locked=run.locked)

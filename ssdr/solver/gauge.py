@@ -7,9 +7,15 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from .model import Locked, Model
-from .trajectories import Array
+from .trajectories import Array, Trajectories
 
-__all__ = ["normalise_gauge"]
+__all__ = ["free_gauge", "normalise_gauge"]
+
+
+def free_gauge(data: Trajectories, model: Model, locked: Locked) -> None:
+    """As :func:`normalise_gauge`, unless a surface decides about the rest pose."""
+    if data.surface is None:
+        normalise_gauge(model, data.importance, locked)
 
 
 def normalise_gauge(model: Model, importance: Array, locked: Locked) -> None:

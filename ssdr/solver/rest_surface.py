@@ -26,16 +26,18 @@ import dataclasses
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import block_diag, coo_array, csr_array
 
+from ..kernels.normals import normals_range
 from .trajectories import Array, Trajectories
 
-__all__ = ["RestSurface"]
+__all__ = ["RestSurface", "central_frame"]
 
 # c: an error 1 + c·S times as large is as bad as a strain S; an edge turned by 20° has S = 0.12.
 _STRENGTH = 1.5
 # Least squared length of an edge that counts as its own, relative to the mean.
 _SHORT = 0.1
+_FEW = 64  # frames among which the central one is chosen
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -106,10 +108,64 @@ class RestSurface:
         out[:, 1:] = self.pose + 0.5 * (moved + around / some)
         return out
 
+    def turned(self, rest: Array, faces: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """Mask (T,) of the triangles that a rest pose turns over, against those around them.
+
+        Triangles that are turned over in the pose h as well do not count.
+        """
+        return _turned(rest, faces) & ~_turned(self.pose, faces)
+
+    def stiffened(self, faces: NDArray[np.int32]) -> RestSurface:
+        """A copy in which the edges of some triangles count ten times as much."""
+        ends = np.unique(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=0)
+        i, j = np.concatenate([ends, ends[:, ::-1]]).T
+        mask = coo_array((np.ones(len(i)), (i, j)), shape=self.edges.shape).tocsr()
+        mask.data[:] = 9.0
+        edges = csr_array(self.edges + self.edges.multiply(mask))
+        return RestSurface(self.pose, edges, np.asarray(edges.sum(axis=1), dtype=float).ravel())
+
+    def extended(self, rows: NDArray[np.intp]) -> RestSurface:
+        """The surface of vertices `rows`, the first V of which are its own; the others are free."""
+        n, more = len(rows), len(rows) - len(self.pose)
+        known = self.edges.tocoo()
+        edges = csr_array((known.data, (known.row, known.col)), shape=(n, n))
+        return RestSurface(self.pose[rows], edges, np.pad(self.degree, (0, more)))
+
+    def repeated(self, count: int) -> RestSurface:
+        """The surface of `count` copies of the mesh, whose strain is the mean of theirs."""
+        edges = csr_array(block_diag(count * [self.edges / count]))
+        degree = np.tile(self.degree / count, count)
+        return RestSurface(np.tile(self.pose, (count, 1)), edges, degree)
+
     def scaled(self, ratio: float) -> RestSurface:
         """The same surface in units of length that are 1/ratio times as large."""
         edges = csr_array(self.edges / ratio**2)
         return RestSurface(ratio * self.pose, edges, self.degree / ratio**2)
+
+
+def central_frame(data: Trajectories) -> int:
+    """Frame, of up to 64 evenly spread ones, whose edges are nearest to the mean of their edges.
+
+    The strain between it and the others is least, so that a rest pose near it costs least.
+    """
+    few = np.unique(np.linspace(0, data.n_frames - 1, _FEW).round().astype(int))
+    ends = np.unique(np.sort(data.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)), axis=0)
+    if not len(ends):
+        return 0
+    edges = [np.diff(data.frame(t)[ends], axis=1)[:, 0] for t in few]
+    mean = np.mean(edges, axis=0)
+    squared = np.mean([(e**2).sum(axis=1) for e in edges], axis=0)
+    weight = 1.0 / np.maximum(squared + _SHORT * squared.mean(), 1e-300)
+    return int(few[np.argmin([weight @ ((e - mean) ** 2).sum(axis=1) for e in edges])])
+
+
+def _turned(points: Array, faces: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Mask (T,) of triangles whose normals point against those of their vertices."""
+    around = np.empty((1, *points.shape))
+    normals_range(points[None], faces, faces, around, 0, 1)
+    a, b, c = points[faces].transpose(1, 0, 2)
+    own = np.cross(b - a, c - a)
+    return np.asarray((own * around[0][faces].sum(axis=1)).sum(axis=1) < 0)
 
 
 def _coincident(data: Trajectories) -> NDArray[np.intp]:

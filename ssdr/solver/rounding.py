@@ -129,8 +129,9 @@ def _draw_together(
     importance = data.importance[rows]
     importance[n:] *= (k + 1) * _NOISE / np.iinfo(storage).max ** 2
     mask = np.concatenate([locked.vertex_mask(n), np.ones(len(vertex), dtype=bool)])
+    surface = None if data.surface is None else data.surface.extended(rows)
     _polish(
-        dataclasses.replace(data.select_vertices(rows), importance=importance),
+        dataclasses.replace(data.select_vertices(rows), importance=importance, surface=surface),
         wide,
         dataclasses.replace(locked, weights=mask),
     )
