@@ -161,13 +161,30 @@ def stepped(
     out: Row = {"curve": curve, "bones found": found[2].shape[1]}
     if best[1] is not None:
         rest, weights, transforms = best[1]
-        out |= {"E": best[0], **stored(frames, rest, *sparse(weights), transforms)}
+        skin = rest, *sparse(weights), transforms
+        out |= {"E": best[0], **stored(frames, *skin), **drawn(frames, job["sequence"], *skin)}
     return out
 
 
+def drawn(frames: np.ndarray, sequence: str, *skin: np.ndarray, normals: Any = None) -> Row:
+    """Angles in degrees from the input's normals to those that an engine draws.
+
+    `normals` are the model's rest normals; without them, those of its rest pose are drawn.
+    """
+    import ssdr
+
+    if sequence.startswith("tube:"):  # of the sweeps over sizes
+        return {}
+    faces = common.load(sequence)[1]
+    surface = None if normals is None else ssdr.Surface(normals=normals)
+    model = ssdr.Skinning(*skin, faces=faces, surface=surface, bone_model="affine")
+    found = ssdr.metrics.normals(ssdr.MeshSequence(frames, faces), model)
+    return {"normals": found.mean, "normals p95": found.p95, "inwards": found.inwards}
+
+
 def run_ssdr(job: Row, frames: np.ndarray, faces: np.ndarray, pace: Pace) -> Row:
-    """`ssdr.decompose`; "fixed" keeps the rest pose at frame 0, "middle" takes that frame;
-    "similarity" and "affine" are bone models."""
+    """`ssdr.decompose`; "fixed" keeps the rest pose at frame 0, "middle" takes that frame, "free"
+    lets it be no surface; "similarity" and "affine" are bone models."""
     import ssdr
 
     _, effort, *more = job["solver"].split()
@@ -175,9 +192,11 @@ def run_ssdr(job: Row, frames: np.ndarray, faces: np.ndarray, pace: Pace) -> Row
     options |= {"effort": effort, "rng": job["seed"]}
     for bone_model in {"similarity", "affine"} & set(more):
         options["bone_model"] = bone_model
-    rest_frame = len(frames) // 2 if "middle" in more else 0
-    rest = np.asarray(frames[rest_frame], dtype=np.float64) if "fixed" in more else None
-    options["start"] = ssdr.Start(rest=rest, rest_frame=rest_frame)
+    middle = len(frames) // 2 if "middle" in more else None
+    rest = np.asarray(frames[middle or 0], dtype=np.float64) if "fixed" in more else None
+    options["start"] = ssdr.Start(rest=rest, rest_frame=middle)
+    if "free" in more:
+        options |= {"rest_pose": "free", "normals": False}
     times: list[tuple[int, float, float]] = []
 
     def turn(progress: ssdr.Progress) -> None:
@@ -194,15 +213,15 @@ def run_ssdr(job: Row, frames: np.ndarray, faces: np.ndarray, pace: Pace) -> Row
         _, wall, cpu = next(reached, (0, pace.wall, pace.cpu))
         curve.append((record.iteration, wall, cpu, 1000 * record.rmse / 3**0.5))
     model = result.skinning
+    skin = model.rest, model.indices, model.weights, model.transforms
     return {
         "curve": curve,
         "bones found": model.n_bones,
         "E": e_of(frames, model),
         "stated E": 1000 * result.rmse / 3**0.5,
         "defects": common.defects(model, job["bones"], job["influences"]),
-        **stored(
-            frames, model.rest, model.indices, model.weights, model.transforms, model.bone_model
-        ),
+        **stored(frames, *skin, model.bone_model),
+        **drawn(frames, job["sequence"], *skin, normals=model.surface and model.surface.normals),
     }
 
 

@@ -1,6 +1,6 @@
 """The objective that the solver minimises, with a penalty on joints away from the skin.
 
-    [1 + mean_j (d_j² + d_j⁴)] · [1 + c S] · [1 + N/ν]^γ · E  +  smoothness
+    [1 + mean_j (d_j² + d_j⁴)] · [1 + c S] · [1 + N/ν] · E  +  smoothness
 
     E = Σ_i u_i Σ_t s_t² |v_i^t − Σ_j w_ij M_j^t p̃_i|²
     N = mean of |n_i^t − Σ_j w_ij R_j^t n_i|², weighted in the same way
@@ -10,7 +10,7 @@ pose (:mod:`~ssdr.solver.rest_surface`); its factor is 1 if the rest pose is fre
 the error of the normals as engines draw them: rest normals n_i, turned by the blended matrices.
 Its factor is 1 until a solve takes normals in, near its end.  All are factors, since then a change
 of one counts as much as the same relative change of another, whatever the data; the quotient
-γE/(ν + N) is the square of the length at which a unit of error of a normal counts as one of a
+E/(ν + N) is the square of the length at which a unit of error of a normal counts as one of a
 position.
 
 The first bracket is 1 unless a tree with rigid joints was asked for; d_j is the distance of joint j
@@ -49,8 +49,7 @@ __all__ = [
 
 # Relative overlap at which the overlap's centroid and the midpoint have equal weight.
 _SHARED = 1e-2
-# γ, and ν: squared errors of normals far below one of a degree are not seen.
-_NORMALS, _UNSEEN = 0.6, math.radians(1.0) ** 2
+_UNSEEN = math.radians(1.0) ** 2  # ν: errors of normals far below a degree are not seen
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -71,7 +70,7 @@ class Objective:
     def value(self, data: Trajectories, model: Model) -> float:
         """The objective of a model, in the solver's units."""
         value = model.weighted_error(data) * _rest_factor(data, model, self.locked)
-        value *= math.pow(1.0 + _mean_normal_error(data, model) / _UNSEEN, _NORMALS)
+        value *= 1.0 + _mean_normal_error(data, model) / _UNSEEN
         if self.locked.near_skin and model.tree is not None:
             _, squared = joint_offsets(model)
             value *= 1.0 + mean_joint_penalty(squared[model.tree.non_roots])
@@ -127,7 +126,7 @@ def normal_length(data: Trajectories, model: Model) -> float:
         return 0.0
     count = data.n_frames * data.n_vertices
     unit = count * (_mean_normal_error(data, model) + _UNSEEN)
-    return math.sqrt(_NORMALS * model.weighted_error(data) / unit)
+    return math.sqrt(model.weighted_error(data) / unit)
 
 
 def rest_pulls(data: Trajectories, model: Model, locked: Locked) -> Array:
