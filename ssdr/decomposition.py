@@ -11,13 +11,14 @@ from .checks import BoneModel, names_arguments
 from .drivers import in_memory, streamed
 from .drivers.efforts import Effort
 from .drivers.hand_back import finished
-from .drivers.problem import RestPose, check_problem
+from .drivers.problem import check_problem
 from .drivers.scan import needs_streaming
 from .quantisation import WeightStorage
 from .result import Decomposition
 from .search.progress import Callback
 from .sequence import MeshSequence
 from .skinning import Skinning
+from .solver.rest_surface import RestPose
 from .start import Skeleton, Start
 
 __all__ = ["decompose"]

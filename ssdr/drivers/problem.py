@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ from ..search.progress import Callback
 from ..sequence import MeshSequence, as_sequences
 from ..skinning import Skinning
 from ..solver.model import Locked
-from ..solver.rest_surface import RestSurface, central_frame
+from ..solver.rest_surface import RestPose, RestSurface, central_frame
 from ..solver.trajectories import Array, Trajectories, gather
 from ..start import Skeleton, Start
 from .checkpoint import Checkpoint
@@ -35,9 +35,7 @@ from .given_parts import check_skeleton, check_start, extra_parents, with_skelet
 from .scan import needs_streaming
 from .schedule import RigKind
 
-__all__ = ["Problem", "RestPose", "check_problem"]
-
-RestPose = Literal["surface", "free"]
+__all__ = ["Problem", "check_problem"]
 
 # Least importance of a frame, relative to the largest: with less, the steps of all bones together
 # would be blind to the transforms of that frame.

@@ -8,17 +8,27 @@ from typing import Any
 import numpy as np
 
 from ..checks import check_mask
+from ..errors import check_choice
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.alternation import vertex_step
 from ..solver.model import Locked, Model
+from ..solver.objective import Objective
+from ..solver.rest_surface import RestPose, RestSurface
+from ..solver.trajectories import Trajectories
 from .fit import Fit, checked, fit_of, gathered
 
 __all__ = ["fit_rest_pose"]
 
+_STEPS, _GAIN = 40, 1e-6  # most steps, and relative decrease of the objective that ends them
+
 
 def fit_rest_pose(
-    sequence: MeshSequence | Any, skinning: Skinning, *, locked_vertices: Any = None
+    sequence: MeshSequence | Any,
+    skinning: Skinning,
+    *,
+    locked_vertices: Any = None,
+    rest_pose: RestPose = "surface",
 ) -> Fit:
     """Fit the rest position of every vertex of a model by least squares, a 3×3 solve each.
 
@@ -34,6 +44,9 @@ def fit_rest_pose(
         positions are kept at locked vertices, and where the motion does not determine them.
     locked_vertices : mask or indices, optional
         Vertices that keep their rest position.
+    rest_pose : {"surface", "free"}
+        "surface": edges resemble those of the model's rest pose, as in :func:`decompose`.  "free":
+        the least error alone.
 
     Returns
     -------
@@ -58,11 +71,16 @@ def fit_rest_pose(
     """
     sequences, outer, weights = checked(sequence, skinning)
     stay = check_mask(locked_vertices, "locked_vertices", len(outer))
+    check_choice(rest_pose, "rest_pose", RestPose)
     data, inner, bones = gathered(sequences, skinning, outer)
     model = Model.start(bones, inner, skinning.indices[:, 0], skinning.n_influences)
     model.indices, model.weights = skinning.indices.copy(), weights
     every = np.ones(len(outer), dtype=bool)
-    vertex_step(data, model, locked=Locked(weights=every))
+    if rest_pose == "surface":
+        faces = sequences[0].faces if len(sequences[0].faces) else skinning.faces
+        data = dataclasses.replace(data, faces=faces)
+        data = dataclasses.replace(data, surface=RestSurface.build(data, inner))
+    _settle(data, model, Locked(weights=every))
     if stay is not None and stay.any():
         model.rest = np.where(stay[:, None], inner, model.rest)
         vertex_step(data, model, locked=Locked(weights=every, rest=True))
@@ -70,3 +88,15 @@ def fit_rest_pose(
     if stay is not None:
         rest[stay] = outer[stay]
     return fit_of(sequences, data, model.error, dataclasses.replace(skinning, rest=rest))
+
+
+def _settle(data: Trajectories, model: Model, locked: Locked) -> None:
+    """Solve the rest pose (in place): at once if it is free, else until the objective settles."""
+    vertex_step(data, model, locked=dataclasses.replace(locked, rest=True))  # sets the errors
+    objective, before = Objective(locked), np.inf
+    for _ in range(_STEPS if data.surface is not None else 1):
+        vertex_step(data, model, locked=locked)
+        value = objective.value(data, model)
+        if not value < (1 - _GAIN) * before:
+            return
+        before = value

@@ -23,6 +23,7 @@ Hunter and Lange, "A tutorial on MM algorithms", 2004.
 from __future__ import annotations
 
 import dataclasses
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,13 +32,16 @@ from scipy.sparse import block_diag, coo_array, csr_array
 from ..kernels.normals import normals_range
 from .trajectories import Array, Trajectories
 
-__all__ = ["RestSurface", "central_frame"]
+__all__ = ["RestPose", "RestSurface", "central_frame"]
+
+RestPose = Literal["surface", "free"]
 
 # c: an error 1 + c·S times as large is as bad as a strain S; an edge turned by 20° has S = 0.12.
 _STRENGTH = 1.5
 # Least squared length of an edge that counts as its own, relative to the mean.
 _SHORT = 0.1
 _FEW = 64  # frames among which the central one is chosen
+_MOST_EDGES = 4096  # of the mesh, evenly spread over its list, that decide about it
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -152,6 +156,7 @@ def central_frame(data: Trajectories) -> int:
     ends = np.unique(np.sort(data.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)), axis=0)
     if not len(ends):
         return 0
+    ends = ends[:: max(1, len(ends) // _MOST_EDGES)]
     edges = [np.diff(data.frame(t)[ends], axis=1)[:, 0] for t in few]
     mean = np.mean(edges, axis=0)
     squared = np.mean([(e**2).sum(axis=1) for e in edges], axis=0)
@@ -169,9 +174,14 @@ def _turned(points: Array, faces: NDArray[np.int32]) -> NDArray[np.bool_]:
 
 
 def _coincident(data: Trajectories) -> NDArray[np.intp]:
-    """First vertex (V,) of those that have the same position as each vertex in every frame."""
+    """First vertex (V,) of those that have the same position as each vertex in every frame.
+
+    Each vertex stands for itself in compressed trajectories.
+    """
     n = data.n_vertices
     label = np.arange(n)
+    if data.q is not None:  # compression rounds, and may part what coincides
+        return label
     _, place, count = np.unique(data.z[:, :3], axis=0, return_inverse=True, return_counts=True)
     twins = np.flatnonzero(count[place.ravel()] > 1)
     if len(twins):
