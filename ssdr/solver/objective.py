@@ -132,10 +132,10 @@ def normal_length(data: Trajectories, model: Model) -> float:
 
 def rest_pulls(data: Trajectories, model: Model, locked: Locked) -> Array:
     """Pulls (V, 4) on the rest positions towards a surface, as of ``RestSurface.pulls``; else 0."""
-    error = model.weighted_error(data)
-    if data.surface is None or locked.rest or not math.isfinite(error):  # a start has no error yet
+    known = np.isfinite(model.error).all()  # a start has no error yet
+    if data.surface is None or locked.rest or not known:
         return np.zeros((len(model.rest), 4))
-    return data.surface.pulls(model.rest, error, data.importance)
+    return data.surface.pulls(model.rest, model.weighted_error(data), data.importance)
 
 
 def _rest_factor(data: Trajectories, model: Model, locked: Locked) -> float:
