@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 
 from helpers import terms
+from helpers.measures import run_of
 from helpers.terms import Case
+from ssdr.search.stages import Alternate
 from ssdr.solver.alternation import alternate, vertex_step
 from ssdr.solver.gauss_newton import GaussNewton
-from ssdr.solver.model import Locked, Model
+from ssdr.solver.model import FREE, Locked, Model
 from ssdr.solver.objective import Objective
+from ssdr.solver.smoothness import WeightSmoothness
 from ssdr.solver.trajectories import Trajectories
 from ssdr.solver.vertex_newton import optimise_vertices
 
@@ -49,6 +52,24 @@ def test_no_step_raises_the_objective(case: str, step: str) -> None:
             assert value <= before * (1 + 1e-12)
         fell = max(fell, 1 - value / first)
         _check_errors(data, model)
+    assert fell > 1e-3
+
+
+@pytest.mark.parametrize("case", ["surface", "normals", "both", "importance", "compressed"])
+def test_no_alternation_raises_it_with_a_penalty_on_weights(case: str) -> None:
+    chosen, fell = CASES[case], 0.0
+    for seed in range(3):
+        small = {} if chosen.compressed else {"n": 30, "frames": 8}
+        data, model = terms.problem(chosen, seed, **small)
+        run = run_of(data, [Alternate(steps=8)], 3, 3)
+        penalty = WeightSmoothness.build(data, data.faces, 0.3)
+        run.smoothness, run.objective = penalty, Objective(FREE, penalty)
+        run.begin_with(model)
+        assert run.best_value > 1.05 * Objective().value(data, model)
+        values = [run.best_value]
+        run.drive(lambda _, run=run, values=values: values.append(run.value(run.present)))
+        assert (np.diff(values) <= 1e-12 * values[0]).all()
+        fell = max(fell, 1 - values[-1] / values[0])
     assert fell > 1e-3
 
 
