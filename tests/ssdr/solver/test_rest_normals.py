@@ -25,6 +25,17 @@ def test_normals_of_the_frames_are_those_of_their_triangles() -> None:
     np.testing.assert_allclose(data.n2, (want**2).sum(axis=(0, 2)), rtol=1e-12)
 
 
+@pytest.mark.parametrize("frames", [1, 65])
+def test_a_frame_alone_stays_as_it_is(frames: int) -> None:
+    """Frames are taken 64 at a time, so that the last of 65 is alone."""
+    data, _ = terms.problem(Case(surface=False, normals=False, counts="some"), n=20, frames=frames)
+    scaled = dataclasses.replace(data, frame_scale=2 * data.frame_scale)
+    before = data.z.copy()
+    found = scaled.with_normals()
+    np.testing.assert_array_equal(data.z, before)
+    np.testing.assert_allclose(found.normals, 2 * data.with_normals().normals, atol=1e-12)
+
+
 def test_compressed_normals_lose_nothing_that_bones_can_follow() -> None:
     """Products with transforms that the basis holds are those of all columns."""
     data, model = terms.problem(Case(surface=False, compressed=True))
