@@ -125,6 +125,7 @@ class AllFrames:
         self.model.error *= ratio**2 * share
         self.model.normal_error *= share
 
+    @serial_blas()
     def pass_over(self, *, entering: int, on_progress: OnProgress | None = None) -> float:
         """Alternate once over all frames; return the objective (:class:`Objective`) of the model.
 
@@ -164,18 +165,17 @@ class AllFrames:
             x2 += part[3]
             if on_progress is not None:
                 on_progress(stop / n_frames)
-        with serial_blas():
-            newton_vertices(
-                lambda i, k: y[i:k],
-                x2,
-                gram_tables(g, n_bones),
-                model,
-                hold=rest_pulls(space, model, self.locked),
-                length=length,
-                locked=self.locked,
-                entering=entering,
-                rounds=_ROUNDS,
-            )
+        newton_vertices(
+            lambda i, k: y[i:k],
+            x2,
+            gram_tables(g, n_bones),
+            model,
+            hold=rest_pulls(space, model, self.locked),
+            length=length,
+            locked=self.locked,
+            entering=entering,
+            rounds=_ROUNDS,
+        )
         self.passes += 1
         # joints do not move in a pass
         return Objective(dataclasses.replace(self.locked, near_skin=False)).value(space, model)

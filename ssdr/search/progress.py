@@ -54,8 +54,8 @@ class Progress:
         Seconds.
     rmse : float
         Error of the best model so far, in the mesh's units, weighted by the importances if any are
-        given; inf before there is a model.  It includes the penalties of `smoothness` and of joints
-        away from the skin.
+        given; inf before there is a model.  A better model may have a slightly larger error, since
+        the rest pose, normals, `smoothness` and joints away from the skin count, too.
     fraction : float
         Estimated fraction of the work that is done, 0 to 1.
     time_left : float

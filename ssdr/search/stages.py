@@ -15,6 +15,7 @@ from ..solver.alternation import bone_step, vertex_step
 from ..solver.gauge import free_gauge
 from ..solver.gauss_newton import GaussNewton
 from ..solver.model import Locked, Model
+from ..solver.objective import normal_length
 from ..solver.trajectories import Trajectories
 from ..solver.vertex_newton import optimise_vertices
 from .moves import (
@@ -94,11 +95,12 @@ class Alternate(Stage):
         for _ in range(self.steps):
             model, data = run.present, run.data
             before = run.value(model)
-            bone_step(data, model, locked=run.locked)
-            pull = stiff = None
+            penalty, pull, stiff = 0.0, None, None
             if run.smoothness is not None:
+                penalty = run.smoothness.penalty(model)
                 pull, stiff = run.smoothness.terms(model)
-            vertex_step(data, model, locked=run.locked, pull=pull, stiff=stiff)
+            bone_step(data, model, locked=run.locked, length=normal_length(data, model, penalty))
+            vertex_step(data, model, locked=run.locked, pull=pull, stiff=stiff, penalty=penalty)
             free_gauge(data, model, run.locked)
             run.iteration += 1
             still = before - run.value(model) < max(self.gain, _PLATEAU) * before
@@ -207,14 +209,17 @@ class Unfold(Stage):
     def apply(self, run: Run) -> Iterator[None]:
         if run.whole.surface is None:
             return
-        run.model = run.best_model.with_restarted_support()
+        run.model, locked = run.best_model.with_restarted_support(), run.locked
+        if run.smoothness is not None:  # which this solve of weights would not know
+            every = np.ones(run.whole.n_vertices, dtype=bool)
+            locked = dataclasses.replace(locked, weights=every)
         for _ in range(self.steps):
             turned = run.whole.surface.turned(run.model.rest, run.whole.faces)
             if not turned.any():
                 return
             run.stiffen(run.whole.faces[turned])
             for _ in range(self.rounds):
-                optimise_vertices(run.data, run.model, locked=run.locked, entering=0)
+                optimise_vertices(run.data, run.model, locked=locked, entering=0)
             run.keep_present()
             yield
 

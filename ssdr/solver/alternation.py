@@ -36,6 +36,7 @@ def vertex_step(
     locked: Locked = FREE,
     pull: Array | None = None,
     stiff: Array | None = None,
+    penalty: float = 0.0,
 ) -> None:
     """Solve the weights, then the rest position of every vertex, and set its error (in place).
 
@@ -46,10 +47,13 @@ def vertex_step(
     locked : Locked
     pull, stiff : (V, B), (V,) arrays, optional
         Coefficients of a penalty stiff_i |w_i|² − 2 pull_i · w_i on the weights w_i of vertex i.
+    penalty : float
+        What the objective adds to the error of the model.
     """
     keep = locked.vertex_mask(data.n_vertices)
-    length, hold = normal_length(data, model), rest_pulls(data, model, locked)
     with serial_blas():
+        length = normal_length(data, model, penalty)
+        hold = rest_pulls(data, model, locked, penalty)
         _, gram, _, reduced = transform_sums(data, model.transforms)
         pairs = np.ascontiguousarray(gram.transpose(0, 2, 1))
         none, none1 = np.zeros((0, 0)), np.zeros(0)

@@ -1,6 +1,6 @@
 """The objective that the solver minimises, with a penalty on joints away from the skin.
 
-    [1 + mean_j (d_j² + d_j⁴)] · [1 + c S] · [1 + N/ν] · E  +  smoothness
+    [1 + mean_j (d_j² + d_j⁴)] · [1 + c S] · [1 + N/ν] · [E + smoothness]
 
     E = Σ_i u_i Σ_t s_t² |v_i^t − Σ_j w_ij M_j^t p̃_i|²
     N = mean of |n_i^t − Σ_j w_ij R_j^t n_i|², weighted in the same way
@@ -11,11 +11,11 @@ the error of the normals as engines draw them: rest normals n_i, turned by the b
 Its factor is 1 until a solve takes normals in, near its end.  All are factors, since then a change
 of one counts as much as the same relative change of another, whatever the data; the quotient
 E/(ν + N) is the square of the length at which a unit of error of a normal counts as one of a
-position.
+position.  The smoothness (:mod:`~ssdr.solver.smoothness`) is 0 unless asked for, and else a part
+of the error E in all that is said here.
 
 The first bracket is 1 unless a tree with rigid joints was asked for; d_j is the distance of joint j
-from where the skin of its two bones meets.  The smoothness (:mod:`~ssdr.solver.smoothness`) is 0
-unless asked for.
+from where the skin of its two bones meets.
 
 Motion often hardly determines a joint: if a leg swings in a plane, the hip could lie anywhere on a
 line, and a wrong place adds almost no error.  There the skin decides.  The penalty is a factor of
@@ -69,13 +69,14 @@ class Objective:
 
     def value(self, data: Trajectories, model: Model) -> float:
         """The objective of a model, in the solver's units."""
-        value = model.weighted_error(data) * _rest_factor(data, model, self.locked)
+        value = model.weighted_error(data)
+        if self.smoothness is not None:
+            value += self.smoothness.penalty(model)
+        value *= _rest_factor(data, model, self.locked)
         value *= 1.0 + _mean_normal_error(data, model) / _UNSEEN
         if self.locked.near_skin and model.tree is not None:
             _, squared = joint_offsets(model)
             value *= 1.0 + mean_joint_penalty(squared[model.tree.non_roots])
-        if self.smoothness is not None:
-            value += self.smoothness.penalty(model)
         return value
 
     def joint_penalty(
@@ -120,21 +121,27 @@ class JointPenalty:
         return JointPenalty(factor, np.zeros((count, 1)), np.zeros((count, 3)))
 
 
-def normal_length(data: Trajectories, model: Model) -> float:
-    """Length at which an error of a normal counts as one of a position; 0 without normals."""
+def normal_length(data: Trajectories, model: Model, penalty: float = 0.0) -> float:
+    """Length at which an error of a normal counts as one of a position; 0 without normals.
+
+    `penalty` is what the objective adds to the error.
+    """
     if data.normals is None or not model.normals.shape[1]:
         return 0.0
     count = data.n_frames * data.n_vertices
     unit = count * (_mean_normal_error(data, model) + _UNSEEN)
-    return math.sqrt(model.weighted_error(data) / unit)
+    return math.sqrt((model.weighted_error(data) + penalty) / unit)
 
 
-def rest_pulls(data: Trajectories, model: Model, locked: Locked) -> Array:
-    """Pulls (V, 4) on the rest positions towards a surface, as of ``RestSurface.pulls``; else 0."""
-    error = model.weighted_error(data)
-    if data.surface is None or locked.rest or not math.isfinite(error):  # a start has no error yet
+def rest_pulls(data: Trajectories, model: Model, locked: Locked, penalty: float = 0.0) -> Array:
+    """Pulls (V, 4) on the rest positions towards a surface, as of ``RestSurface.pulls``; else 0.
+
+    `penalty` is what the objective adds to the error.
+    """
+    known = np.isfinite(model.error).all()  # a start has no error yet
+    if data.surface is None or locked.rest or not known:
         return np.zeros((len(model.rest), 4))
-    return data.surface.pulls(model.rest, error, data.importance)
+    return data.surface.pulls(model.rest, model.weighted_error(data) + penalty, data.importance)
 
 
 def _rest_factor(data: Trajectories, model: Model, locked: Locked) -> float:

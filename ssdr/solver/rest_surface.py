@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from scipy.sparse import block_diag, coo_array, csr_array
 
 from ..kernels.normals import normals_range
+from ..parallel import serial_blas
 from .trajectories import Array, Trajectories
 
 __all__ = ["RestPose", "RestSurface", "central_frame"]
@@ -66,6 +67,7 @@ class RestSurface:
     degree: Array
 
     @staticmethod
+    @serial_blas()
     def build(data: Trajectories, pose: Array) -> RestSurface | None:
         """The surface of `pose` under the triangles of the data; None without any edge."""
         ends = data.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
@@ -147,6 +149,7 @@ class RestSurface:
         return RestSurface(ratio * self.pose, edges, self.degree / ratio**2)
 
 
+@serial_blas()
 def central_frame(data: Trajectories) -> int:
     """Frame, of up to 64 evenly spread ones, whose edges are nearest to the mean of their edges.
 

@@ -236,7 +236,8 @@ class Trajectories(Alignment):
         for first, last in chunk_bounds(n_frames, _AT_ONCE):
             columns = slice(3 * first, 3 * last)
             x = self.z[:, columns] if self.q is None else self.z @ self.q[columns].T
-            points = np.ascontiguousarray(x.reshape(n, -1, 3).transpose(1, 0, 2))
+            # a copy even of one frame, whose order in memory needs none
+            points = np.array(x.reshape(n, -1, 3).transpose(1, 0, 2), order="C")
             points /= self.frame_scale[first:last, None, None]
             here = np.empty_like(points)
 

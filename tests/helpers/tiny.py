@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import ssdr
-from helpers import motions
+from helpers import motions, terms
 from helpers.stretches import stretched
 from ssdr.hierarchy.transforms import parents_first
 from ssdr.hierarchy.tree import Tree
@@ -16,6 +16,9 @@ from ssdr.joints.placement import snap_to_joints
 from ssdr.solver.alternation import vertex_step
 from ssdr.solver.gauss_newton import GaussNewton
 from ssdr.solver.model import FREE, Locked, Model
+from ssdr.solver.objective import normal_length, rest_pulls
+from ssdr.solver.rest_normals import with_rest_normals
+from ssdr.solver.rest_surface import RestSurface
 from ssdr.solver.trajectories import Trajectories, gather
 
 __all__ = ["CASES", "KINDS", "TREES", "Tiny"]
@@ -42,12 +45,15 @@ TREES = {"tree": [1, -1, 1], "forest": [-1, 0, -1], "roots alone": [-1, -1, -1]}
 class Tiny:
     """A small fitted model, its residual as a function of all unknowns, and the Jacobian.
 
-    `kind` is a bone model or a tree's name.
+    `kind` is a bone model or a tree's name, `more` says what there is beyond positions: a "surface"
+    that the rest pose resembles, "normals", or both.
     """
 
     n, bones, frames, k = 8, 3, 4, 3
 
-    def __init__(self, kind: str = "rigid", case: str = "free", seed: int = 3) -> None:
+    def __init__(
+        self, kind: str = "rigid", case: str = "free", more: str = "", seed: int = 3
+    ) -> None:
         rng = np.random.default_rng(seed)
         self.kind, tree = kind, TREES.get(kind)
         rest = rng.standard_normal((self.n, 3))
@@ -58,7 +64,7 @@ class Tiny:
         frames = motions.blend(rest, indices, weights, truth)
         frames += 0.1 * rng.standard_normal(frames.shape)
         self.data: Trajectories = gather(
-            [ssdr.MeshSequence(frames)],
+            [ssdr.MeshSequence(frames, (np.arange(self.n)[:, None] + np.arange(3)) % self.n)],
             bones=99,
             vertex_importance=0.5 + rng.random(self.n),
             frame_importance=0.5 + rng.random(self.frames),
@@ -74,7 +80,18 @@ class Tiny:
             points = np.random.default_rng(5).normal(size=(3, 3))
             self.model.tree = Tree(np.array(tree, dtype=np.int64), points, rigid=False)
             snap_to_joints(self.data, self.model, self.locked)
+        if "surface" in more:
+            pose = inner + 0.3 * rng.standard_normal(inner.shape)
+            surface = RestSurface.build(self.data, pose)
+            self.data = dataclasses.replace(self.data, surface=surface)
+        if "normals" in more:
+            inner = np.stack([self.data.frame(t) for t in range(self.frames)])
+            self.truth = terms.frame_normals(inner, self.data.faces)
+            self.data = self.data.with_normals()
+            self.model = with_rest_normals(self.data, self.model)
         self.newton = self.gauss_newton()
+        if more:  # once more, so that pulls and length are those of the model
+            self.newton = self.gauss_newton(damping=self.newton.damping)
 
     def gauss_newton(self, **options: object) -> GaussNewton:
         """Gauss–Newton whose conjugate gradients go on until they are exact."""
@@ -134,7 +151,7 @@ class Tiny:
         return out
 
     def freedoms(self) -> list[tuple[int, int]]:
-        """(vertex, variable): weights of the support but the first, then x, y, z."""
+        """(vertex, variable): weights of the support but the first, rest position, normal."""
         keep = self.locked.vertex_mask(self.n)
         out = []
         for i in range(self.n):
@@ -142,30 +159,42 @@ class Tiny:
             out += [(i, q) for q in range(1, used) if not keep[i]]
             if not self.locked.rest:
                 out += [(i, -c) for c in (3, 2, 1)]
+            if self.data.normals is not None:
+                out += [(i, -c) for c in (6, 5, 4)]
         return out
 
     def residual(self, x: np.ndarray, vertex: np.ndarray) -> np.ndarray:
         rest, weights = self.model.rest.copy(), self.model.weights.copy()
+        normals, length = self.model.normals.copy(), normal_length(self.data, self.model)
         for value, (i, variable) in zip(vertex, self.freedoms(), strict=True):
             if variable > 0:
                 weights[i, variable] += value
                 weights[i, 0] -= value
-            else:
+            elif variable >= -3:
                 rest[i, variable] += value
+            else:
+                normals[i, 0, variable + 3] += value / length
         inner = np.stack([self.data.frame(t) for t in range(self.frames)])
-        gap = motions.blend(rest, self.model.indices, weights, self.moved(x)) - inner
-        gap *= np.sqrt(self.data.importance)[None, :, None]
-        gap *= self.data.frame_scale[:, None, None]
-        return gap.ravel()
+        moves = self.moved(x)
+        gaps = [motions.blend(rest, self.model.indices, weights, moves) - inner]
+        if self.data.normals is not None:
+            turns = np.concatenate([moves[..., :3], np.zeros((*moves.shape[:3], 1))], axis=-1)
+            turned = motions.blend(normals[:, 0], self.model.indices, weights, turns)
+            gaps.append(length * (turned - self.truth))
+        root = np.sqrt(self.data.importance)[:, None]
+        rows = [root * gap * self.data.frame_scale[:, None, None] for gap in gaps]
+        pulls = rest_pulls(self.data, self.model, self.locked)
+        rows.append((root * np.sqrt(pulls[:, :1]) * (rest - pulls[:, 1:]))[None])
+        return np.concatenate(rows).ravel()
 
     def jacobians(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Residual, and its derivatives by the bones' unknowns and the vertices' freedoms."""
         n_m, n_v, step = self.unknowns, len(self.freedoms()), 1e-5
-        columns = np.zeros((n_m + n_v, 3 * self.frames * self.n))
+        r = self.residual(np.zeros(n_m), np.zeros(n_v))
+        columns = np.zeros((n_m + n_v, len(r)))
         for j, e in enumerate(step * np.eye(n_m + n_v)):
             ends = [self.residual(s * e[:n_m], s * e[n_m:]) for s in (1, -1)]
             columns[j] = (ends[0] - ends[1]) / (2 * step)
-        r = self.residual(np.zeros(n_m), np.zeros(n_v))
         return r, columns[:n_m].T, columns[n_m:].T
 
     def moving(self) -> np.ndarray:

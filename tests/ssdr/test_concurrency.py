@@ -10,6 +10,7 @@ import numpy as np
 import ssdr
 from helpers.measures import bits, frames, longest_silence
 from ssdr.kernels.bones import sweep_bones
+from ssdr.solver.model import Model
 from ssdr.solver.moments import bone_sums, coupled_bones
 from ssdr.solver.trajectories import gather
 
@@ -20,9 +21,9 @@ def test_a_kernel_releases_the_lock_of_python() -> None:
     data = gather([ssdr.MeshSequence(np.random.default_rng(0).random((1, 40, 3)))], bones=bones)
     indices = np.tile(np.arange(bones, dtype=np.int32), (40, 1))
     weights = np.random.default_rng(1).dirichlet(np.ones(bones), 40)
-    u, c = bone_sums(data, indices, weights, data.frame(0), bones)
+    transforms = np.tile(np.eye(3, 4), (1, bones, 1, 1))
+    u, c = bone_sums(data, Model.with_weights(transforms, data.frame(0), indices, weights, bones))
     start, neighbour = coupled_bones(u)
-    transforms = np.tile(np.eye(4)[:3], (1, bones, 1, 1))
     locked = np.zeros(bones, dtype=bool)
 
     def sweep(count: int) -> float:

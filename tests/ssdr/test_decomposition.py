@@ -116,14 +116,18 @@ def test_plain_alternation_is_beaten() -> None:
     "options", [{}, {"smoothness": 0.1, "effort": "fast"}, {"rig": "rigid"}], ids=str
 )
 def test_history_is_what_a_run_stopped_there_gives(options: dict[str, Any]) -> None:
-    """A run that is stopped at a record returns a model of that record's error."""
+    """A run that is stopped at a record returns a model of that record's error.
+
+    No record has less error than the last one, even where a model before it had.
+    """
     call = {"sequence": frames(), "faces": rig().faces, "bones": 4} | options
     whole = ssdr.decompose(**call)
     for record in whole.history[1 :: max(1, len(whole.history) // 6)]:
         reached = {"callback": lambda p, last=record: p.iteration >= last.iteration}
         part = ssdr.decompose(**call, **reached)
         assert part.stop_reason in ("cancelled", whole.stop_reason)
-        assert rmse_of(part.skinning, frames()) == pytest.approx(record.rmse, rel=0.01)
+        error = max(rmse_of(part.skinning, frames()), whole.rmse)
+        assert error == pytest.approx(record.rmse, rel=0.01)
         assert part.history[-1].iteration == record.iteration
 
 

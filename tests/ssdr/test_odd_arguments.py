@@ -60,9 +60,10 @@ def test_models_and_places_are_of_their_kind(odd: Any) -> None:
     for name in ("start", "rig", "checkpoint", "callback") if odd is not None else ():
         with pytest.raises(InputError, match=f"^{name}: expected"):
             ssdr.decompose(frames, bones=2, **{name: odd})
-    start, model = ssdr.Start(rest=odd, rest_frame=odd), ssdr.initialize(frames, bones=2)
-    with pytest.raises(InputError, match=r"^start\.rest"):
-        ssdr.decompose(frames, bones=2, start=start)
+    for parts in ({"rest": odd}, {"rest_frame": odd}) if odd is not None else ():
+        with pytest.raises(InputError, match=r"^start\.rest"):
+            ssdr.decompose(frames, bones=2, start=ssdr.Start(**parts))
+    model = ssdr.initialize(frames, bones=2)
     hung = dataclasses.replace(model, parents=[-1, 0], joint_positions=np.zeros((2, 3)))
     kinds = ("joints", "extra_bones", "locked_joints")
     for name in kinds if not (isinstance(odd, (dict, list, set)) and not odd) else ("joints",):

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 import ssdr
-from helpers import motions
+from helpers import motions, terms
 from ssdr.drivers import scan
 from ssdr.drivers.passes import AllFrames, carried
 from ssdr.search.given import Given
 from ssdr.solver.alternation import bone_step, vertex_step
 from ssdr.solver.initialization import start_model
 from ssdr.solver.model import Locked, Model
+from ssdr.solver.rest_normals import with_rest_normals
+from ssdr.solver.rest_surface import RestSurface
 from ssdr.solver.trajectories import gather
 
 
@@ -38,6 +42,32 @@ def test_a_pass_is_one_exact_alternation() -> None:
     shown = motions.blend(rest, passes.model.indices, passes.model.weights, transforms)
     squared = ((shown - frames) ** 2).sum()
     assert values[-1] * found.alignment.scale**2 == pytest.approx(squared, rel=1e-8)
+
+
+@pytest.mark.usefixtures("tiny_memory")
+def test_a_pass_knows_the_strain_of_the_rest_pose_and_the_error_of_normals() -> None:
+    frames, faces = motions.rippled(90), motions.chain(3, bones=4, frames=2).faces
+    sequences = [ssdr.MeshSequence(frames, faces)]
+    counts = 0.5 + np.random.default_rng(1).random(90)
+    found = scan.scan(sequences, None, keep=[0])
+    few = scan.subset(sequences, found.chosen)
+    data = gather([few], bones=4, compress=False)
+    surface = RestSurface.build(data, data.frame(3))
+    data = dataclasses.replace(data, surface=surface).with_normals()
+    model = start_model(data, data.frame(3), 4, 4, np.random.default_rng(0))
+    vertex_step(data, model)
+    model = with_rest_normals(data, model)
+    passes = AllFrames(
+        sequences, found, data, model, locked=Locked(), given=Given(), importance=counts
+    )
+    values = [passes.pass_over(entering=3) for _ in range(4)]
+    assert values[1:] == sorted(values[1:], reverse=True)
+    space = passes.space
+    inner = found.alignment.inward(frames, 0) * space.frame_scale[:, None]
+    every = dataclasses.replace(space, z=inner.reshape(len(inner), -1))
+    want = terms.value(every, passes.model, space.surface.pose)
+    assert values[-1] == pytest.approx(want, rel=1e-7)
+    assert want > 1.1 * passes.model.weighted_error(space)
 
 
 @pytest.mark.parametrize("free", [False, True])

@@ -18,20 +18,28 @@ from ssdr.search.progress import ProgressReport
 
 pytestmark = pytest.mark.usefixtures("tiny_memory")
 
+FACES = motions.chain(3, bones=4, frames=2).faces  # of what ripples
 
+
+@pytest.mark.parametrize("faces", [None, FACES], ids=["points", "surface"])
 def test_the_error_is_that_of_all_frames_and_near_the_one_in_memory(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, faces: np.ndarray | None
 ) -> None:
     frames = motions.rippled()
-    streamed = ssdr.decompose(frames, bones=5)
+    streamed = ssdr.decompose(frames, faces, bones=5)
     assert streamed.rmse == pytest.approx(rmse_of(streamed.skinning, frames), rel=1e-9)
     errors = [record.rmse for record in streamed.history]
     assert errors == sorted(errors, reverse=True)
     assert streamed.history[-1].rmse == streamed.rmse
     assert {record.phase for record in streamed.history} == {"all frames"}
     monkeypatch.setattr(scan, "_IN_MEMORY", 1 << 40)
-    whole = ssdr.decompose(frames, bones=5)
+    whole = ssdr.decompose(frames, faces, bones=5)
     assert streamed.rmse < 1.25 * whole.rmse
+    if faces is not None:
+        assert streamed.normals.mean < 1.25 * whole.normals.mean
+        monkeypatch.setattr(scan, "_IN_MEMORY", 1)
+        bare = ssdr.decompose(frames, faces, bones=5, normals=False)
+        assert streamed.normals.mean < 0.98 * bare.normals.mean
 
 
 def test_exact_skinning_is_found_again() -> None:
@@ -86,13 +94,16 @@ def test_a_loose_hierarchy_of_streamed_frames_leaves_the_bones_as_they_are() -> 
     assert (loose.skinning.parents >= 0).sum() == 4
 
 
-def test_same_bits_for_any_number_of_threads_from_memory_and_from_disk(tmp_path: Path) -> None:
+@pytest.mark.parametrize("faces", [None, FACES], ids=["points", "surface"])
+def test_same_bits_for_any_number_of_threads_from_memory_and_from_disk(
+    tmp_path: Path, faces: np.ndarray | None
+) -> None:
     frames = motions.rippled()
     np.save(tmp_path / "frames.npy", frames)
     sources = iter((frames, frames, np.load(tmp_path / "frames.npy", mmap_mode="r")))
 
     def solve() -> ssdr.Decomposition:
-        return ssdr.decompose(ssdr.MeshSequence(next(sources)), bones=4, effort="fast")
+        return ssdr.decompose(ssdr.MeshSequence(next(sources), faces), bones=4, effort="fast")
 
     assert len(bits_on_threads(solve, (1, 3, 2))) == 1
 

@@ -1,17 +1,26 @@
-"""The stage of search: whose turn it is, and when it ends."""
+"""The stage of search: whose turn it is, and when it ends; the stage that unfolds a rest pose."""
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
 import pytest
 
+import ssdr
+from helpers import motions
 from helpers.blends import BONES, INFLUENCES, problem
-from helpers.measures import run_of
+from helpers.measures import run_of, solved
 from ssdr.search.run import Run
-from ssdr.search.stages import STEPS_OF_A_TRIAL, Search
-from ssdr.solver.model import Model
+from ssdr.search.stages import STEPS_OF_A_TRIAL, Alternate, Search, Unfold
+from ssdr.search.starts import StartFromMotion
+from ssdr.solver.model import Locked, Model
+from ssdr.solver.objective import Objective
+from ssdr.solver.rest_surface import RestSurface
+from ssdr.solver.smoothness import WeightSmoothness
+from ssdr.solver.trajectories import gather
+from ssdr.solver.vertex_newton import optimise_vertices
 
 
 def searched(paying: set[int], *, steps: int, patience: int = 400) -> tuple[list[int], Run]:
@@ -61,3 +70,51 @@ def test_a_search_ends_after_so_many_failures_in_a_row(patience: int) -> None:
     drawn, run = searched({0}, steps=20, patience=4)
     assert len(drawn) == 20
     assert not run.converged
+
+
+def folded(*, smoothness: float = 0.0) -> Run:
+    """A run whose best model has two triangles of the rest pose turned over."""
+    rig = motions.chain(bones=3, rows=16, ring=8, frames=10)
+    data = gather([ssdr.MeshSequence(motions.wobble(rig, 0.05), rig.faces)], bones=3)
+    data = dataclasses.replace(data, surface=RestSurface.build(data, data.frame(0)))
+    model = solved(data, 3, schedule=[StartFromMotion(), Alternate(steps=8)])
+    model.rest[60] += 1.5 * (model.rest[61] - model.rest[60])
+    optimise_vertices(data, model, locked=Locked(rest=True), entering=0)
+    run = run_of(data, [Unfold()], 3)
+    run.smoothness = WeightSmoothness.build(data, data.faces, smoothness)
+    run.objective = Objective(Locked(), run.smoothness)
+    run.begin_with(model)
+    return run
+
+
+@pytest.mark.parametrize("smoothness", [0.0, 0.1])
+def test_triangles_that_are_turned_over_turn_back(smoothness: float) -> None:
+    run = folded(smoothness=smoothness)
+    before, surface = run.best_model.copy(), run.whole.surface
+    assert surface is not None
+    turned = surface.turned(before.rest, run.whole.faces)
+    assert 0 < turned.sum() < 6
+    run.drive()
+    assert not surface.turned(run.best_model.rest, run.whole.faces).any()
+    # it is the model that is returned, and what follows keeps to the stiffer edges
+    assert run.best_value == pytest.approx(run.value(run.best_model), rel=1e-12)
+    assert run.whole.surface is run.data.surface is not surface
+    far = np.linalg.norm(before.rest - before.rest[60], axis=1) > 1.5
+    np.testing.assert_allclose(run.best_model.rest[far], before.rest[far], atol=0.02)
+    if smoothness:  # the solve would not know of it
+        np.testing.assert_array_equal(run.best_model.weights, before.weights)
+
+
+def test_a_rest_pose_without_folds_or_surface_stays_as_it_is() -> None:
+    for surface in (True, False):
+        run = folded()
+        model = run.best_model.copy()
+        if surface:
+            assert run.whole.surface is not None
+            model.rest = run.whole.surface.pose.copy()
+        else:
+            run.whole = run.data = dataclasses.replace(run.whole, surface=None)
+        run.begin_with(model)
+        run.drive()
+        np.testing.assert_array_equal(run.best_model.rest, model.rest)
+        np.testing.assert_array_equal(run.best_model.weights, model.weights)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 import ssdr
-from helpers import motions, naive, trees
+from helpers import motions, naive, terms, trees
 from helpers.stretches import check_kind
 from helpers.tiny import CASES, KINDS, TREES, Tiny
 from ssdr.hierarchy.transforms import joint_gaps
@@ -17,11 +19,18 @@ from ssdr.solver.gauss_newton import GaussNewton
 from ssdr.solver.model import FREE, Model
 from ssdr.solver.tangents import chain
 from ssdr.solver.trajectories import gather
+from ssdr.solver.vertex_newton import optimise_vertices
 
 _OF_TREES = ("joints", "motion alone", "locked")
 CHOSEN = [
     *((kind, case) for kind in KINDS for case in CASES if case not in _OF_TREES),
     *((tree, case) for tree in TREES for case in CASES if case != "bones"),
+    *(("rigid", case, "surface and normals") for case in CASES if case not in _OF_TREES),
+    ("rigid", "free", "surface"),
+    ("rigid", "free", "normals"),
+    ("affine", "free", "surface"),
+    ("tree", "free", "surface and normals"),
+    ("tree", "locked", "surface and normals"),
 ]
 
 
@@ -48,7 +57,8 @@ def test_step_solves_the_dense_reduced_system(tiny: Tiny) -> None:
     want[moving] = np.linalg.solve((a + damped)[some], right[moving])
     got, predicted = newton._solve(system)
     np.testing.assert_allclose(got.ravel(), want, atol=2e-3 * np.abs(want).max())
-    assert predicted == pytest.approx(2 * right @ want - want @ a @ want, rel=1e-3)
+    factor = newton.value / tiny.model.weighted_error(tiny.data)
+    assert predicted == pytest.approx(factor * (2 * right @ want - want @ a @ want), rel=1e-3)
 
 
 def test_steps_descend_and_leave_what_is_fixed(tiny: Tiny) -> None:
@@ -59,9 +69,12 @@ def test_steps_descend_and_leave_what_is_fixed(tiny: Tiny) -> None:
         accepted = newton.step(entering=3 if k % 3 == 0 else 0)
         values.append(newton.value)
         assert accepted or values[-1] == values[-2]
-        assert model.weighted_error(tiny.data) == pytest.approx(values[-1], rel=1e-12)
+        assert newton.objective.value(tiny.data, model) == pytest.approx(values[-1], rel=1e-12)
     assert (np.diff(values) <= 0).all()
     assert values[-1] < 0.99 * values[0]
+    surface = None if tiny.locked.rest else tiny.data.surface
+    pose = None if surface is None else surface.pose
+    assert terms.value(tiny.data, model, pose) == pytest.approx(values[-1], rel=1e-7)
     inner = np.stack([tiny.data.frame(t) for t in range(tiny.frames)])
     scaled = inner * tiny.data.frame_scale[:, None, None]
     m = model.transforms * tiny.data.frame_scale[:, None, None, None]
@@ -81,6 +94,31 @@ def test_steps_descend_and_leave_what_is_fixed(tiny: Tiny) -> None:
         assert joint_gaps(model.transforms, model.tree.parents, model.tree.points).max() < 1e-13
         if tiny.locked.joints:
             assert np.array_equal(model.tree.points, before.tree.points)
+
+
+@pytest.mark.parametrize("kind", ["rigid", "tree"])
+@pytest.mark.parametrize("more", ["surface", "normals", "surface and normals"])
+def test_the_gradient_is_that_of_the_objective(kind: str, more: str) -> None:
+    """With vertices at their optimum, by finite differences of the whole product."""
+    tiny = Tiny(kind, more=more)
+    for _ in range(400):
+        optimise_vertices(tiny.data, tiny.model, entering=0)
+    newton = tiny.gauss_newton(damping=1.0)
+    factor = newton.value / tiny.model.weighted_error(tiny.data)
+    got = 2 * factor * newton.tangent.pullback(newton._reduced().gradient).ravel()
+    surface = tiny.data.surface
+    pose = None if surface is None else surface.pose
+    want = np.zeros(12)
+    chosen = np.linspace(0, tiny.unknowns - 1, len(want)).round().astype(int)
+    for k, j in enumerate(chosen):
+        ends = []
+        for sign in (1e-5, -1e-5):
+            moved = dataclasses.replace(
+                tiny.model, transforms=tiny.moved(sign * np.eye(tiny.unknowns)[j])
+            )
+            ends.append(terms.value(tiny.data, moved, pose))
+        want[k] = (ends[0] - ends[1]) / 2e-5
+    np.testing.assert_allclose(got[chosen], want, atol=1e-4 * np.abs(want).max())
 
 
 def test_single_precision_changes_a_step_by_rounding_alone() -> None:

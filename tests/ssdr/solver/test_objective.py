@@ -86,13 +86,15 @@ def test_meeting_points_and_offsets_against_loops(rng: np.random.Generator) -> N
     assert mean_joint_penalty(squared[:0]) == 0
 
 
-def test_the_objective_is_error_times_penalty_plus_smoothness(rng: np.random.Generator) -> None:
+def test_the_objective_is_error_and_smoothness_times_penalty(rng: np.random.Generator) -> None:
     data, model = _model(rng)
     error = float((data.importance * model.error).sum())
     assert Objective().value(data, model) == pytest.approx(error)
     want = error * (1 + _penalty(model))
     assert Objective(NEAR).value(data, model) == pytest.approx(want)
-    assert Objective(NEAR, Smoothness()).value(data, model) == pytest.approx(want + 3)
+    assert Objective(FREE, Smoothness()).value(data, model) == pytest.approx(error + 3)
+    both = (error + 3) * (1 + _penalty(model))
+    assert Objective(NEAR, Smoothness()).value(data, model) == pytest.approx(both)
     alone = dataclasses.replace(model, tree=None)
     assert Objective(NEAR).value(data, alone) == pytest.approx(error)
     away = dataclasses.replace(model.tree, points=model.tree.points + 1)

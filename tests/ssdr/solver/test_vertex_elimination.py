@@ -8,12 +8,13 @@ import pytest
 from helpers.tiny import CASES, Tiny
 
 
+@pytest.mark.parametrize("more", ["", "surface", "normals", "surface and normals"])
 @pytest.mark.parametrize(
     "case", [c for c in CASES if c not in ("joints", "motion alone", "locked")]
 )
-def test_vertices_answer_best(case: str) -> None:
+def test_vertices_answer_best(case: str, more: str) -> None:
     """Given the bones' step, v = -(JvᵀJv)⁻¹ Jvᵀ (r + Jm x)."""
-    tiny = Tiny(case=case)
+    tiny = Tiny(case=case, more=more)
     r, j_m, j_v = tiny.jacobians()
     x = 0.01 * np.random.default_rng(1).standard_normal(tiny.unknowns) * tiny.moving()
     step = tiny.newton._reduced().best_step(tiny.newton.tangent.image(tiny.shaped(x)))

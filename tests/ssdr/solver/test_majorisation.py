@@ -1,0 +1,89 @@
+"""No step that knows pulls on the rest pose and normals raises the objective (Hunter and Lange)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from helpers import terms
+from helpers.measures import run_of
+from helpers.terms import Case
+from ssdr.search.stages import Alternate
+from ssdr.solver.alternation import alternate, vertex_step
+from ssdr.solver.gauss_newton import GaussNewton
+from ssdr.solver.model import FREE, Locked, Model
+from ssdr.solver.objective import Objective
+from ssdr.solver.smoothness import WeightSmoothness
+from ssdr.solver.trajectories import Trajectories
+from ssdr.solver.vertex_newton import optimise_vertices
+
+LOCKED = Locked(weights=np.arange(30) % 3 == 0, bones=np.array([False, True]))
+CASES = {
+    "surface": Case(normals=False),
+    "normals": Case(surface=False),
+    "both": Case(),
+    "importance": Case(counts="some"),
+    "vertices that do not count": Case(counts="few"),
+    "compressed": Case(compressed=True),
+    "compressed, importance": Case(compressed=True, counts="some"),
+    "locked": Case(locked=LOCKED),
+    "locked rest pose": Case(locked=Locked(rest=True)),
+}
+STEPS = {
+    "vertex step": lambda data, model, locked: vertex_step(data, model, locked=locked),
+    "alternation": lambda data, model, locked: alternate(data, model, 1, locked),
+    "vertices": lambda data, model, locked: optimise_vertices(data, model, locked=locked),
+    "polish": lambda data, model, locked: GaussNewton(data, model, locked=locked).step(entering=1),
+}
+
+
+@pytest.mark.parametrize("step", STEPS)
+@pytest.mark.parametrize("case", CASES)
+def test_no_step_raises_the_objective(case: str, step: str) -> None:
+    chosen = CASES[case]
+    objective, fell = Objective(chosen.locked), 0.0
+    for seed in range(3):
+        small = {} if chosen.compressed else {"n": 30, "frames": 8}
+        data, model = terms.problem(chosen, seed, **small)
+        value = first = objective.value(data, model)
+        for _ in range(6):
+            STEPS[step](data, model, chosen.locked)
+            before, value = value, objective.value(data, model)
+            assert value <= before * (1 + 1e-12)
+        fell = max(fell, 1 - value / first)
+        _check_errors(data, model)
+    assert fell > 1e-3
+
+
+@pytest.mark.parametrize("case", ["surface", "normals", "both", "importance", "compressed"])
+def test_no_alternation_raises_it_with_a_penalty_on_weights(case: str) -> None:
+    chosen, fell = CASES[case], 0.0
+    for seed in range(3):
+        small = {} if chosen.compressed else {"n": 30, "frames": 8}
+        data, model = terms.problem(chosen, seed, **small)
+        run = run_of(data, [Alternate(steps=8)], 3, 3)
+        penalty = WeightSmoothness.build(data, data.faces, 0.3)
+        run.smoothness, run.objective = penalty, Objective(FREE, penalty)
+        run.begin_with(model)
+        assert run.best_value > 1.05 * Objective().value(data, model)
+        values = [run.best_value]
+        run.drive(lambda _, run=run, values=values: values.append(run.value(run.present)))
+        assert (np.diff(values) <= 1e-12 * values[0]).all()
+        fell = max(fell, 1 - values[-1] / values[0])
+    assert fell > 1e-3
+
+
+def _check_errors(data: Trajectories, model: Model) -> None:
+    """What steps say of their errors is what vertices and normals are off."""
+    if data.q is not None:
+        return
+    counts = data.frame_scale[:, None] ** 2
+    frames = np.stack([data.frame(t) for t in range(data.n_frames)])
+    parts = model.indices, model.weights, model.transforms
+    gap = terms.naive.skin(model.rest, *parts) - frames
+    np.testing.assert_allclose(model.error, (counts * (gap**2).sum(axis=2)).sum(axis=0), rtol=1e-7)
+    if model.normals.shape[1]:
+        gap = terms.turned_normals(model.normals[:, 0], *parts)
+        gap -= terms.frame_normals(frames, data.faces)
+        want = (counts * (gap**2).sum(axis=2)).sum(axis=0)
+        np.testing.assert_allclose(model.normal_error, want, rtol=1e-6)

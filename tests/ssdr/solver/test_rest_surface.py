@@ -1,0 +1,200 @@
+"""What a rest pose is to resemble: its strain, the pulls that majorise it, the frame it is near."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import threadpoolctl
+
+import ssdr
+from helpers import motions, surfaces, terms
+from ssdr.solver.rest_surface import RestSurface, central_frame
+from ssdr.solver.trajectories import Trajectories, gather
+
+
+def _data(frames: np.ndarray, faces: np.ndarray) -> Trajectories:
+    return gather([ssdr.MeshSequence(frames, faces)], bones=1, compress=False)
+
+
+def _sheet(rng: np.random.Generator, size: int = 4) -> tuple[RestSurface, np.ndarray]:
+    points, faces = surfaces.grid(size, size, jitter=0.1, rng=rng)
+    data = _data(points[None], faces)
+    surface = RestSurface.build(data, data.frame(0))
+    assert surface is not None
+    return surface, faces
+
+
+def _soup(frames: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same triangles with three vertices of their own each."""
+    return frames[:, faces.ravel()], np.arange(faces.size, dtype=np.int32).reshape(-1, 3)
+
+
+def test_the_strain_is_that_of_the_edges(rng: np.random.Generator) -> None:
+    surface, faces = _sheet(rng)
+    pose = surface.pose
+    rest = pose + 0.1 * rng.standard_normal(pose.shape)
+    want = 1 + terms.STRENGTH * terms.strain(rest, pose, faces)
+    assert surface.factor(rest) == pytest.approx(want, rel=1e-12)
+    assert surface.factor(pose + np.array([1, -2, 3])) == pytest.approx(1, abs=1e-12)
+    for degrees in (20, 180):
+        turn = motions.rotation(0, 0, math.radians(degrees))  # the sheet is flat: in its plane
+        want = 1 + terms.STRENGTH * 4 * math.sin(math.radians(degrees / 2)) ** 2
+        assert surface.factor(pose @ turn.T) == pytest.approx(want, rel=1e-9)
+
+
+def test_pulls_majorise_the_logarithm_of_the_factor(rng: np.random.Generator) -> None:
+    """E log F rises by at most what the pulls rise, and by as much to first order."""
+    surface, _ = _sheet(rng)
+    n, error = len(surface.pose), 3.7
+    importance = 0.2 + rng.random(n)
+    rest = surface.pose + 0.2 * rng.standard_normal((n, 3))
+    pulls = surface.pulls(rest, error, importance)
+
+    def pulled(p: np.ndarray) -> float:
+        return float(importance @ (pulls[:, 0] * ((p - pulls[:, 1:]) ** 2).sum(axis=1)))
+
+    def rise(p: np.ndarray) -> float:
+        return error * math.log(surface.factor(p) / surface.factor(rest))
+
+    for size in (1e-3, 0.1, 1.0, 10.0):
+        for p in rest + size * rng.standard_normal((20, n, 3)):
+            assert rise(p) <= (pulled(p) - pulled(rest)) * (1 + 1e-9)
+    for i, c in ((0, 0), (7, 1), (12, 2)):
+        step = np.zeros((n, 3))
+        step[i, c] = 1e-5
+        slopes = [f(rest + step) - f(rest - step) for f in (rise, pulled)]
+        assert slopes[0] == pytest.approx(slopes[1], rel=1e-6)
+    assert np.isfinite(surface.pulls(rest, error, np.zeros(n))).all()
+
+
+def test_without_edges_there_is_no_surface(rng: np.random.Generator) -> None:
+    points = rng.standard_normal((1, 5, 3))
+    for frames, faces in (
+        (points, np.zeros((0, 3))),
+        (points, [[1, 1, 1]]),
+        (0 * points, [[0, 1, 2]]),
+    ):
+        data = _data(frames, np.array(faces, dtype=np.int32))
+        assert RestSurface.build(data, data.frame(0)) is None
+    assert central_frame(_data(np.repeat(points, 3, axis=0), np.zeros((0, 3), np.int32))) == 0
+
+
+def test_copies_at_seams_belong_together(rng: np.random.Generator) -> None:
+    points, faces = surfaces.grid(3, 4, jitter=0.1, rng=rng)
+    frames = np.stack([points, points + 0.1 * rng.standard_normal(points.shape)])
+    data, soup = _data(frames, faces), _data(*_soup(frames, faces))
+    whole = RestSurface.build(data, data.frame(0))
+    parts = RestSurface.build(soup, soup.frame(0))
+    assert whole is not None
+    assert parts is not None
+    rest = whole.pose + 0.1 * rng.standard_normal(whole.pose.shape)
+    # the two spaces differ in size, since vertices of many triangles count more in the soup
+    scaled = whole.scaled(data.scale / soup.scale)
+    gap = parts.pose - scaled.pose[faces.ravel()]
+    np.testing.assert_allclose(gap, np.broadcast_to(gap[0], gap.shape), atol=1e-12)
+    apart = parts.pose + (data.scale / soup.scale) * (rest - whole.pose)[faces.ravel()]
+    assert parts.factor(apart) == pytest.approx(whole.factor(rest), rel=1e-9)
+    torn = apart.copy()
+    torn[0] += 0.1
+    assert parts.factor(torn) > parts.factor(apart)
+
+
+def test_only_what_coincides_in_every_frame_is_a_seam(rng: np.random.Generator) -> None:
+    frames = rng.standard_normal((3, 6, 3))
+    frames[:, 3] = frames[:, 0]
+    frames[:2, 4] = frames[:2, 1]  # it leaves in the last frame
+    data = _data(frames, np.array([[0, 1, 2], [3, 4, 5]], dtype=np.int32))
+    surface = RestSurface.build(data, data.frame(0))
+    assert surface is not None
+    joined = surface.edges.toarray() > 0
+    assert joined[0, 3]
+    assert joined[[0, 3], 1].all()
+    assert joined[[0, 3], 4].all()
+    assert not joined[1, 4]
+    np.testing.assert_array_equal(surface.edges.toarray(), surface.edges.toarray().T)
+
+
+def test_more_vertices_are_free_and_copies_of_the_mesh_count_alike(
+    rng: np.random.Generator,
+) -> None:
+    surface, _ = _sheet(rng)
+    n = len(surface.pose)
+    rest = surface.pose + 0.2 * rng.standard_normal((n, 3))
+    rows = np.concatenate([np.arange(n), [3, 3, 7]])
+    wide = surface.extended(rows)
+    more = np.concatenate([rest, 100 * rng.standard_normal((3, 3))])
+    assert wide.factor(more) == pytest.approx(surface.factor(rest), rel=1e-12)
+    pulls = wide.pulls(more, 1.0, np.ones(n + 3))
+    np.testing.assert_allclose(pulls[:n], surface.pulls(rest, 1.0, np.ones(n)), rtol=1e-12)
+    assert (pulls[n:, 0] == 0).all()
+    copies = [rest, surface.pose, surface.pose + 0.5 * (rest - surface.pose)]
+    mean = np.mean([surface.factor(one) for one in copies])
+    assert surface.repeated(3).factor(np.concatenate(copies)) == pytest.approx(mean, rel=1e-12)
+    assert surface.scaled(2.5).factor(2.5 * rest) == pytest.approx(surface.factor(rest), rel=1e-12)
+
+
+def test_stiffer_edges_count_ten_times_as_much(rng: np.random.Generator) -> None:
+    surface, faces = _sheet(rng)
+    some = faces[[4, 5]]
+    stiff = surface.stiffened(some)
+    rest = surface.pose.copy()
+    i, j = some[0, 0], next(int(k) for k in range(len(rest)) if k not in faces[:6])
+    for k, times in ((i, None), (j, 1.0)):
+        moved = rest.copy()
+        moved[k] += 0.1
+        ends = [pair for pair in terms.edges_of(faces) if k in pair]
+        weight = {pair: surface.edges[pair[0], pair[1]] for pair in ends}
+        tenfold = [10 * w if pair in terms.edges_of(some) else w for pair, w in weight.items()]
+        ratio = sum(tenfold) / sum(weight.values())
+        found = (stiff.factor(moved) - 1) / (surface.factor(moved) - 1)
+        assert found == pytest.approx(ratio if times is None else times, rel=1e-9)
+    assert stiff.factor(rest) == 1
+
+
+def test_triangles_turned_over_are_found(rng: np.random.Generator) -> None:
+    points, faces = surfaces.grid(4, 4)
+    data = _data(points[None], faces)
+    surface = RestSurface.build(data, data.frame(0))
+    assert surface is not None
+    assert not surface.turned(surface.pose, faces).any()
+    folded = surface.pose.copy()
+    folded[12] += 1.3 * (folded[13] - folded[12])  # across the edges of triangles on that side
+    turned = surface.turned(folded, faces)
+    a, b, c = folded[faces].transpose(1, 0, 2)
+    up = np.cross(b - a, c - a)[:, 2]
+    flat = np.cross(*np.diff(surface.pose[faces], axis=1).transpose(1, 0, 2))[:, 2]
+    np.testing.assert_array_equal(turned, up * flat < 0)
+    assert 0 < turned.sum() < 6
+    bent = RestSurface.build(data, folded)
+    assert bent is not None
+    assert not bent.turned(folded, faces).any()
+    assert not bent.turned(surface.pose, faces).any()
+
+
+def test_the_central_frame_is_nearest_to_the_mean_of_the_edges(rng: np.random.Generator) -> None:
+    points, faces = surfaces.grid(4, 5)
+    amount = np.array([0.3, -0.25, 0.12, 0.01, -0.2, 0.22, -0.19])
+    frames = points + amount[:, None, None] * (points**2)[:, [2, 2, 0]]
+    turns = np.stack([motions.rotation(*v) for v in rng.standard_normal((len(frames), 3))])
+    frames = np.einsum("tab,tib->tia", turns, frames) + 10 * rng.standard_normal(
+        (len(frames), 1, 3)
+    )
+    assert central_frame(_data(frames, faces)) == 3
+    many = np.repeat(frames, 40, axis=0)
+    found = central_frame(_data(many, faces))
+    assert found // 40 == 3
+    assert found in np.linspace(0, len(many) - 1, 64).round()
+
+
+def test_the_same_bits_whatever_threads_blas_may_use() -> None:
+    frames, faces = motions.cloth(frames=12, side=130)
+    data = _data(frames, faces)
+    found = set()
+    for limit in (1, 2):
+        with threadpoolctl.threadpool_limits(limit, user_api="blas"):
+            surface = RestSurface.build(data, data.frame(0))
+            assert surface is not None
+            found.add((surface.edges.data.tobytes(), central_frame(data)))
+    assert len(found) == 1

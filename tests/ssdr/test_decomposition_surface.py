@@ -1,0 +1,156 @@
+"""Rest poses that stay surfaces, and normals as engines draw them, in whole calls."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import ssdr
+from helpers import motions, naive
+from helpers.measures import bits, bits_on_threads, frames, rig
+from ssdr.kernels.normals import normals_range
+
+
+def _turned(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Triangles that point away from the normals of their corners."""
+    around = np.empty((1, *points.shape))
+    normals_range(points[None].astype(np.float64), faces, faces, around, 0, 1)
+    a, b, c = points[faces].transpose(1, 0, 2)
+    own = np.cross(b - a, c - a)
+    return (own * around[0][faces].sum(axis=1)).sum(axis=1) < 0
+
+
+def _rest_normals_off(skinning: ssdr.Skinning) -> float:
+    """Mean angle between the normals of the rest pose and those that the model stores."""
+    own = naive.corner_normals(skinning.rest, skinning.faces)
+    stored = skinning.surface.normals
+    known = (np.abs(own).sum(axis=-1) > 0) & (np.abs(stored).sum(axis=-1) > 0)
+    return float(naive.angles(own, stored)[known].mean())
+
+
+def test_a_rest_pose_is_a_surface_by_default(real: Callable[[str], ssdr.MeshSequence]) -> None:
+    """A free one has less error, and so it says what the surface costs."""
+    horse = real("horse_poses")
+    ever = np.any([_turned(points, horse.faces) for points in horse.vertices], axis=0)
+    found = {}
+    for name, options in {"surface": {}, "free": {"rest_pose": "free", "normals": False}}.items():
+        result = ssdr.decompose(horse, bones=12, effort="fast", **options)
+        s = result.skinning
+        folds = _turned(s.rest, s.faces) & ~ever
+        found[name] = result.rmse, int(folds.sum()), result.normals.mean, _rest_normals_off(s)
+    (rmse, folds, drawn, stored), free = found["surface"], found["free"]
+    assert folds == 0 < free[1]
+    assert drawn <= 7.5
+    assert stored <= 7.5
+    assert drawn < free[2]
+    assert stored < free[3]
+    assert free[0] < rmse < 1.25 * free[0]
+
+
+def test_surface_and_normals_are_paid_for_by_error() -> None:
+    found = {}
+    for rest_pose in ("surface", "free"):
+        for normals in (True, False):
+            result = ssdr.decompose(
+                frames(), rig().faces, bones=4, rest_pose=rest_pose, normals=normals
+            )
+            found[rest_pose, normals] = result.rmse, result.normals.mean
+    errors = np.array([found[key][0] for key in found]).reshape(2, 2)
+    angles = np.array([found[key][1] for key in found]).reshape(2, 2)
+    assert (errors[0] > errors[1]).all()  # surface, free
+    assert (errors[:, 0] > errors[:, 1]).all()  # with normals, without
+    assert (errors < 1.25 * errors.min()).all()
+    assert (angles[:, 0] < 0.9 * angles[:, 1]).all()
+
+
+def test_a_cloud_of_points_has_neither() -> None:
+    free: dict[str, Any] = {"rest_pose": "free", "normals": False}
+    for options in ({}, {"rig": "rigid"}, {"bone_model": "affine"}, {"influences": (4, "uint8")}):
+        options = {"bones": 4, "effort": "fast"} | options
+        default, bare = (
+            ssdr.decompose(frames(), **options),
+            ssdr.decompose(frames(), **options, **free),
+        )
+        assert bits(default) == bits(bare)
+        assert default.normals is None
+
+
+def test_copies_at_seams_stay_together() -> None:
+    """In a soup of triangles nothing but the edges of copies holds the rest pose together."""
+    shots, faces = frames(), rig().faces
+    soup = np.arange(faces.size, dtype=np.int32).reshape(-1, 3)
+    corners = shots[:, faces.ravel()]
+    apart = {}
+    for rest_pose in ("surface", "free"):
+        s = ssdr.decompose(corners, soup, bones=5, effort="fast", rest_pose=rest_pose).skinning
+        middle = np.zeros((shots.shape[1], 3))
+        np.add.at(middle, faces.ravel(), s.rest)
+        middle /= np.bincount(faces.ravel())[:, None]
+        apart[rest_pose] = np.linalg.norm(s.rest - middle[faces.ravel()], axis=1).max()
+    edges = shots[0][faces] - shots[0][np.roll(faces, 1, axis=1)]
+    length = np.linalg.norm(edges, axis=-1).mean()
+    assert apart["surface"] < 0.03 * length
+    assert apart["free"] > 5 * apart["surface"]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"effort": "balanced"},
+        {"rig": "rigid", "effort": "fast"},
+        {"influences": (4, "uint8"), "effort": "fast"},
+        {"smoothness": 0.05, "effort": "fast"},
+    ],
+    ids=str,
+)
+def test_the_same_bits_for_any_number_of_threads(options: dict[str, Any]) -> None:
+    shots, faces = motions.wings(frames=15, rows=40, columns=14)  # more than one chunk
+
+    def solve() -> ssdr.Decomposition:
+        return ssdr.decompose(shots, faces, bones=4, **options)
+
+    assert len(bits_on_threads(solve, (1, 3))) == 1
+
+
+def test_exact_data_are_recovered_although_no_frame_is_their_rest_pose() -> None:
+    """Factors of the error vanish with it."""
+    exact = motions.chain(2, bones=3, frames=25, rows=12)
+    shots = exact.frames[5:]  # none of these is the rest pose
+    result = ssdr.decompose(shots, exact.faces, bones=3, effort="balanced")
+    assert result.rmse < 1e-4 * np.linalg.norm(np.ptp(shots[0], axis=0))
+
+
+def test_a_rest_frame_is_the_one_that_is_resembled() -> None:
+    shots, faces = motions.wings()
+    for frame in (0, 8, 22):
+        start = ssdr.Start(rest_frame=frame)
+        s = ssdr.decompose(shots, faces, bones=6, effort="fast", start=start).skinning
+        edges = s.rest[faces] - s.rest[np.roll(faces, 1, axis=1)]
+        strain = []
+        for points in shots:
+            theirs = points[faces] - points[np.roll(faces, 1, axis=1)]
+            # in its own position and turn, which the gauge leaves open
+            turn = ssdr.kabsch(s.rest, points)[:, :3]
+            strain.append(((edges @ turn.T - theirs) ** 2).sum() / (theirs**2).sum())
+        assert strain[frame] < 1.5 * min(strain)
+
+
+def test_a_given_rest_pose_is_not_pulled() -> None:
+    start = ssdr.Start(rest=rig().rest)
+    for options in ({}, {"rest_pose": "free"}):
+        found = ssdr.decompose(frames(), rig().faces, bones=4, start=start, **options).skinning
+        np.testing.assert_allclose(found.rest, rig().rest, atol=1e-12)
+
+
+def test_the_model_has_the_normals_that_were_solved() -> None:
+    """Handed back are normals fitted on all frames, near those of the last steps."""
+    result = ssdr.decompose(frames(), rig().faces, bones=4)
+    again = ssdr.metrics.normals(ssdr.MeshSequence(frames(), rig().faces), result.skinning)
+    assert again.mean == pytest.approx(result.normals.mean, rel=1e-6)
+    bare = dataclasses.replace(result.skinning, surface=None)
+    worse = ssdr.metrics.normals(ssdr.MeshSequence(frames(), rig().faces), bare)
+    assert again.mean < worse.mean
