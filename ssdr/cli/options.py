@@ -122,6 +122,10 @@ class FitOptions(SpaceOptions):
         Literal["rigid", "similarity", "affine"],
         option(MODEL, "similarity: bones also grow; affine: they also shear."),
     ] = "rigid"
+    rest_pose: Annotated[
+        Literal["surface", "free"],
+        option(MODEL, "surface: the rest pose resembles a frame; free: it has the least error."),
+    ] = "surface"
     start: Annotated[
         str | None,
         option(
