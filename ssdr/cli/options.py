@@ -131,7 +131,7 @@ class FitOptions(SpaceOptions):
         option(
             RUN,
             "Go on from a model or checkpoint; or keep the first frame of a mesh as the rest pose; "
-            "or start with the rest pose of frame N.",
+            "or a rest pose that resembles frame N.",
             metavar="FILE|N",
         ),
     ] = None
