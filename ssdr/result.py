@@ -31,8 +31,8 @@ class Decomposition:
         its steps, "time limit" or "cancelled"; of :func:`smallest` "tolerance held" or
         "tolerance out of reach" in place of the first two.
     history : tuple of Record
-        One record for each accepted model, of which the last is the result.  The RMSE never
-        rises; with `smoothness` this holds for the penalised error instead.  For
+        One record for each accepted model, of which the last is the result.  The objective never
+        rises; the RMSE may where rest pose, normals or, with `smoothness`, weights gain more.  For
         :func:`smallest`, one record for each smaller model that held the tolerance, then the
         result.
     offsets : (S + 1,) int array

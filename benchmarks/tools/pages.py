@@ -27,10 +27,11 @@ from benchmarks.peers.charts import STYLE
 PAGES = [ROOT / "benchmarks" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 SEQUENCE = "{sequence}, {bones}"
 REST_POSES = {
-    "ssdr balanced": "solved, from frame 0",
-    "ssdr balanced middle": "solved, from the middle",
-    "ssdr balanced fixed": "fixed at frame 0",
-    "ssdr balanced fixed middle": "fixed at the middle",
+    "free, no normals": "free, `normals=False`",
+    "free": "free",
+    "surface, no normals": "surface, `normals=False`",
+    "surface": "surface, the default",
+    "frame 0": "fixed at frame 0",
 }
 
 
@@ -147,9 +148,11 @@ def smooth_rows() -> list[Row]:
 
 
 def rest_rows() -> list[Row]:
-    found = [r for r in rows("choices") if r["solver"] in REST_POSES]
-    found = [r | {"pose": REST_POSES[r["solver"]]} for r in found]
-    return pivot(found, SEQUENCE, "{pose}", "{E:.3f}")
+    found = rows("rest_poses")
+    for r in found:
+        r["pose"] = REST_POSES[r["case"].partition(" ")[2]]
+    shown = "{E:.3f}, {drawn:.1f}° ({bent:.1f}°)"
+    return pivot(found, SEQUENCE, "{pose}", shown)
 
 
 def named(rows: Iterable[Row]) -> list[Row]:

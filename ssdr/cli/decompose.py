@@ -12,8 +12,8 @@ from .options import FILES, MODEL, RIG, FitOptions, option, takes
 from .presets import engine_of, finished, preset
 
 _NOT_BESIDE_LEVELS = (
-    *("bone_model", "smoothness", "rig", "extra_bones", "lock", "keep_weights"),
-    *("root_motion", "start", "time_limit", "checkpoint"),
+    *("bone_model", "rest_pose", "normals", "smoothness", "rig", "extra_bones", "lock"),
+    *("keep_weights", "root_motion", "start", "time_limit", "checkpoint"),
 )
 _LEVELS = "several numbers of --bones (levels of detail)"
 
@@ -23,6 +23,9 @@ class DecomposeOptions(FitOptions):
     """Arguments and options of ``ssdr decompose``."""
 
     smoothness: Annotated[float, option(MODEL, "Smoothness of the weights.", min=0.0)] = 0.0
+    normals: Annotated[
+        bool, option(MODEL, "Whether the last steps fit the normals that engines draw, too.")
+    ] = True
     rig: Annotated[
         str | None,
         option(
@@ -88,7 +91,7 @@ def _arguments(options: DecomposeOptions) -> dict[str, Any]:
         _check_levels(options)
         options.influences = options.influences[0], "float32"  # the levels are solved with floats
         return {}
-    smooth = {"smoothness": options.smoothness}
+    fitted = {"smoothness": options.smoothness, "normals": options.normals}
     if options.rig in (None, "loose", "rigid"):
         for name in ("extra_bones", "lock", "keep_weights"):
             if getattr(options, name):
@@ -96,7 +99,7 @@ def _arguments(options: DecomposeOptions) -> dict[str, Any]:
                 raise InputError(option, "the file of a rig beside it (--rig FILE)", options.rig)
         if options.bones is None:
             raise InputError("--bones", "a number of bones, or --rig FILE", "neither")
-        return {"rig": options.rig, **smooth}
+        return {"rig": options.rig, **fitted}
     file = options.rig.removeprefix("loose=")
     model = ssdr.load_skinning(file)
     rig = ssdr.Skeleton(
@@ -106,11 +109,11 @@ def _arguments(options: DecomposeOptions) -> dict[str, Any]:
         locked_joints=[name.strip() for name in options.lock.split(",")] if options.lock else (),
     )
     if not options.keep_weights:
-        return {"rig": rig, **smooth}
+        return {"rig": rig, **fitted}
     if options.start is not None:
         raise InputError("--start", "none beside --keep-weights", options.start)
     kept = ssdr.Start(rest=model.rest, indices=model.indices, weights=model.weights)
-    return {"rig": rig, "start": kept, **smooth}
+    return {"rig": rig, "start": kept, **fitted}
 
 
 def _check_levels(options: DecomposeOptions) -> None:

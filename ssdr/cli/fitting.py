@@ -28,7 +28,15 @@ from .template import options_with_template
 Solver = Callable[..., Any]
 Shots = list[MeshSequence]
 _INFLUENCES = 4
-_SHARED = ("bones", "influences", "effort", "bone_model", "time_limit", "checkpoint")
+_SHARED = (
+    "bones",
+    "influences",
+    "effort",
+    "bone_model",
+    "rest_pose",
+    "time_limit",
+    "checkpoint",
+)
 _ROWS = {
     "input": "{input}: {frames:,} frames, {vertices:,} vertices, {triangles:,} triangles, "
     "diagonal {diagonal:.4g}",

@@ -122,12 +122,16 @@ class FitOptions(SpaceOptions):
         Literal["rigid", "similarity", "affine"],
         option(MODEL, "similarity: bones also grow; affine: they also shear."),
     ] = "rigid"
+    rest_pose: Annotated[
+        Literal["surface", "free"],
+        option(MODEL, "surface: the rest pose resembles a frame; free: it has the least error."),
+    ] = "surface"
     start: Annotated[
         str | None,
         option(
             RUN,
             "Go on from a model or checkpoint; or keep the first frame of a mesh as the rest pose; "
-            "or start with the rest pose of frame N.",
+            "or a rest pose that resembles frame N.",
             metavar="FILE|N",
         ),
     ] = None

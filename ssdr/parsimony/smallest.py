@@ -12,7 +12,7 @@ import numpy as np
 from ..checks import BoneModel, check_whole, names_arguments, parse_tolerance
 from ..drivers.efforts import Effort
 from ..drivers.hand_back import finished
-from ..drivers.problem import Problem, check_problem
+from ..drivers.problem import Problem, RestPose, check_problem
 from ..errors import InputError, check_choice
 from ..io.load_save import compact_size
 from ..quantisation import WeightStorage
@@ -47,6 +47,7 @@ def smallest(
     start: Skinning | Start | None = None,
     vertex_importance: Any = None,
     frame_importance: Any = None,
+    rest_pose: RestPose = "surface",
     rng: int | np.random.Generator = 0,
     file: Mapping[str, Any] | None = None,
     time_limit: float | None = None,
@@ -92,6 +93,8 @@ def smallest(
         since the tolerance bounds the error without importance.
     frame_importance : (F,) array, optional
         Positive; guides the solver as in :func:`decompose`.
+    rest_pose : {"surface", "free"}
+        As in :func:`decompose`.
     rng : int or numpy.random.Generator
         The same seed gives the same bits, whatever the number of threads.
     file : mapping, optional

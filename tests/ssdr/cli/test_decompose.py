@@ -18,7 +18,7 @@ def test_outputs_and_json(faked, done, clip, wave, tmp_path):
     document = done(
         "decompose", clip, *(f for o in outputs for f in ("-o", o)), "--bones", 3, "-k", 2,
         "-o", picture, "--checkpoint", tmp_path / "c.npz", "--time-limit", 9, "--seed", 5,
-        "--effort", "fast", "--smoothness", 0.1,
+        "--effort", "fast", "--smoothness", 0.1, "--rest-pose", "free", "--no-normals",
     )  # fmt: skip
     assert (document["bones"], document["influences"], document["rmse"]) == (3, 2, 0.25)
     assert document["E"] == pytest.approx(250 / np.sqrt(3))
@@ -34,6 +34,8 @@ def test_outputs_and_json(faked, done, clip, wave, tmp_path):
     assert fake_decompose.options == {
         "effort": "fast",
         "bone_model": "rigid",
+        "rest_pose": "free",
+        "normals": False,
         "rig": None,
         "start": None,
         "rng": 5,
@@ -74,7 +76,9 @@ def test_several_numbers_of_bones_are_levels_of_detail(done, refused, clip, tmp_
     assert b'"MSFT_lod"' in out.read_bytes()
     line = ("decompose", clip, "-b", "4,2", "-o")
     assert "--output: expected glTF" in refused(*line, tmp_path / "a.npz")
-    assert "--smoothness: expected none" in refused(*line, tmp_path / "b.glb", "--smoothness", 1)
+    for words in (("--smoothness", 1), ("--rest-pose", "free"), ("--no-normals",)):
+        flag = words[0].replace("--no-", "--")
+        assert f"{flag}: expected none" in refused(*line, tmp_path / "b.glb", *words)
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,7 @@ WEIGHTS = ssdr.Start(indices=np.zeros((84, 1), int), weights=np.ones((84, 1)))
         ("measure", {"measure": "mean"}),
         ("bones", {"bones": 0}),
         ("bones", {"bones": 85}),
+        ("rest_pose", {"rest_pose": "soft"}),
         ("start.weights", {"start": WEIGHTS}),
         (
             "start.transforms",
@@ -39,6 +40,19 @@ def test_refuses_beside_a_tolerance(argument: str, change: dict[str, Any]) -> No
     with pytest.raises(ssdr.InputError, match="expected") as caught:
         ssdr.smallest(rig.frames, rig.faces, **({"tolerance": "1%"} | change))
     assert caught.value.argument == argument
+
+
+def test_a_rest_pose_is_a_surface_unless_it_is_free() -> None:
+    dancer = ssdr.samples.load("dancer_small")
+    edges = np.concatenate([dancer.faces[:, [0, 1]], dancer.faces[:, [1, 2]]])
+    nearest = {}
+    for kind in ("surface", "free"):
+        found = ssdr.smallest(dancer, tolerance="0.5%", effort="fast", rest_pose=kind)
+        assert found.parsimony.held
+        own = np.diff(found.skinning.rest[edges], axis=1)
+        others = np.diff(dancer.vertices[:, edges], axis=2)
+        nearest[kind] = ((own - others) ** 2).sum(axis=(1, 2, 3)).min()
+    assert nearest["surface"] < 0.3 * nearest["free"]
 
 
 def test_a_static_mesh_gets_one_bone_one_influence_one_key() -> None:
