@@ -12,13 +12,14 @@ import numpy as np
 from ..checks import BoneModel, check_whole, names_arguments, parse_tolerance
 from ..drivers.efforts import Effort
 from ..drivers.hand_back import finished
-from ..drivers.problem import Problem, RestPose, check_problem
+from ..drivers.problem import Problem, check_problem
 from ..errors import InputError, check_choice
 from ..io.load_save import compact_size
 from ..quantisation import WeightStorage
 from ..search.progress import Callback
 from ..sequence import MeshSequence, as_sequences
 from ..skinning import Skinning
+from ..solver.rest_surface import RestPose
 from ..start import Skeleton, Start
 from .driver import Driver
 from .report import Measure, Smallest
