@@ -12,7 +12,7 @@ from ssdr.search.stages import Alternate
 from ssdr.solver.alternation import alternate, vertex_step
 from ssdr.solver.gauss_newton import GaussNewton
 from ssdr.solver.model import FREE, Locked, Model
-from ssdr.solver.objective import Objective
+from ssdr.solver.objective import Objective, rest_pulls
 from ssdr.solver.smoothness import WeightSmoothness
 from ssdr.solver.trajectories import Trajectories
 from ssdr.solver.vertex_newton import optimise_vertices
@@ -87,3 +87,21 @@ def _check_errors(data: Trajectories, model: Model) -> None:
         gap -= terms.frame_normals(frames, data.faces)
         want = (counts * (gap**2).sum(axis=2)).sum(axis=0)
         np.testing.assert_allclose(model.normal_error, want, rtol=1e-6)
+
+
+@pytest.mark.parametrize("locked", [FREE, LOCKED], ids=["free", "locked"])
+def test_gradients_are_those_at_the_rest_pose_where_a_solve_ends(locked: Locked) -> None:
+    """The pulls go with the rest pose; only their stiffness is that from before the solve."""
+    data, model = terms.problem(Case(normals=False, counts="some"), n=30, frames=8)
+    before = rest_pulls(data, model, locked)
+    found = optimise_vertices(data, model, locked=locked)
+    again = optimise_vertices(data, model, locked=locked, entering=-1, rounds=0)
+    after = rest_pulls(data, model, locked)
+    assert np.abs(after - before).max() > 1e-3
+    softer = (after[:, 0] - before[:, 0])[:, None] * (model.rest - after[:, 1:])
+    keep = locked.vertex_mask(30)
+    for i in range(30):
+        first = 0 if keep[i] else np.count_nonzero(model.weights[i]) - 1
+        want = again.gradient[i].copy()
+        want[first : first + 3] -= softer[i]
+        np.testing.assert_allclose(found.gradient[i], want, rtol=1e-6, atol=1e-9)
