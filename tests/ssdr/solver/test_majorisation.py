@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,7 @@ from ssdr.search.stages import Alternate
 from ssdr.solver.alternation import alternate, vertex_step
 from ssdr.solver.gauss_newton import GaussNewton
 from ssdr.solver.model import FREE, Locked, Model
-from ssdr.solver.objective import Objective
+from ssdr.solver.objective import Objective, rest_pulls
 from ssdr.solver.smoothness import WeightSmoothness
 from ssdr.solver.trajectories import Trajectories
 from ssdr.solver.vertex_newton import optimise_vertices
@@ -87,3 +89,52 @@ def _check_errors(data: Trajectories, model: Model) -> None:
         gap -= terms.frame_normals(frames, data.faces)
         want = (counts * (gap**2).sum(axis=2)).sum(axis=0)
         np.testing.assert_allclose(model.normal_error, want, rtol=1e-6)
+
+
+@pytest.mark.parametrize("locked", [FREE, LOCKED], ids=["free", "locked"])
+def test_gradients_are_those_at_the_rest_pose_where_a_solve_ends(locked: Locked) -> None:
+    """The pulls go with the rest pose; only their stiffness is that from before the solve."""
+    data, model = terms.problem(Case(normals=False, counts="some"), n=30, frames=8)
+    before = rest_pulls(data, model, locked)
+    found = optimise_vertices(data, model, locked=locked)
+    again = optimise_vertices(data, model, locked=locked, entering=-1, rounds=0)
+    after = rest_pulls(data, model, locked)
+    assert np.abs(after - before).max() > 1e-3
+    softer = (after[:, 0] - before[:, 0])[:, None] * (model.rest - after[:, 1:])
+    keep = locked.vertex_mask(30)
+    for i in range(30):
+        first = 0 if keep[i] else np.count_nonzero(model.weights[i]) - 1
+        want = again.gradient[i].copy()
+        want[first : first + 3] -= softer[i]
+        np.testing.assert_allclose(found.gradient[i], want, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("share", [0.0, 2.0])
+def test_vertices_end_where_the_product_is_least(share: float) -> None:
+    """With a constant `share` of the error added, as a penalty on weights that stay."""
+    data, model = terms.problem(Case(counts="some"), n=30, frames=8)
+    stay = Locked(weights=np.ones(30, dtype=bool))
+    penalty = share * model.weighted_error(data)
+    for _ in range(400):
+        vertex_step(data, model, locked=stay, penalty=penalty)
+    factor = (model.weighted_error(data) + penalty) / model.weighted_error(data)
+    surface = data.surface
+    assert surface is not None
+
+    def slopes(name: str, i: int, c: int) -> tuple[float, float]:
+        """Of the logarithm of the product, and of the error of positions alone."""
+        ends = []
+        for sign in (1e-5, -1e-5):
+            moved = model.copy()
+            getattr(moved, name)[i].ravel()[c] += sign
+            plain = dataclasses.replace(moved, normals=moved.normals[:, :0])
+            error = terms.value(data, plain)
+            others = terms.value(data, moved, surface.pose) / error
+            ends.append((np.log((error + penalty) * others), np.log(error) / factor))
+        return tuple((ends[0][k] - ends[1][k]) / 2e-5 for k in (0, 1))
+
+    for i in (0, 11, 23):
+        for c in range(3):
+            product, alone = slopes("rest", i, c)
+            assert abs(product) < 1e-3 * max(abs(alone), 1e-2)
+            assert abs(slopes("normals", i, c)[0]) < 1e-5
