@@ -31,7 +31,7 @@ def test_options_stand_in_panels(run, command):
     assert code == 0
     titles = re.findall(r"[-─] (\w+) [-─]", out)
     assert titles == ["Arguments", "Options", "Model", "Rig", "Run", "Files"]
-    assert len(set(re.findall(r"^\W+(--[\w-]+)", out, re.MULTILINE)) - {"--help"}) <= 24
+    assert len(set(re.findall(r"^\W+(--[\w-]+)", out, re.MULTILINE)) - {"--help"}) <= 26
 
 
 def test_exit_codes_and_json_of_errors(run, refused, tmp_path, monkeypatch):
