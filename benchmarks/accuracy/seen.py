@@ -170,7 +170,7 @@ def pierced(a: np.ndarray, b: np.ndarray) -> np.ndarray:
             q = np.cross(s, one)
             v = scale * (along * q).sum(axis=1)
             t = scale * (two * q).sum(axis=1)
-        out |= (u > 0) & (v > 0) & (u + v < 1) & (t > 0) & (t < 1)
+            out |= (u > 0) & (v > 0) & (u + v < 1) & (t > 0) & (t < 1)
     return out
 
 
