@@ -22,6 +22,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
@@ -99,20 +100,22 @@ def in_chromium(path: Path, model: ssdr.Skinning) -> Seen:
 
 def in_godot(path: Path, model: ssdr.Skinning) -> Seen:
     """The model by Godot's importer and poses in a browser."""
+    clips = json.dumps(programs.wanted(model)).encode()
+    files = {"clips.json": clips, "model.glb": path.read_bytes()}
+    return programs.told(in_godot_web(HERE / "godot.gd", files), model)
+
+
+def in_godot_web(script: Path, files: dict[str, bytes]) -> Any:
+    """Answer of a script that Godot runs in a browser, beside some files."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for part in (package(GODOT, GODOT_VERSION) / "godot").glob("index.*"):
             shutil.copy(part, folder)
         shutil.copy(HERE / "godot.html", folder / "index.html")
-        files = {
-            "project.godot": PROJECT.encode(),
-            "main.tscn": SCENE.encode(),
-            "godot.gd": (HERE / "godot.gd").read_bytes(),
-            "clips.json": json.dumps(programs.wanted(model)).encode(),
-            "model.glb": path.read_bytes(),
-        }
-        (folder / "model.pck").write_bytes(pack(files))
-        return programs.told(played(folder, {}), model)
+        project = {"project.godot": PROJECT.encode(), "main.tscn": SCENE.encode()}
+        content = pack({**project, "godot.gd": script.read_bytes(), **files})
+        (folder / "model.pck").write_bytes(content)
+        return played(folder, {})
 
 
 def pack(files: dict[str, bytes]) -> bytes:
