@@ -13,6 +13,15 @@ WITHIN = 1.01  # times of Dem Bones and ssdr are those until this times Dem Bone
 # where Dem Bones returns fewer bones than it is asked for, or no usable model
 APART = ("fox-24", "ict_face_expressions-20", "morph_stress-20")
 BASE = {"V": 2000, "F": 100, "B": 20}  # each sweep changes one of these
+# Solvers whose positions and normals are compared, and the heads of their columns.
+DRAWN = {
+    "dembones default": "Dem Bones",
+    "dembones 0": "without regularisers",
+    "2012": "SSDR 2012",
+    "ssdr balanced free": "ssdr, free rest pose",
+    "ssdr fast": "fast",
+    "ssdr balanced": "balanced",
+}
 COLUMN = {"wall": 1, "cpu": 2}  # in a point of a curve
 
 
@@ -97,6 +106,18 @@ def summary(records: list[Row]) -> Row | None:
 def summaries(records: Iterable[Row]) -> list[Row]:
     level, _ = level_and_apart(records)
     return [row for records in level.values() if (row := summary(records))]
+
+
+def drawn_rows(records: Iterable[Row]) -> list[Row]:
+    """Errors of positions, and mean angles of the normals that engines draw, of each solver."""
+    found = []
+    for mine in by_case(records).values():
+        row = dict(next(r for r in mine if r["solver"] == "ssdr balanced"))
+        for record in mine:
+            row[f"{record['solver']} E"] = f"{record['E']:.3f}"
+            row[f"{record['solver']} normals"] = f"{record['normals']:.1f}°"
+        found.append(row)
+    return found
 
 
 def apart_rows() -> list[Row]:

@@ -212,6 +212,13 @@ BLOCKS: dict[str, list[str | Callable[[], str]]] = {
         "E": "{E:.3f}", "s": "{seconds:.1f}", "CPU s": "{cpu seconds:.1f}", "plain": "{plain}",
         "E / EA": "{published:.3f}", "load": "{machine[load]}", "revision": "{machine[revision]}",
     })],
+    "drawn": [Table(lambda: tables.drawn_rows(rows("drawn")), {
+        "sequence, bones": SEQUENCE, **{
+            f"{head}: {what}": f"{{{solver} {key}}}"
+            for solver, head in tables.DRAWN.items()
+            for key, what in (("E", "E"), ("normals", "normals"))
+        }, "revision": "{machine[revision]}",
+    })],
     "efforts": [Table(
         lambda: pivot(effort_rows(), SEQUENCE, "{effort}", "{E:.2f} in {cpu seconds:.1f} s"),
         {"sequence, bones": "{line}", **same(*EFFORTS), "plain alternation": "{plain}"},
