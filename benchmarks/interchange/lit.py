@@ -3,8 +3,9 @@
     SSDR_BLENDER_PYTHON=... python benchmarks/interchange/lit.py
     python benchmarks/interchange/lit.py --only horse_gallop --again
 
-Sequences are decomposed with `balanced`; "before" is a free rest pose whose own normals are
-written, as all files were once; beside both stands Dem Bones.  three.js and Godot 4.6, both in
+Sequences are decomposed with `balanced`.  Beside the result stand the same with its rest mesh's own
+normals ("own normals"), one with a free rest pose and its own normals, as all files were once
+("before"), and Dem Bones, which writes its frame 0.  three.js and Godot 4.6, both in
 Chromium, pose each .glb in five frames and draw its normals as colours, and from the same camera
 those of the input, which are means over the triangles around a vertex, weighted by their angles
 there.  Compared is each pixel that both cover: mean angle in degrees, and the shares beyond 20 and
@@ -27,6 +28,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -51,12 +53,17 @@ SIZE, FPS, COUNT = 480, 24.0, 5
 TILES = common.ROOT / "out" / "lit"
 
 
-def before(name: str) -> ssdr.Skinning:
-    """A free rest pose with its own normals."""
-    return dataclasses.replace(fitted.ours(name, **fitted.FREE), surface=None)
+def own_normals(name: str, **options: Any) -> ssdr.Skinning:
+    """A result whose file gets the rest mesh's own normals."""
+    return dataclasses.replace(fitted.ours(name, **options), surface=None)
 
 
-MODELS = {"": fitted.ours, "before": before, "Dem Bones": fitted.theirs}
+MODELS: dict[str, Callable[[str], ssdr.Skinning]] = {
+    "": fitted.ours,
+    "own normals": own_normals,
+    "before": lambda name: own_normals(name, **fitted.FREE),
+    "Dem Bones": fitted.theirs,
+}
 
 
 def measure(sequence: str) -> Row:
