@@ -10,10 +10,10 @@ played from the written .glb as engines do, translations interpolated linearly a
 shortest arc; "between, cache" is that of vertices halfway between those of the two frames.  "flips"
 counts neighbouring keys of a rotation with opposite signs.  "box" is the diagonal of the rest pose
 over that of the frames in the mean.  "crossings" counts pairs of triangles without a common vertex
-that intersect in the rest pose, in the frame whose edges have lengths most like its own, and in
-frame 0.  "turned over" counts triangles that point against the normals of their vertices in the
-rest pose and in no frame.  "bent" is the mean angle in degrees from the stored normals to the rest
-mesh's own.
+that intersect in the rest pose, "new" those that do so in no frame; beside them stand those of the
+frame whose edges have lengths most like its own, and of frame 0.  "turned over" counts triangles
+that point against the normals of their vertices in the rest pose and in no frame.  "bent" is the
+mean angle in degrees from the stored normals to the rest mesh's own.
 """
 
 from __future__ import annotations
@@ -43,7 +43,8 @@ MODELS: dict[str, Callable[..., ssdr.Skinning]] = {
 }
 COLUMNS = (
     "rmse", "99.9 %", "largest", "largest / rmse", "fitted", "between", "between, cache", "flips",
-    "box", "crossings", "crossings, frame like it", "crossings, frame 0", "turned over", "bent",
+    "box", "crossings", "crossings, new", "crossings, frame like it", "crossings, frame 0",
+    "turned over", "bent",
 )  # fmt: skip
 
 
@@ -53,6 +54,12 @@ def measure(sequence: str, model: str) -> Row:
     diagonal = ssdr.MeshSequence(frames, faces).diagonal()
     off = 100 * np.linalg.norm(common.skinned(whole) - frames, axis=-1) / diagonal
     like = most_alike(whole.rest, frames, faces)
+    rest, alike, first = (
+        crossings(p, faces, frames) for p in (whole.rest, frames[like], frames[0])
+    )
+    new = rest - alike - first
+    for points in frames:
+        new -= crossings(points, faces, frames) if new else set()
     own = vertex_normals(whole.rest[None], faces)
     over = turned_over(whole.rest, faces)
     for points in frames:
@@ -76,9 +83,10 @@ def measure(sequence: str, model: str) -> Row:
         "flips": flips,
         "box": float(np.linalg.norm(np.ptp(whole.rest, axis=0)) / sizes.mean()),
         "like": like,
-        "crossings": crossings(whole.rest, faces, frames),
-        "crossings, frame like it": crossings(frames[like], faces, frames),
-        "crossings, frame 0": crossings(frames[0], faces, frames),
+        "crossings": len(rest),
+        "crossings, new": len(new),
+        "crossings, frame like it": len(alike),
+        "crossings, frame 0": len(first),
         "turned over": int(over.sum()),
         "bent": mean_angle(whole.surface.normals, own[0]) if whole.surface else 0.0,
     }
@@ -126,7 +134,7 @@ def turned_over(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return (np.cross(b - a, c - a) * normals).sum(axis=1) < 0
 
 
-def crossings(points: np.ndarray, faces: np.ndarray, frames: np.ndarray) -> int:
+def crossings(points: np.ndarray, faces: np.ndarray, frames: np.ndarray) -> set[tuple[int, int]]:
     """Pairs of triangles that have no vertex in common and intersect.
 
     Vertices that lie at one place in every frame are one.  Triangles in one plane do not count.
@@ -139,7 +147,7 @@ def crossings(points: np.ndarray, faces: np.ndarray, frames: np.ndarray) -> int:
     order = np.argsort(low[:, axis], kind="stable")
     corners, label, low, high = (x[order] for x in (corners, label, low, high))
     stop = np.searchsorted(low[:, axis], high[:, axis], side="right")
-    found = 0
+    found: set[tuple[int, int]] = set()
     for begin in range(0, len(faces), 2000):
         i = np.arange(begin, min(begin + 2000, len(faces)))
         count = stop[i] - i - 1
@@ -148,8 +156,10 @@ def crossings(points: np.ndarray, faces: np.ndarray, frames: np.ndarray) -> int:
         near = ((low[first] <= high[second]) & (low[second] <= high[first])).all(axis=1)
         first, second = first[near], second[near]
         apart = (label[first][:, :, None] != label[second][:, None]).all(axis=(1, 2))
-        a, b = corners[first[apart]], corners[second[apart]]
-        found += int((pierced(a, b) | pierced(b, a)).sum())
+        pairs = np.stack([first[apart], second[apart]], axis=1)
+        a, b = corners[pairs[:, 0]], corners[pairs[:, 1]]
+        crossed = np.sort(order[pairs[pierced(a, b) | pierced(b, a)]], axis=1)
+        found |= {(int(i), int(j)) for i, j in crossed}
     return found
 
 

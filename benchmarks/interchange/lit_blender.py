@@ -47,6 +47,5 @@ def main() -> None:
     np.savez(job["out"], points=points, normals=normals, version=version)
 
 
-if __name__ == "__main__":
-    main()
-    os._exit(0)  # some releases of bpy crash at exit, after all work is done
+main()
+os._exit(0)  # some releases of bpy crash at exit, after all work is done
