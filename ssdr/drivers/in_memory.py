@@ -65,7 +65,7 @@ def begin(
             size=float(data.n_vertices) * data.n_frames * problem.bones,
             rig=problem.rig,
         )
-    if problem.normals:
+    if problem.normals and smoothness is None:
         schedule = normals_last(schedule)
     schedule = (*schedule, Unfold())
     return Run(

@@ -63,7 +63,7 @@ def test_surface_and_normals_are_paid_for_by_error() -> None:
     angles = np.array([found[key][1] for key in found]).reshape(2, 2)
     assert (errors[0] > errors[1]).all()  # surface, free
     assert (errors[:, 0] > errors[:, 1]).all()  # with normals, without
-    assert (errors < 1.25 * errors.min()).all()
+    assert (errors < 1.3 * errors.min()).all()
     assert (angles[:, 0] < 0.9 * angles[:, 1]).all()
 
 
