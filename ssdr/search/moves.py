@@ -18,7 +18,7 @@ from ..solver.alternation import alternate, bone_costs, bone_step, vertex_step
 from ..solver.gauge import free_gauge
 from ..solver.gauss_newton import GaussNewton
 from ..solver.initialization import fit_patches
-from ..solver.model import CHUNK, Locked, Model
+from ..solver.model import CHUNK, SOLVED, Locked, Model
 from ..solver.moments import transform_sums
 from ..solver.objective import normal_length, rest_pulls
 from ..solver.trajectories import Array, Trajectories
@@ -63,7 +63,6 @@ _ROUNDS = 2
 # In every third polish step, up to three bones may enter the support of a vertex: to try this in
 # every step costs more than it brings.
 _ENTERING_EVERY, _ENTERING_BONES = 3, 3
-_CHANGED = ("rest", "indices", "weights", "error", "normals", "normal_error")  # by polish_vertices
 
 
 # --- bones -------------------------------------------------------------------------------------
@@ -222,7 +221,7 @@ def drop_influence(data: Trajectories, model: Model, locked: Locked) -> None:
             n = len(some)
             squares = data.squares(some, length)
             sums = data.products(some, reduced, length), squares, gram, gram4
-            given = {name: getattr(model, name)[some] for name in _CHANGED}
+            given = {name: getattr(model, name)[some] for name in SOLVED}
             least = np.full(n, np.inf)
             flags = hold[some], length, keep[some], not locked.rest, 0, _ROUNDS
             size = k - 1 + 3 * squares.shape[1]

@@ -26,7 +26,7 @@ import numpy as np
 from ..parallel import serial_blas
 from .alternation import bone_step
 from .conjugate_gradients import Recycled, conjugate_gradients
-from .model import FREE, Locked, Model
+from .model import FREE, SOLVED, Locked, Model
 from .objective import Objective
 from .tangents import AffineTangent, ChainTangent, RigidTangent, SimilarityTangent, Tangent
 from .trajectories import Array, Trajectories
@@ -36,8 +36,7 @@ from .vertex_newton import optimise_vertices
 __all__ = ["GaussNewton", "fit_motion", "tangent_of"]
 
 _DAMPING = 1e-3  # λ of the first step
-# Arrays that a step changes.
-_STEPPED = ("transforms", "rest", "indices", "weights", "error", "normals", "normal_error")
+_STEPPED = ("transforms", *SOLVED)  # arrays that a step changes
 # Number of steps that bones with joints take in place of one leap of free bones, and the relative
 # gain of a step below which no further step is taken.
 _STEPS_OF_A_LEAP, _LEAST_GAIN = 3, 1e-3

@@ -12,11 +12,13 @@ from ..hierarchy.tree import Tree
 from ..skinning import BoneModel
 from .trajectories import Array, Trajectories
 
-__all__ = ["ARRAYS", "CHUNK", "FREE", "SLOTS", "Locked", "Model"]
+__all__ = ["ARRAYS", "CHUNK", "FREE", "SLOTS", "SOLVED", "Locked", "Model"]
 
 # Most bones in a vertex's support, on which its weights are solved: more than K, so that a bone can
 # come back, and few enough for a small dense solve.
 SLOTS = 12
+# Arrays of the vertices that a solve of vertices changes, in the order of its kernels.
+SOLVED = ("rest", "indices", "weights", "error", "normals", "normal_error")
 CHUNK = 512  # vertices of a task: the task takes milliseconds, and its arrays stay in the cache
 
 Indices = NDArray[np.int32]

@@ -19,7 +19,7 @@ from ..kernels.rounding import move_units
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..quantisation import WeightStorage, is_stored, quantise, weight_values
 from .gauss_newton import GaussNewton
-from .model import ARRAYS, CHUNK, Locked, Model
+from .model import ARRAYS, CHUNK, SOLVED, Locked, Model
 from .moments import transform_sums
 from .objective import Objective, normal_length, rest_pulls
 from .trajectories import Trajectories
@@ -98,8 +98,7 @@ def _rounded(data: Trajectories, model: Model, storage: WeightStorage, locked: L
     def work(_: int, i: int, k: int) -> None:
         some = slice(i, k)
         sums = data.products(some, reduced, length), data.squares(some, length)
-        names = ("rest", "indices", "weights", "error", "normals", "normal_error")
-        rows = [getattr(out, name)[some] for name in names]
+        rows = [getattr(out, name)[some] for name in SOLVED]
         held = hold[some], length, keep[some]
         arrays: Any = *sums, pairs, *rows, *held, not locked.rest, steps
         move_units(*arrays)

@@ -16,14 +16,12 @@ import numpy as np
 
 from ..kernels.polish import polish_vertices
 from ..parallel import chunk_bounds, run_chunks, serial_blas
-from .model import CHUNK, FREE, Locked, Model
+from .model import CHUNK, FREE, SOLVED, Locked, Model
 from .moments import transform_sums
 from .objective import normal_length, rest_pulls
 from .trajectories import Array, Trajectories
 
 __all__ = ["VertexSystem", "newton_vertices", "optimise_vertices"]
-
-_CHANGED = ("rest", "indices", "weights", "error", "normals", "normal_error")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -146,7 +144,7 @@ def newton_vertices(
 
     def work(_: int, i: int, k: int) -> None:
         y = products(i, k)
-        rows = [getattr(model, name)[i:k] for name in _CHANGED]
+        rows = [getattr(model, name)[i:k] for name in SOLVED]
         held = hold[i:k], length, keep[i:k]
         arrays: Any = y, x2[i:k], *tables, *rows, *held, *flags, inverse[i:k], gradient[i:k]
         polish_vertices(*arrays)
