@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from .checks import check_rng, check_whole, names_arguments
+from .copies import distinct
 from .decomposition import decompose
 from .drivers.efforts import Effort
 from .errors import Cancelled, InputError
@@ -19,7 +20,7 @@ from .metrics.normal_angles import errors_of_model
 from .result import Decomposition
 from .search.nested import nested_models
 from .search.progress import Callback, Progress
-from .sequence import MeshSequence, as_sequences
+from .sequence import MeshSequence, as_sequences, labels_of
 from .skinning import Skinning
 from .solver.alternation import vertex_step
 from .solver.model import Locked, Model
@@ -154,11 +155,15 @@ def _nest(
     """Levels made from the decompositions `alone`, the finest of which comes first."""
     best = alone[0]
     counts = [one.skinning.n_bones for one in alone]
-    data = gather(sequences, bones=counts[0], compress=False)
-    rest, transforms = data.from_world(best.skinning.rest, best.skinning.transforms)
+    kept, row = distinct(labels_of(sequences))
+    merged = [s.with_vertices(kept, row) for s in sequences]
+    copies = np.bincount(row).astype(np.float64)
+    data = gather(merged, bones=counts[0], vertex_importance=copies, compress=False)
+    rest, transforms = data.from_world(best.skinning.rest[kept], best.skinning.transforms)
     # each level has a rest pose of its own, which resembles that of the finest
     data = dataclasses.replace(data, surface=RestSurface.build(data, rest)).compressed(counts[0])
-    skin = best.skinning.indices, np.asarray(best.skinning.weights, dtype=np.float64)
+    weights = best.skinning.weights[kept].astype(np.float64)
+    skin = best.skinning.indices[kept], weights
     finest = Model.with_weights(transforms, rest, *skin, min(influences, counts[0]))
     every = np.ones(data.n_vertices, dtype=bool)
     vertex_step(data, finest, locked=Locked(rest=True, weights=every))  # sets the errors
@@ -184,9 +189,9 @@ def _nest(
         padded = model.with_influences(influences)
         level = dataclasses.replace(
             best.skinning,
-            rest=data.points_to_world(model.rest),
-            indices=padded.indices,
-            weights=padded.weights,
+            rest=data.points_to_world(model.rest)[row],
+            indices=padded.indices[row],
+            weights=padded.weights[row],
             transforms=transforms[:, : model.n_bones].copy(),
         )
         level = with_fitted_normals(sequences, level)

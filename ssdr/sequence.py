@@ -17,6 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from .checks import as_array, check_faces, check_range
+from .copies import Selected, coincident, distinct
 from .errors import InputError, is_real
 from .space import UNKNOWN, Space, check_space
 from .surface import Material, Surface, check_surface
@@ -199,7 +200,7 @@ class MeshSequence:
         distance = tolerance * diagonal
         n = self.n_vertices
         # Exact copies first: n of them at one place would be n² pairs.
-        label = _identical(self)
+        label = labels_of([self])
         if distance > 0:
             _, place = np.unique(label, return_index=True)
             pairs = place[cKDTree(first[place]).query_pairs(distance, output_type="ndarray")]
@@ -215,21 +216,31 @@ class MeshSequence:
             )
             _, component = connected_components(graph, directed=False)
             label = component.astype(np.intp)[label]
-        _, keep, index = np.unique(label, return_index=True, return_inverse=True)
-        order = np.argsort(keep, kind="stable")  # first occurrences keep the input's order
-        rank = np.empty_like(order)
-        rank[order] = np.arange(len(order))
-        keep, index = keep[order], rank[index]
-        blocks = [np.asarray(block[:, keep]) for _, block in self.chunks()]
+        keep, index = distinct(label)
         outer = index if self.vertex_map is None else index[self.vertex_map]
+        welded = self.with_vertices(keep, index)
+        blocks = [block for _, block in welded.chunks()]
         welded = dataclasses.replace(
-            self,
+            welded,
             vertices=np.concatenate(blocks),
-            faces=index[self.faces].astype(np.int32),
             vertex_map=outer.astype(np.int32),
             validate=False,
         )
         return welded, WeldReport(before=n, after=len(keep), tolerance=distance)
+
+    def with_vertices(self, kept: NDArray[np.intp], row: NDArray[np.intp]) -> MeshSequence:
+        """Sequence of the vertices `kept`, of which ``row[i]`` stands in triangles for vertex i.
+
+        Vertices that are read on demand still are.
+        """
+        if not self.is_lazy or hasattr(self.vertices, "__dask_graph__"):
+            vertices = self.vertices[:, kept]
+        else:
+            vertices = Selected(self.vertices, kept)
+        faces = row[self.faces].astype(np.int32)
+        return dataclasses.replace(
+            self, vertices=vertices, faces=faces, vertex_map=None, validate=False
+        )
 
     def unweld(self, values: ArrayLike, *, axis: int = 0) -> NDArray[Any]:
         """Copy values per welded vertex to the vertices of the original mesh.
@@ -249,6 +260,18 @@ class MeshSequence:
         return array if self.vertex_map is None else np.take(array, self.vertex_map, axis=axis)
 
 
+def labels_of(sequences: Sequence[MeshSequence]) -> NDArray[np.intp]:
+    """Labels (V,), equal for vertices whose positions are equal in every frame of all shots."""
+
+    def blocks() -> Iterator[NDArray[np.floating]]:
+        yield sequences[0].frames(slice(0, 1))  # which tells most vertices apart
+        for sequence in sequences:
+            for _, block in sequence.chunks():
+                yield block
+
+    return coincident(blocks(), sequences[0].n_vertices)
+
+
 def _chunks(vertices: Any, max_bytes: int) -> Iterator[tuple[int, NDArray[np.floating]]]:
     n_frames, n_vertices = int(vertices.shape[0]), int(vertices.shape[1])
     step = max(1, max_bytes // max(1, n_vertices * 3 * vertices.dtype.itemsize))
@@ -260,18 +283,6 @@ def native(block: Any) -> NDArray[np.floating]:
     """A block of frames in memory and in native byte order; a memory map may have the other."""
     array = np.asarray(block)
     return array.astype(array.dtype.newbyteorder("="), copy=False)
-
-
-def _identical(sequence: MeshSequence) -> NDArray[np.intp]:
-    """Labels ``(V,)``, equal for vertices whose positions are equal in every frame."""
-    label = np.zeros(sequence.n_vertices, dtype=np.intp)
-    for _, block in sequence.chunks():
-        paths = np.ascontiguousarray(block.transpose(1, 0, 2)).reshape(len(label), -1)
-        paths = paths + 0.0  # -0.0 equals 0.0, but not its bytes
-        rows = paths.view(np.dtype((np.void, paths.dtype.itemsize * paths.shape[1]))).ravel()
-        _, here = np.unique(rows, return_inverse=True)
-        _, label = np.unique(label * len(label) + here.ravel(), return_inverse=True)
-    return label.ravel()
 
 
 def _check_vertices(vertices: Any, argument: str, validate: bool) -> Any:

@@ -51,7 +51,6 @@ def skinning_of(
     `sequences` are the frames of the model; all frames by default.  Its normals are those of the
     rest pose, if the input has any: :func:`with_normals` fits better ones.
     """
-    sequences = problem.sequences if sequences is None else sequences
     padded = model.with_influences(problem.influences)
     if problem.locked.bone_model != "rigid":
         model = model.copy()
@@ -59,21 +58,22 @@ def skinning_of(
         equal = np.ones(len(model.rest))
         normalise_gauge(model, equal if importance is None else importance, problem.locked)
     rest, transforms = alignment.to_world(model.rest, model.transforms)
-    first = sequences[0]
+    rest, indices, weights = problem.spread(rest, padded.indices, padded.weights)
+    first = problem.inputs[0]
     surface = first.surface
     if surface is not None and surface.normals is not None:
         normals = corner_normals(rest, first.faces, surface)
         surface = dataclasses.replace(surface, normals=normals)
     skinning = Skinning(
         rest,
-        padded.indices,
-        padded.weights,
+        indices,
+        weights,
         transforms,
         faces=first.faces,
         bone_model=problem.locked.bone_model,
         surface=surface,
         vertex_map=first.vertex_map,
-        **names_of(sequences),
+        **names_of(problem.sequences if sequences is None else sequences),
     )
     return skinning if problem.rig == "none" else _with_tree(skinning, problem, model, alignment)
 
@@ -97,7 +97,7 @@ def outcome_of(
 
     def rmse_of(s: Skinning) -> float:
         parts = (s.rest, s.indices, s.weights, s.transforms)
-        return frames_error.rmse(problem.sequences, *parts, executor=problem.executor)
+        return frames_error.rmse(problem.inputs, *parts, executor=problem.executor)
 
     skinning = skinning_of(problem, alignment, model)
     rmse = rmse_of(skinning)
@@ -122,7 +122,7 @@ def outcome_of(
 
 def with_normals(problem: Problem, skinning: Skinning) -> tuple[Skinning, NormalErrors | None]:
     """A copy of the skinning with fitted rest normals, and their errors; None without any."""
-    sequences, executor = problem.sequences, problem.executor
+    sequences, executor = problem.inputs, problem.executor
     fitted = with_fitted_normals(sequences, skinning, executor=executor)
     return fitted, errors_of_model(sequences, fitted, executor=executor)
 
@@ -147,7 +147,7 @@ def _is_an_answer(problem: Problem, start: Skinning) -> bool:
     It may if the model has all frames of the problem, the call has neither importances nor
     smoothness, the weights are as stored, and, for a rigid rig, the given tree is rigid.
     """
-    plain = problem.vertex_importance is None and problem.frame_importance is None
+    plain = not problem.weighted
     rigid = problem.rig != "rigid" or (problem.given.tree is not None and problem.given.tree.rigid)
     frames = start.n_frames == problem.n_frames
     stored = is_stored(start.weights, problem.storage)
@@ -157,13 +157,14 @@ def _is_an_answer(problem: Problem, start: Skinning) -> bool:
 def _start_as_result(problem: Problem, found: Skinning) -> Skinning:
     """Skinning of the model that a call starts from, with the names and clips of `found`."""
     given, k = problem.given, problem.influences
-    assert given.indices is not None
-    assert given.weights is not None
-    indices, weights = (
-        np.pad(a[:, :k], [(0, 0), (0, max(0, k - a.shape[1]))])
-        for a in (given.indices, given.weights)
+    assert problem.start is not None
+    start = problem.start.prune(k)
+    skin = (
+        np.pad(a, [(0, 0), (0, k - a.shape[1])])
+        for a in (start.indices, np.asarray(start.weights, dtype=np.float64))
     )
-    parts: dict[str, Any] = {"rest": given.rest, "transforms": given.transforms}
+    indices, weights = skin
+    parts: dict[str, Any] = {"rest": start.rest, "transforms": given.transforms}
     if found.parents is not None and given.tree is not None:
         parts |= {"parents": given.tree.parents, "joint_positions": given.tree.points}
     return dataclasses.replace(found, indices=indices, weights=weights, **parts)

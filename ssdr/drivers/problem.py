@@ -18,15 +18,16 @@ from ..checks import (
     check_smoothness,
     check_whole,
 )
+from ..copies import distinct
 from ..errors import InputError, check_choice, check_flag, is_real, is_whole
 from ..frames.executor import Executor, Local, executor_for
 from ..quantisation import WeightStorage
 from ..search.given import Given
 from ..search.progress import Callback
-from ..sequence import MeshSequence, as_sequences
+from ..sequence import MeshSequence, as_sequences, labels_of
 from ..skinning import Skinning
 from ..solver.model import Locked
-from ..solver.rest_surface import RestPose, RestSurface, central_frame
+from ..solver.rest_surface import RestPose, RestSurface, central_pose
 from ..solver.trajectories import Array, Trajectories, gather
 from ..start import Skeleton, Start
 from .checkpoint import Checkpoint
@@ -49,7 +50,11 @@ class Problem:
     Attributes
     ----------
     sequences : list of MeshSequence
-        Shots of one mesh.
+        Shots of one mesh, without copies of vertices.
+    inputs : list of MeshSequence
+        The shots as the caller gave them.
+    rows : (V0,) array or None
+        Vertex of `sequences` for each of `inputs`; None if no two coincide in every frame.
     bones, influences : int
     storage : {"float32", "uint16", "uint8"}
         Type in which the weights will be stored.
@@ -69,6 +74,9 @@ class Problem:
     normals : bool
         Whether normals are part of the objective.
     vertex_importance : (V,) array or None
+        With copies, the sum of theirs.
+    weighted : bool
+        Whether the caller gave an importance.
     frame_importance : (F,) array or None
     rng : numpy.random.Generator
     time_limit : float or None
@@ -78,6 +86,8 @@ class Problem:
     """
 
     sequences: list[MeshSequence]
+    inputs: list[MeshSequence]
+    rows: NDArray[np.intp] | None
     bones: int
     influences: int
     storage: WeightStorage
@@ -91,6 +101,7 @@ class Problem:
     rest_pose: RestPose
     normals: bool
     vertex_importance: Array | None
+    weighted: bool
     frame_importance: Array | None
     rng: np.random.Generator
     time_limit: float | None
@@ -115,6 +126,10 @@ class Problem:
         """First frame of each of the S shots, followed by the number of frames, (S + 1,)."""
         return np.cumsum([0, *[len(s) for s in self.sequences]])
 
+    def spread(self, *arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+        """Arrays (V, ...) of the problem's vertices for those of `inputs`."""
+        return arrays if self.rows is None else tuple(array[self.rows] for array in arrays)
+
     def trajectories(
         self, sequences: Sequence[MeshSequence], frame_importance: Array | None
     ) -> Trajectories:
@@ -131,14 +146,21 @@ class Problem:
         """Copies of `data`, uncompressed, with what the rest pose is to resemble, and of `given`.
 
         That is the rest pose of `given`, of its skeleton, or else its rest frame, which is chosen
-        unless the caller named it.
+        unless the caller named it.  Of a whole model it is the rest pose only if that is about as
+        near to the other frames, and no crumpled mesh.  Bones that stretch need a rest frame in
+        which no part is without size even if the rest pose is free.
         """
-        if self.rest_pose == "free" or self.locked.rest:
+        keeps_to = self.rest_pose == "surface" and len(data.faces) > 0
+        pose = given.tree_pose if given.rest is None or given.free else given.rest
+        # a frame in which parts have no size is no place to fit bones that stretch
+        chosen = keeps_to or self.locked.bone_model != "rigid"
+        if pose is None and given.rest_frame is None and chosen:
+            frame, near = central_pose(data, given.rest, first=not keeps_to)
+            pose = given.rest if near else None
+            given = dataclasses.replace(given, rest_frame=frame, first=pose)
+        if not keeps_to or self.locked.rest:
             return data, given
-        pose = given.tree_pose if given.rest is None else given.rest
-        if pose is None and given.rest_frame is None:
-            given = dataclasses.replace(given, rest_frame=central_frame(data))
-        pose = given.first_pose(data) if pose is None else pose
+        pose = given.beside_model().first_pose(data) if pose is None else pose
         return dataclasses.replace(data, surface=RestSurface.build(data, pose)), given
 
     @property
@@ -205,10 +227,23 @@ def check_problem(
         if not (frame_importance > 0).all():
             raise InputError("frame_importance", "numbers > 0", float(frame_importance.min()))
         frame_importance = np.maximum(frame_importance, _LEAST_FRAME)
+    importance = check_importance(vertex_importance, "vertex_importance", n)
+    weighted = importance is not None or frame_importance is not None
+    inputs, rows = sequences, None
+    kept, row = distinct(given.told_apart(labels_of(inputs)))
+    if len(kept) < n:
+        if bones > len(kept):
+            expected = f"at most {len(kept)}, the number of vertices that differ in some frame"
+            raise InputError("bones", expected, bones)
+        sequences, rows = [s.with_vertices(kept, row) for s in inputs], row
+        importance = np.bincount(row, weights=importance).astype(np.float64)
+        given = given.of_vertices(kept)
     kept_rest = given.rest is not None and not given.free
     skeleton = isinstance(rig, Skeleton)
     return Problem(
         sequences=sequences,
+        inputs=inputs,
+        rows=rows,
         bones=bones,
         influences=influences,
         storage=storage,
@@ -229,7 +264,8 @@ def check_problem(
         smoothness=smoothness,
         rest_pose=rest_pose,
         normals=check_flag(normals, "normals"),
-        vertex_importance=check_importance(vertex_importance, "vertex_importance", n),
+        vertex_importance=importance,
+        weighted=weighted,
         frame_importance=frame_importance,
         rng=check_rng(rng),
         time_limit=time_limit,

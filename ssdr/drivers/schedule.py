@@ -60,14 +60,9 @@ RigKind = Literal["none", "loose", "rigid"]
 
 # A usable model early, without excess bones and before the frames are compressed.
 FIRST_MODEL: Schedule = (QuickStart(), Alternate(steps=20, gain=0.01), Compress())
-# Smooth motion, such as a cloth's, takes many polish steps: they end when eight of them gain less
-# than 1 % of the error (0.4 % at the end).  Relax makes five at each number of influences, since
-# "best" makes it eight times.
-RELAXED: Schedule = (
-    Polish(steps=60, gain=0.01),
-    Relax(polish_steps=5, cost=35),
-    Polish(steps=200, gain=0.004, cost=2),
-)
+# Five polish steps at each number of influences, of which "best" makes eight.  Smooth motion, such
+# as a cloth's, takes many steps at the end, which stop once eight gain less than 0.4 %.
+RELAXED: Schedule = (Relax(polish_steps=5, cost=35), Polish(steps=200, gain=0.004, cost=2))
 RELAXED_TREE: Schedule = (Relax(polish_steps=6, cost=30), Polish(steps=24, gain=0.01))
 ATTACHED: Schedule = (AttachToJoints(), Polish(steps=8))
 LAST_OF_TREES = Polish(steps=40, gain=0.002)
@@ -134,8 +129,10 @@ def rebuilds(size: float) -> Rebuilds:
     return next(numbers for bound, numbers in REBUILDS if size < bound)
 
 
-def free_bones(effort: Effort, bones: int, size: float, *, stretching: bool) -> Schedule:
-    """Schedule for bones without a hierarchy.
+def free_bones(
+    effort: Effort, bones: int, size: float, *, stretching: bool, start: Schedule = ()
+) -> Schedule:
+    """Schedule for bones without a hierarchy; `start` makes a further model to go on from.
 
     If bones may stretch (`stretching`), a second start is made from rigid bones.  Bones that
     stretch must keep det > 0 in every step, which blocks many paths from their own start if a part
@@ -147,14 +144,17 @@ def free_bones(effort: Effort, bones: int, size: float, *, stretching: bool) -> 
     if effort == "fast" and stretching:
         more = count * (*rigid_start, MoveBones(rigid=True), Polish(steps=8))
         starts = (*merged_start(6, 4), *rigid_start, *more)
-        return (*FIRST_MODEL, *starts, ReturnToBest(), Polish(steps=6))
+        return (*FIRST_MODEL, *starts, *start, ReturnToBest(), Polish(steps=6))
     more = count * (*merged_start(12, 6), MoveBones(), Polish(steps=8))
     placed: Schedule = (*PLACED, *more, ReturnToBest(), Polish(steps=6)) if more else PLACED
+    start = (*start, ReturnToBest()) if start else ()
     if effort == "fast":
-        return placed
+        return (*placed[:-1], *start, placed[-1])
     from_rigid = (*rigid_start, Polish(steps=8), *RELAXED) if stretching else ()
     if effort == "balanced":
-        return (*placed, *RELAXED, *from_rigid)
+        # which leads bones that stretch to worse minima
+        polish = () if stretching else (Polish(steps=60, gain=0.01),)
+        return (*placed, *polish, *start, *RELAXED, *from_rigid)
     n = rebuilds(size)
     many = bones >= MANY_BONES
     first: Schedule = searched(n.trials)
@@ -172,6 +172,8 @@ def free_bones(effort: Effort, bones: int, size: float, *, stretching: bool) -> 
     )
     return (
         *FIRST_MODEL,
+        *start,
+        *(searched(TRIALS_OF_A_START) if start else ()),
         *first,
         *(() if stretching else from_tree),
         *(from_rigid if n.before else ()),
@@ -286,11 +288,13 @@ def on_skeleton(effort: Effort, given: Given, *, rigid: bool) -> Schedule:
 # --- from a model --------------------------------------------------------------------------------
 
 
-def from_model(
-    effort: Effort, size: float, *, rigid: bool, keeps_tree: bool, smoothed: bool
-) -> Schedule:
-    """Schedule that continues from a whole model, such as a checkpoint."""
-    n = rebuilds(size)
+def from_model(effort: Effort) -> Schedule:
+    """Schedule that starts from a whole model and polishes it."""
+    return (StartFromModel(), Compress(), Polish(steps=6 if effort == "fast" else 60, gain=0.01))
+
+
+def with_joints(effort: Effort, *, rigid: bool, keeps_tree: bool, smoothed: bool) -> Schedule:
+    """Schedule that continues from a whole model with joints, or under a smoothness penalty."""
     if smoothed:
         return (StartFromModel(), Compress(), Alternate(steps=NUMBERS[effort].smooth))
     if rigid:
@@ -300,13 +304,9 @@ def from_model(
         again = (ReturnToBest(), *RELAXED_TREE, search)
         count = {"fast": 0, "balanced": 1, "best": TREE_ROUNDS}[effort]
         return (*start, *count * again, ReturnToBest(), LAST_OF_TREES)
-    start = (StartFromModel(), Compress())
-    if effort == "fast":
-        return (*start, Polish(steps=6))
-    if effort == "balanced":
-        return (*start, Polish(steps=8), *RELAXED, ReturnToBest(), Polish(steps=20, gain=0.01))
-    rebuild = (ReturnToBest(), AddAndMerge(), *searched(TRIALS_OF_A_REBUILD))
-    return (*start, *searched(n.trials), *n.after * rebuild, *last_search(n.trials))
+    # loose joints of a skeleton
+    relaxed = () if effort == "fast" else (*RELAXED, ReturnToBest())
+    return (*from_model(effort), *relaxed, Polish(steps=20, gain=0.01))
 
 
 # --- which of them -------------------------------------------------------------------------------
@@ -348,10 +348,12 @@ def schedule_for(
     rig : {"none", "loose", "rigid"}
         Kind of joints.
     """
+    start: Schedule = ()
     if given.free:
-        return from_model(
-            effort, size, rigid=rig == "rigid", keeps_tree=given.keeps_tree, smoothed=smoothed
-        )
+        if rig == "rigid" or given.keeps_tree or smoothed:
+            tree = given.keeps_tree
+            return with_joints(effort, rigid=rig == "rigid", keeps_tree=tree, smoothed=smoothed)
+        start, given = from_model(effort), given.beside_model()
     if given.tree is not None:
         return on_skeleton(effort, given, rigid=rig == "rigid")
     if rig == "rigid":
@@ -361,7 +363,7 @@ def schedule_for(
     if placed:
         return nothing_to_place(effort)
     stretching = bone_model != "rigid" and given.transforms is None
-    return free_bones(effort, bones, size, stretching=stretching)
+    return free_bones(effort, bones, size, stretching=stretching, start=start)
 
 
 def settling_schedule(effort: Effort, *, smoothed: bool) -> Schedule:

@@ -9,7 +9,7 @@ from .policy import inline, kernel
 # Squared radii of a bone's vertices, in a mesh of unit size.
 SPECK = 1e-6  # below this, the scale of the bone is hardly determined
 POINT = 1e-12  # below this, the rotation of the bone would follow rounding errors
-SMALLEST, LARGEST = 0.05, 20.0  # bounds of a bone's scale, unless it starts outside
+SMALLEST, LARGEST = 1e-4, 1e4  # bounds of a bone's scale, unless it starts outside
 COLUMNS = 512  # number of columns of the trajectories that are summed at a time
 
 

@@ -79,8 +79,7 @@ class Driver:
         there is an exact skinning.
         """
         problem, frames = self.problem, self.frames
-        weighted = problem.vertex_importance is not None or problem.frame_importance is not None
-        if weighted or frames.scan is not None:
+        if problem.weighted or problem.rows is not None or frames.scan is not None:
             return 1, 0
         least = rank_bound(frames.data, frames.squared(self.tolerance))
         # an exact skinning has the rank 4B − 1, less one for each joint that two bones share: since

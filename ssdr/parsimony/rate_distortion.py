@@ -17,7 +17,7 @@ from ..errors import Cancelled
 from ..search.moves import add_bone
 from ..search.progress import Callback, Clock, ProgressReport
 from ..search.stages import Polish
-from ..sequence import MeshSequence, as_sequences
+from ..sequence import MeshSequence, as_sequences, labels_of
 from .ladder import Ladder
 from .solved_frames import SolvedFrames
 
@@ -118,7 +118,7 @@ def curve(
     [1, 2, 3]
     """
     sequences = as_sequences(sequence, faces)
-    n = sequences[0].n_vertices
+    n = int(labels_of(sequences).max()) + 1  # vertices that differ in some frame
     most = min(n, _MOST_BONES) if bones is None else bones
     problem = check_problem(
         sequences,

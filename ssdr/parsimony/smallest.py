@@ -17,7 +17,7 @@ from ..errors import InputError, check_choice
 from ..io.load_save import compact_size
 from ..quantisation import WeightStorage
 from ..search.progress import Callback
-from ..sequence import MeshSequence, as_sequences
+from ..sequence import MeshSequence, as_sequences, labels_of
 from ..skinning import Skinning
 from ..solver.rest_surface import RestPose
 from ..start import Skeleton, Start
@@ -147,7 +147,7 @@ def smallest(
     """
     arguments = locals()  # under their own names
     sequences = as_sequences(sequence, faces)
-    n = sequences[0].n_vertices
+    n = int(labels_of(sequences).max()) + 1  # vertices that differ in some frame
     most = min(n, _MOST_BONES) if bones is None else bones
     most = check_whole(most, "bones", 1, n, " (the number of vertices)")
     del arguments["tolerance"], arguments["measure"], arguments["file"]
@@ -174,7 +174,8 @@ def _written(file: Any, problem: Problem) -> Written:
     def written(skinning: Skinning) -> tuple[int, Skinning]:
         return compact_size(skinning, **file)
 
-    mesh, shape = problem.sequences[0], (problem.n_vertices, problem.influences)
+    mesh = problem.inputs[0]
+    shape = mesh.n_vertices, problem.influences
     bones, weights = np.broadcast_to(np.arange(shape[1]), shape), np.full(shape, 1 / shape[1])
     kept = {name: getattr(mesh, name) for name in ("faces", "surface", "name", "space")}
     still = np.tile(np.eye(3, 4), (1, shape[1], 1, 1))
@@ -192,7 +193,7 @@ def _check_beside_tolerance(problem: Problem, rig: Any, most: int) -> None:
                 raise InputError(f"start.{name}", "None beside a tolerance", "an array")
     elif problem.start.n_bones > most:
         raise InputError("start", f"at most {most} bones", problem.start.n_bones)
-    importance = problem.vertex_importance
+    importance = problem.vertex_importance if problem.weighted else None
     if importance is not None and importance.min() < _LEAST_VERTEX:
         raise InputError(
             "vertex_importance",

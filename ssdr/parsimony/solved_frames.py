@@ -90,13 +90,16 @@ class SolvedFrames:
             # each representative frame counts as often as there are frames like it
             return math.sqrt(max(model.weighted_error(self.data), 0.0) / self.squared(1.0))
         rest, transforms = self.data.to_world(model.rest, model.transforms)
-        return _error(measure, self.sequences, rest, model.indices, model.weights, transforms)
+        skin = rest, model.indices, model.weights
+        if self.scan is not None:
+            return _error(measure, self.sequences, *skin, transforms)
+        return _error(measure, self.problem.inputs, *self.problem.spread(*skin), transforms)
 
     def error_of_all(self, s: Skinning, measure: Measure | None = None) -> float:
         """Error of a skinning, measured on all frames, in the mesh's units."""
         parts = (s.rest, s.indices, s.weights, s.transforms)
         measure = measure or self.measure
-        return _error(measure, self.problem.sequences, *parts, executor=self.problem.executor)
+        return _error(measure, self.problem.inputs, *parts, executor=self.problem.executor)
 
     def file(self, skinning: Skinning) -> FileSize | None:
         """Bytes of the file of a skinning, and its error on all frames; None without a file."""

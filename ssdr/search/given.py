@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,8 @@ class Given:
         Transforms of the first B0 bones; those of `locked_bones` are kept.
     free : bool
         Whether the parts are a whole model to improve, of which nothing is locked.
+    first : (V, 3) array or None
+        Beside a whole model, the rest pose with which other starts begin.
     locked_vertices : (V,) mask or None
         Vertices whose weights are kept.
     locked_bones : (B0,) mask or None
@@ -57,6 +60,7 @@ class Given:
     weights: Array | None = None
     transforms: Array | None = None
     free: bool = False
+    first: Array | None = None
     locked_vertices: NDArray[np.bool_] | None = None
     locked_bones: NDArray[np.bool_] | None = None
     tree: Tree | None = None
@@ -69,7 +73,12 @@ class Given:
 
     def first_pose(self, data: Trajectories) -> Array:
         """Rest pose (V, 3) with which a solve starts, in the space of `data`."""
-        return data.frame(self.rest_frame or 0) if self.rest is None else self.rest.copy()
+        pose = self.first if self.rest is None else self.rest
+        return data.frame(self.rest_frame or 0) if pose is None else pose.copy()
+
+    def beside_model(self) -> Given:
+        """Parts for starts that are tried beside a whole model; without one, these parts."""
+        return Given(rest_frame=self.rest_frame, first=self.first) if self.free else self
 
     @property
     def leading_locked_bones(self) -> NDArray[np.bool_] | None:
@@ -77,6 +86,32 @@ class Given:
         if self.locked_bones is None or not self.locked_bones.any():
             return None
         return self.locked_bones[: int(np.flatnonzero(self.locked_bones)[-1]) + 1]
+
+    def told_apart(self, label: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Labels (V,) of vertices that have one of `label` and in what is kept of them."""
+        kept = [] if self.free else [self.rest, self.indices, self.weights, self.locked_vertices]
+        parts = [np.reshape(a, (len(label), -1)) for a in kept if a is not None]
+        if not parts:
+            return label
+        every = np.concatenate([label[:, None], *parts], axis=1)
+        return np.unique(every, axis=0, return_inverse=True)[1].ravel()
+
+    def of_vertices(self, kept: NDArray[np.intp]) -> Given:
+        """A copy for the vertices `kept` alone."""
+
+        def some(array: Any) -> Any:
+            return None if array is None else np.ascontiguousarray(array[kept])
+
+        names = (
+            *("rest", "first", "indices", "weights"),
+            *("locked_vertices", "tree_pose", "nearest_bone"),
+        )
+        skin = self.skeleton_skin
+        return replace(
+            self,
+            **{name: some(getattr(self, name)) for name in names},
+            skeleton_skin=None if skin is None else (some(skin[0]), some(skin[1])),
+        )
 
     def of_frames(self, chosen: NDArray[np.int64]) -> Given:
         """A copy for the frames `chosen` alone, ascending; `rest_frame` must be one of them."""

@@ -180,10 +180,12 @@ class Run:
 
     @property
     def present_parts(self) -> Given:
-        """Parts that the caller gave, restricted to the vertices of the present step."""
-        if self.chosen is None or self.given.rest is None:
-            return self.given
-        return dataclasses.replace(self.given, rest=self.given.rest[self.chosen])
+        """Parts for a new start, with rest poses of the vertices of the present step."""
+        given = self.given.beside_model()
+        if self.chosen is None:
+            return given
+        rest, first = (p if p is None else p[self.chosen] for p in (given.rest, given.first))
+        return dataclasses.replace(given, rest=rest, first=first)
 
     @property
     def fraction(self) -> float:

@@ -58,7 +58,7 @@ class AllVertices(Stage):
         few, chosen = run.present, run.chosen
         run.take_all()
         if chosen is not None:
-            data, given = run.data, run.given
+            data, given = run.data, run.present_parts
             rest = given.first_pose(data)
             near = np.asarray(cKDTree(rest[chosen]).query(rest)[1])
             model = few.select_vertices(near)

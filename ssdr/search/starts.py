@@ -78,7 +78,7 @@ class QuickStart(StartFromMotion):
     phase: ClassVar[str] = "quick"
 
     def apply(self, run: Run) -> Iterator[None]:
-        data, given = run.data, run.given
+        data, given = run.data, run.present_parts
         if data.n_frames < 2 * _FEW_FRAMES or given.transforms is not None:
             run.model = self._model(run, quick=True)
             vertex_step(data, run.model, locked=run.locked)

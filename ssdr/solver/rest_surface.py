@@ -28,12 +28,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import block_diag, coo_array, csr_array
+from scipy.spatial import cKDTree
 
+from ..copies import coincident, distinct
 from ..kernels.normals import normals_range
 from ..parallel import serial_blas
 from .trajectories import Array, Trajectories
 
-__all__ = ["RestPose", "RestSurface", "central_frame"]
+__all__ = ["RestPose", "RestSurface", "central_pose"]
 
 RestPose = Literal["surface", "free"]
 
@@ -42,6 +44,10 @@ _STRENGTH = 1.5
 # Least squared length of an edge that counts as its own, relative to the mean.
 _SHORT = 0.1
 _FEW = 64  # frames among which the central one is chosen
+# Squared length of an edge without size, relative to its mean, and share of such edges of no part.
+_NO_SIZE, _FEW_PARTS = 0.01, 0.01
+_NEAR = 1.2  # distance from the mean, relative to that of the central frame
+_FEWER = 8  # of these, in which points without triangles have neighbours
 _MOST_EDGES = 4096  # of the mesh, evenly spread over its list, that decide about it
 
 
@@ -150,21 +156,44 @@ class RestSurface:
 
 
 @serial_blas()
-def central_frame(data: Trajectories) -> int:
+def central_pose(
+    data: Trajectories, pose: Array | None = None, *, first: bool = False
+) -> tuple[int, bool]:
     """Frame, of up to 64 evenly spread ones, whose edges are nearest to the mean of their edges.
 
-    The strain between it and the others is least, so that a rest pose near it costs least.
+    The strain between it and the others is least, so that a rest pose near it costs least.  Points
+    without triangles are joined to their nearest neighbours.  With `first`, it is frame 0 unless
+    parts have no size there.  The second value is whether the edges of `pose` (V, 3) are about as
+    near.
     """
     few = np.unique(np.linspace(0, data.n_frames - 1, _FEW).round().astype(int))
-    ends = np.unique(np.sort(data.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)), axis=0)
+    edges = np.sort(data.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)).astype(np.intp)
+    ends = np.unique(edges, axis=0)
     if not len(ends):
-        return 0
+        ends = _nearest(data, few[:: max(1, len(few) // _FEWER)])
     ends = ends[:: max(1, len(ends) // _MOST_EDGES)]
-    edges = [np.diff(data.frame(t)[ends], axis=1)[:, 0] for t in few]
-    mean = np.mean(edges, axis=0)
-    squared = np.mean([(e**2).sum(axis=1) for e in edges], axis=0)
+    along = [np.diff(data.frame(t)[ends], axis=1)[:, 0] for t in few]
+    mean = np.mean(along, axis=0)
+    squared = np.mean([(e**2).sum(axis=1) for e in along], axis=0)
     weight = 1.0 / np.maximum(squared + _SHORT * squared.mean(), 1e-300)
-    return int(few[np.argmin([weight @ ((e - mean) ** 2).sum(axis=1) for e in edges])])
+
+    def away(edges: Array) -> float:
+        return float(weight @ ((edges - mean) ** 2).sum(axis=1))
+
+    if first and ((along[0] ** 2).sum(axis=1) < _NO_SIZE * squared).mean() < _FEW_PARTS:
+        return 0, False
+    distances = [away(e) for e in along]
+    near = pose is not None and away(np.diff(pose[ends], axis=1)[:, 0]) <= _NEAR * min(distances)
+    return int(few[np.argmin(distances)]), near
+
+
+def _nearest(data: Trajectories, frames: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Pairs (P, 2) of each of some vertices and the one nearest to it over some frames."""
+    some = np.arange(0, data.n_vertices, max(1, data.n_vertices // _MOST_EDGES))
+    paths = np.concatenate([data.frame(t)[some] for t in frames], axis=1)
+    if len(some) < 2:
+        return np.zeros((0, 2), dtype=np.intp)
+    return some[cKDTree(paths).query(paths, k=2)[1]]
 
 
 def _turned(points: Array, faces: NDArray[np.int32]) -> NDArray[np.bool_]:
@@ -182,14 +211,8 @@ def _coincident(data: Trajectories) -> NDArray[np.intp]:
     Each vertex stands for itself in compressed trajectories.
     """
     n = data.n_vertices
-    label = np.arange(n)
     if data.q is not None:  # compression rounds, and may part what coincides
-        return label
-    _, place, count = np.unique(data.z[:, :3], axis=0, return_inverse=True, return_counts=True)
-    twins = np.flatnonzero(count[place.ravel()] > 1)
-    if len(twins):
-        rows = np.ascontiguousarray(data.z[twins]) + 0.0  # -0.0 equals 0.0, but not its bytes
-        bytes_of = rows.view(np.dtype((np.void, rows.dtype.itemsize * rows.shape[1]))).ravel()
-        _, first, group = np.unique(bytes_of, return_index=True, return_inverse=True)
-        label[twins] = twins[first][group.ravel()]
-    return label
+        return np.arange(n)
+    frames = data.z.reshape(n, -1, 3).transpose(1, 0, 2)
+    kept, row = distinct(coincident((frames[:1], frames), n))
+    return kept[row]

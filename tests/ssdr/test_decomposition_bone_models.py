@@ -66,7 +66,7 @@ def test_bones_that_stretch_are_no_worse_on_thin_sheets(kind: str, name: str) ->
     check_kind(found.skinning.transforms, kind)
     assert found.rmse <= rigid.rmse
     if kind == "affine":
-        assert found.rmse <= 0.6 * rigid.rmse
+        assert found.rmse <= 0.7 * rigid.rmse
 
 
 @pytest.mark.parametrize("name", THIN)
@@ -214,3 +214,21 @@ def test_similarity_plays_from_files(tmp_path: Path) -> None:
         assert back.bone_model == "similarity"
         limit = 1e-3 if name.endswith("usdc") else 1e-5  # UsdSkel holds scales in half precision
         assert np.abs(back.skin() - model.skin()).max() < limit * size
+
+
+def test_parts_that_grow_from_a_point_are_found() -> None:
+    """Frames in which a part has no size are no place to fit its bone."""
+    rng = np.random.default_rng(5)
+    part, times = rng.uniform(-1, 1, (60, 3)), np.linspace(0, 1, 16)
+    frames = np.concatenate(
+        [
+            np.stack(
+                [grow(t) * part @ motions.rotation(a * t, 0.2, 0.1).T + [k, t, 0] for t in times]
+            )
+            for k, a, grow in ((0.0, 1.5, lambda t: t), (4.0, -1.0, lambda t: 1 - 0.8 * t))
+        ],
+        axis=1,
+    )
+    size = np.linalg.norm(np.ptp(frames.reshape(-1, 3), axis=0))
+    found = ssdr.decompose(frames, bones=2, bone_model="similarity", effort="fast")
+    assert found.rmse < 1e-5 * size

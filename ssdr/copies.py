@@ -1,0 +1,65 @@
+"""Vertices that coincide in every frame, as at seams or in a triangle soup.
+
+Solved apart they would drift apart, and the mesh would crack: a solver holds one for all.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Selected", "coincident", "distinct"]
+
+Rows = NDArray[np.intp]
+
+
+def coincident(blocks: Iterable[NDArray[np.floating]], n_vertices: int) -> Rows:
+    """Labels ``(V,)``, equal for vertices whose positions are equal in all blocks ``(n, V, 3)``.
+
+    Blocks are read until no two vertices coincide in all before.
+    """
+    label = np.zeros(n_vertices, dtype=np.intp)
+    for block in blocks:
+        some = np.flatnonzero(np.bincount(label)[label] > 1)
+        if not len(some):
+            break
+        # -0.0 equals 0.0, but not its bytes
+        paths = np.ascontiguousarray(block[:, some].transpose(1, 0, 2)).reshape(len(some), -1) + 0.0
+        rows = paths.view(np.dtype((np.void, paths.dtype.itemsize * paths.shape[1]))).ravel()
+        here = np.zeros(n_vertices, dtype=np.intp)
+        here[some] = np.unique(rows, return_inverse=True)[1].ravel()
+        label = np.unique(label * n_vertices + here, return_inverse=True)[1].ravel()
+    return label
+
+
+def distinct(label: Rows) -> tuple[Rows, Rows]:
+    """First vertex ``(U,)`` of each label, ascending, and which of them ``(V,)`` has its label."""
+    _, kept, row = np.unique(label, return_index=True, return_inverse=True)
+    order = np.argsort(kept)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return kept[order], rank[row.ravel()]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Selected:
+    """Some vertices of an array (F, V, 3) that is read on demand, as this is, too."""
+
+    source: Any
+    kept: Rows
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        return (int(self.source.shape[0]), len(self.kept), 3)
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        dtype: np.dtype[Any] = np.dtype(self.source.dtype)
+        return dtype
+
+    def __getitem__(self, frames: Any) -> NDArray[np.floating]:
+        return np.asarray(self.source[frames])[..., self.kept, :]

@@ -1,0 +1,129 @@
+"""Vertices that coincide in every frame are one vertex of every solver."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import ssdr
+from helpers import motions
+from ssdr.copies import coincident, distinct
+
+
+@pytest.fixture(scope="module")
+def soup() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Frames and faces of a mesh whose triangles share no vertices, and the mesh's own vertices."""
+    shots, faces = motions.wings(frames=12, rows=13, columns=5)
+    corners = np.arange(faces.size, dtype=np.int32).reshape(-1, 3)
+    return shots[:, faces.ravel()], corners, faces.ravel()
+
+
+def crack(skinning: ssdr.Skinning, vertex: np.ndarray) -> float:
+    """Largest distance in any frame of a corner from the first corner of the same vertex."""
+    posed = skinning.skin()
+    first = np.full(vertex.max() + 1, -1)
+    first[vertex[::-1]] = np.arange(len(vertex))[::-1]
+    return float(np.abs(posed - posed[:, first[vertex]]).max())
+
+
+CALLS: dict[str, Callable[..., Any]] = {
+    "rigid": lambda s, f: ssdr.decompose(s, f, bones=4, effort="fast"),
+    "affine": lambda s, f: ssdr.decompose(s, f, bones=4, bone_model="affine", effort="fast"),
+    "free": lambda s, f: ssdr.decompose(s, f, bones=4, rest_pose="free", effort="fast"),
+    "joints": lambda s, f: ssdr.decompose(s, f, bones=4, rig="rigid", effort="fast"),
+    "8 bits": lambda s, f: ssdr.decompose(s, f, bones=4, influences=(4, "uint8"), effort="fast"),
+    "smooth": lambda s, f: ssdr.decompose(s, f, bones=4, smoothness=0.01, effort="fast"),
+    "levels": lambda s, f: ssdr.levels(s, f, bones=(4, 2), effort="fast"),
+    "smallest": lambda s, f: ssdr.smallest(s, f, tolerance="2%", effort="fast"),
+}
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_no_corner_leaves_the_others(name: str, soup: tuple[np.ndarray, ...]) -> None:
+    shots, corners, vertex = soup
+    result = CALLS[name](shots, corners)
+    for skinning in getattr(result, "levels", (result.skinning,)):
+        assert skinning.rest.shape == shots[0].shape
+        np.testing.assert_array_equal(skinning.faces, corners)
+        assert crack(skinning, vertex) == 0
+
+
+def test_the_error_counts_every_copy(soup: tuple[np.ndarray, ...]) -> None:
+    shots, corners, _ = soup
+    result = ssdr.decompose(shots, corners, bones=4, effort="fast")
+    away = np.linalg.norm(result.skinning.skin() - shots, axis=-1)
+    np.testing.assert_allclose(result.rmse, np.sqrt((away**2).mean()), rtol=1e-6)
+
+
+def test_copies_count_as_one_vertex_of_their_importance() -> None:
+    """A mesh with a vertex twice is solved as one in which it counts twice."""
+    shots, faces = motions.wings(frames=8, rows=9, columns=4)
+    count = np.ones(shots.shape[1])
+    count[:5] = 2
+    options: dict[str, Any] = {"bones": 3, "effort": "fast", "normals": False}
+    twice = ssdr.decompose(np.concatenate([shots, shots[:, :5]], axis=1), faces, **options)
+    once = ssdr.decompose(shots, faces, vertex_importance=count, **options)
+    np.testing.assert_array_equal(twice.skinning.rest[: len(count)], once.skinning.rest)
+    np.testing.assert_array_equal(twice.skinning.weights[: len(count)], once.skinning.weights)
+
+
+@pytest.mark.filterwarnings("ignore:.*bones could each go")
+def test_vertices_whose_weights_are_locked_apart_stay_apart(
+    soup: tuple[np.ndarray, ...],
+) -> None:
+    shots, corners, vertex = soup
+    indices = np.arange(len(vertex), dtype=np.int32)[:, None] % 3
+    start = ssdr.Start(indices=indices, weights=np.ones((len(vertex), 1)))
+    found = ssdr.decompose(shots, corners, bones=3, start=start, effort="fast").skinning
+    np.testing.assert_array_equal(found.indices[:, 0], indices[:, 0])
+
+
+def test_more_bones_than_vertices_that_differ(soup: tuple[np.ndarray, ...]) -> None:
+    shots, corners, vertex = soup
+    differ = len(np.unique(vertex))
+    with pytest.raises(ssdr.InputError, match=f"bones: expected at most {differ}"):
+        ssdr.decompose(shots, corners, bones=differ + 1)
+
+
+def test_a_start_with_cracks_is_mended_or_kept_as_it_is(soup: tuple[np.ndarray, ...]) -> None:
+    shots, corners, vertex = soup
+    good = ssdr.decompose(shots, corners, bones=4, effort="fast").skinning
+    rng = np.random.default_rng(0)
+    parts = {name: getattr(good, name) for name in ("indices", "weights", "transforms", "faces")}
+    torn = ssdr.Skinning(good.rest + rng.normal(scale=0.01, size=good.rest.shape), **parts)
+    result = ssdr.decompose(shots, corners, start=torn, effort="fast")
+    assert crack(torn, vertex) > 0.01
+    assert crack(result.skinning, vertex) == 0
+
+
+def test_labels_beside_those_of_all_positions() -> None:
+    """Independent: whole trajectories compared as rows of numbers."""
+    rng = np.random.default_rng(1)
+    base = rng.integers(0, 2, size=(6, 40, 3)).astype(float)
+    base[:, 20:30] = base[:, :10]
+    base[0, 5] = -0.0
+    base[0, 25] = 0.0
+    kept, row = distinct(coincident(iter([base[:1], base[:4], base[4:]]), 40))
+    rows = base.transpose(1, 0, 2).reshape(40, -1)
+    for i in range(40):
+        first = next(k for k in range(40) if (rows[k] == rows[i]).all())
+        assert kept[row[i]] == first
+
+
+def test_frames_read_on_demand_stay_so(tmp_path: Path, soup: tuple[np.ndarray, ...]) -> None:
+    shots, corners, vertex = soup
+    np.save(tmp_path / "soup.npy", shots)
+    lazy = ssdr.MeshSequence(np.load(tmp_path / "soup.npy", mmap_mode="r"), corners)
+    kept, row = distinct(coincident(iter([shots]), len(vertex)))
+    fewer = lazy.with_vertices(kept, row)
+    assert fewer.is_lazy
+    np.testing.assert_array_equal(fewer.frames([2, 5]), shots[[2, 5]][:, kept])
+    np.testing.assert_array_equal(fewer.faces, row[corners])
+    both = [
+        ssdr.decompose(x, bones=3, effort="fast") for x in (lazy, ssdr.MeshSequence(shots, corners))
+    ]
+    np.testing.assert_array_equal(both[0].skinning.rest, both[1].skinning.rest)
