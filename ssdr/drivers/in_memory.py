@@ -5,14 +5,14 @@ from __future__ import annotations
 from ..result import Decomposition
 from ..search.given import Given
 from ..search.progress import Clock, ProgressReport
-from ..search.run import Run, Schedule
+from ..search.run import Beside, Run, Schedule
 from ..search.stages import Unfold
 from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import Trajectories
 from .hand_back import outcome_of, skinning_of
 from .problem import Problem
 from .rounding import rounded_best
-from .schedule import normals_last, schedule_for
+from .schedule import from_model, normals_last, schedule_for
 
 __all__ = ["begin", "solve"]
 
@@ -54,6 +54,7 @@ def begin(
     if data.surface is None:
         data, given = problem.with_rest_surface(data, given)
     smoothness = WeightSmoothness.build(data, problem.sequences[0].faces, problem.smoothness)
+    whole = schedule is None
     if schedule is None:
         schedule = schedule_for(
             problem.effort,
@@ -67,6 +68,8 @@ def begin(
         )
     if problem.normals and smoothness is None:
         schedule = normals_last(schedule)
+    if whole and problem.beside:
+        schedule = (*schedule, Beside(start=from_model(problem.effort)))
     schedule = (*schedule, Unfold())
     return Run(
         data,

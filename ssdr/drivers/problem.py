@@ -27,7 +27,7 @@ from ..search.progress import Callback
 from ..sequence import MeshSequence, as_sequences, labels_of
 from ..skinning import Skinning
 from ..solver.model import Locked
-from ..solver.rest_surface import RestPose, RestSurface, central_pose
+from ..solver.rest_surface import RestPose, RestSurface, central_frame
 from ..solver.trajectories import Array, Trajectories, gather
 from ..start import Skeleton, Start
 from .checkpoint import Checkpoint
@@ -146,22 +146,26 @@ class Problem:
         """Copies of `data`, uncompressed, with what the rest pose is to resemble, and of `given`.
 
         That is the rest pose of `given`, of its skeleton, or else its rest frame, which is chosen
-        unless the caller named it.  Of a whole model it is the rest pose only if that is about as
-        near to the other frames, and no crumpled mesh.  Bones that stretch need a rest frame in
+        unless the caller named it.  That of a model that is tried beside others does not count, as
+        it may be a crumpled mesh.  Bones that stretch need a rest frame in
         which no part is without size even if the rest pose is free.
         """
         keeps_to = self.rest_pose == "surface" and len(data.faces) > 0
-        pose = given.tree_pose if given.rest is None or given.free else given.rest
-        # a frame in which parts have no size is no place to fit bones that stretch
+        pose = given.tree_pose if given.rest is None or self.beside else given.rest
         chosen = keeps_to or self.locked.bone_model != "rigid"
         if pose is None and given.rest_frame is None and chosen:
-            frame, near = central_pose(data, given.rest, first=not keeps_to)
-            pose = given.rest if near else None
-            given = dataclasses.replace(given, rest_frame=frame, first=pose)
+            frame = central_frame(data, first=not keeps_to)
+            given = dataclasses.replace(given, rest_frame=frame)
         if not keeps_to or self.locked.rest:
             return data, given
         pose = given.beside_model().first_pose(data) if pose is None else pose
         return dataclasses.replace(data, surface=RestSurface.build(data, pose)), given
+
+    @property
+    def beside(self) -> bool:
+        """Whether a whole model was given that is tried beside other starts."""
+        bound = self.rig == "rigid" or self.given.keeps_tree or self.smoothness > 0
+        return self.given.free and not bound
 
     @property
     def placed(self) -> bool:

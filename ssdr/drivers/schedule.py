@@ -51,7 +51,14 @@ from .efforts import (
     Rebuilds,
 )
 
-__all__ = ["RigKind", "merged_start", "normals_last", "schedule_for", "settling_schedule"]
+__all__ = [
+    "RigKind",
+    "from_model",
+    "merged_start",
+    "normals_last",
+    "schedule_for",
+    "settling_schedule",
+]
 
 RigKind = Literal["none", "loose", "rigid"]
 
@@ -129,10 +136,8 @@ def rebuilds(size: float) -> Rebuilds:
     return next(numbers for bound, numbers in REBUILDS if size < bound)
 
 
-def free_bones(
-    effort: Effort, bones: int, size: float, *, stretching: bool, start: Schedule = ()
-) -> Schedule:
-    """Schedule for bones without a hierarchy; `start` makes a further model to go on from.
+def free_bones(effort: Effort, bones: int, size: float, *, stretching: bool) -> Schedule:
+    """Schedule for bones without a hierarchy.
 
     If bones may stretch (`stretching`), a second start is made from rigid bones.  Bones that
     stretch must keep det > 0 in every step, which blocks many paths from their own start if a part
@@ -144,17 +149,16 @@ def free_bones(
     if effort == "fast" and stretching:
         more = count * (*rigid_start, MoveBones(rigid=True), Polish(steps=8))
         starts = (*merged_start(6, 4), *rigid_start, *more)
-        return (*FIRST_MODEL, *starts, *start, ReturnToBest(), Polish(steps=6))
+        return (*FIRST_MODEL, *starts, ReturnToBest(), Polish(steps=6))
     more = count * (*merged_start(12, 6), MoveBones(), Polish(steps=8))
     placed: Schedule = (*PLACED, *more, ReturnToBest(), Polish(steps=6)) if more else PLACED
-    start = (*start, ReturnToBest()) if start else ()
     if effort == "fast":
-        return (*placed[:-1], *start, placed[-1])
+        return placed
     from_rigid = (*rigid_start, Polish(steps=8), *RELAXED) if stretching else ()
     if effort == "balanced":
         # which leads bones that stretch to worse minima
         polish = () if stretching else (Polish(steps=60, gain=0.01),)
-        return (*placed, *polish, *start, *RELAXED, *from_rigid)
+        return (*placed, *polish, *RELAXED, *from_rigid)
     n = rebuilds(size)
     many = bones >= MANY_BONES
     first: Schedule = searched(n.trials)
@@ -172,8 +176,6 @@ def free_bones(
     )
     return (
         *FIRST_MODEL,
-        *start,
-        *(searched(TRIALS_OF_A_START) if start else ()),
         *first,
         *(() if stretching else from_tree),
         *(from_rigid if n.before else ()),
@@ -348,12 +350,11 @@ def schedule_for(
     rig : {"none", "loose", "rigid"}
         Kind of joints.
     """
-    start: Schedule = ()
     if given.free:
         if rig == "rigid" or given.keeps_tree or smoothed:
             tree = given.keeps_tree
             return with_joints(effort, rigid=rig == "rigid", keeps_tree=tree, smoothed=smoothed)
-        start, given = from_model(effort), given.beside_model()
+        given = given.beside_model()
     if given.tree is not None:
         return on_skeleton(effort, given, rigid=rig == "rigid")
     if rig == "rigid":
@@ -363,7 +364,7 @@ def schedule_for(
     if placed:
         return nothing_to_place(effort)
     stretching = bone_model != "rigid" and given.transforms is None
-    return free_bones(effort, bones, size, stretching=stretching, start=start)
+    return free_bones(effort, bones, size, stretching=stretching)
 
 
 def settling_schedule(effort: Effort, *, smoothed: bool) -> Schedule:

@@ -30,8 +30,6 @@ class Given:
         Transforms of the first B0 bones; those of `locked_bones` are kept.
     free : bool
         Whether the parts are a whole model to improve, of which nothing is locked.
-    first : (V, 3) array or None
-        Beside a whole model, the rest pose with which other starts begin.
     locked_vertices : (V,) mask or None
         Vertices whose weights are kept.
     locked_bones : (B0,) mask or None
@@ -60,7 +58,6 @@ class Given:
     weights: Array | None = None
     transforms: Array | None = None
     free: bool = False
-    first: Array | None = None
     locked_vertices: NDArray[np.bool_] | None = None
     locked_bones: NDArray[np.bool_] | None = None
     tree: Tree | None = None
@@ -73,12 +70,11 @@ class Given:
 
     def first_pose(self, data: Trajectories) -> Array:
         """Rest pose (V, 3) with which a solve starts, in the space of `data`."""
-        pose = self.first if self.rest is None else self.rest
-        return data.frame(self.rest_frame or 0) if pose is None else pose.copy()
+        return data.frame(self.rest_frame or 0) if self.rest is None else self.rest.copy()
 
     def beside_model(self) -> Given:
         """Parts for starts that are tried beside a whole model; without one, these parts."""
-        return Given(rest_frame=self.rest_frame, first=self.first) if self.free else self
+        return Given(rest_frame=self.rest_frame) if self.free else self
 
     @property
     def leading_locked_bones(self) -> NDArray[np.bool_] | None:
@@ -102,10 +98,7 @@ class Given:
         def some(array: Any) -> Any:
             return None if array is None else np.ascontiguousarray(array[kept])
 
-        names = (
-            *("rest", "first", "indices", "weights"),
-            *("locked_vertices", "tree_pose", "nearest_bone"),
-        )
+        names = ("rest", "indices", "weights", "locked_vertices", "tree_pose", "nearest_bone")
         skin = self.skeleton_skin
         return replace(
             self,

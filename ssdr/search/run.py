@@ -27,7 +27,7 @@ from ..solver.trajectories import Trajectories
 from .given import Given
 from .progress import Clock, ProgressReport
 
-__all__ = ["Lowest", "Run", "Schedule", "Stage"]
+__all__ = ["Beside", "Lowest", "Run", "Schedule", "Stage"]
 
 _logger = logging.getLogger(__name__)
 # Objective, relative to the squared motion, below which only rounding errors are left.
@@ -94,6 +94,32 @@ class Lowest(Stage):
             if lowest is None or run.value(run.present) < least:
                 lowest, least = run.present.copy(), run.value(run.present)
         run.model = lowest
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Beside(Stage):
+    """Run a schedule from another start; keep the best model before it unless errors become less.
+
+    Attributes
+    ----------
+    start : Schedule
+    """
+
+    phase: ClassVar[str] = "beside"
+    cost: float = 0.0
+    start: Schedule
+
+    @property
+    def work(self) -> float:
+        return sum(stage.work for stage in self.start)
+
+    def apply(self, run: Run) -> Iterator[None]:
+        before, value, known = run.best_model.copy(), run.best_value, len(run.records)
+        for stage in self.start:
+            yield from run.steps_of(stage)
+        if run.best_model.weighted_error(run.whole) > before.weighted_error(run.whole):
+            run.best, run.best_value = before, value
+            del run.records[known:]
 
 
 class Run:
@@ -180,12 +206,11 @@ class Run:
 
     @property
     def present_parts(self) -> Given:
-        """Parts for a new start, with rest poses of the vertices of the present step."""
+        """Parts for a new start, restricted to the vertices of the present step."""
         given = self.given.beside_model()
-        if self.chosen is None:
+        if self.chosen is None or given.rest is None:
             return given
-        rest, first = (p if p is None else p[self.chosen] for p in (given.rest, given.first))
-        return dataclasses.replace(given, rest=rest, first=first)
+        return dataclasses.replace(given, rest=given.rest[self.chosen])
 
     @property
     def fraction(self) -> float:

@@ -13,6 +13,7 @@ from ..solver.alternation import alternate, bone_step, vertex_step
 from ..solver.gauss_newton import fit_motion
 from ..solver.initialization import fit_patches, single_bone_errors, start_model
 from ..solver.model import Model
+from ..solver.rest_normals import with_rest_normals
 from ..solver.trajectories import Array
 from .run import Run, Stage
 
@@ -123,6 +124,8 @@ class StartFromModel(Stage):
             _measure_error(run, model)
             tree = None if tree is None else dataclasses.replace(tree, rigid=False)
             run.given = dataclasses.replace(given, transforms=None)
+        if data.normals is not None:
+            model = with_rest_normals(data, model)
         model.tree = tree
         run.model = model
         yield

@@ -35,7 +35,7 @@ from ..kernels.normals import normals_range
 from ..parallel import serial_blas
 from .trajectories import Array, Trajectories
 
-__all__ = ["RestPose", "RestSurface", "central_pose"]
+__all__ = ["RestPose", "RestSurface", "central_frame"]
 
 RestPose = Literal["surface", "free"]
 
@@ -46,7 +46,6 @@ _SHORT = 0.1
 _FEW = 64  # frames among which the central one is chosen
 # Squared length of an edge without size, relative to its mean, and share of such edges of no part.
 _NO_SIZE, _FEW_PARTS = 0.01, 0.01
-_NEAR = 1.2  # distance from the mean, relative to that of the central frame
 _FEWER = 8  # of these, in which points without triangles have neighbours
 _MOST_EDGES = 4096  # of the mesh, evenly spread over its list, that decide about it
 
@@ -156,15 +155,12 @@ class RestSurface:
 
 
 @serial_blas()
-def central_pose(
-    data: Trajectories, pose: Array | None = None, *, first: bool = False
-) -> tuple[int, bool]:
+def central_frame(data: Trajectories, *, first: bool = False) -> int:
     """Frame, of up to 64 evenly spread ones, whose edges are nearest to the mean of their edges.
 
     The strain between it and the others is least, so that a rest pose near it costs least.  Points
     without triangles are joined to their nearest neighbours.  With `first`, it is frame 0 unless
-    parts have no size there.  The second value is whether the edges of `pose` (V, 3) are about as
-    near.
+    parts have no size there.
     """
     few = np.unique(np.linspace(0, data.n_frames - 1, _FEW).round().astype(int))
     edges = np.sort(data.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)).astype(np.intp)
@@ -176,15 +172,9 @@ def central_pose(
     mean = np.mean(along, axis=0)
     squared = np.mean([(e**2).sum(axis=1) for e in along], axis=0)
     weight = 1.0 / np.maximum(squared + _SHORT * squared.mean(), 1e-300)
-
-    def away(edges: Array) -> float:
-        return float(weight @ ((edges - mean) ** 2).sum(axis=1))
-
     if first and ((along[0] ** 2).sum(axis=1) < _NO_SIZE * squared).mean() < _FEW_PARTS:
-        return 0, False
-    distances = [away(e) for e in along]
-    near = pose is not None and away(np.diff(pose[ends], axis=1)[:, 0]) <= _NEAR * min(distances)
-    return int(few[np.argmin(distances)]), near
+        return 0
+    return int(few[np.argmin([weight @ ((e - mean) ** 2).sum(axis=1) for e in along])])
 
 
 def _nearest(data: Trajectories, frames: NDArray[np.intp]) -> NDArray[np.intp]:

@@ -10,7 +10,7 @@ import threadpoolctl
 
 import ssdr
 from helpers import motions, surfaces, terms
-from ssdr.solver.rest_surface import RestSurface, central_pose
+from ssdr.solver.rest_surface import RestSurface, central_frame
 from ssdr.solver.trajectories import Trajectories, gather
 
 
@@ -78,7 +78,7 @@ def test_without_edges_there_is_no_surface(rng: np.random.Generator) -> None:
     ):
         data = _data(frames, np.array(faces, dtype=np.int32))
         assert RestSurface.build(data, data.frame(0)) is None
-    assert central_pose(_data(points, np.zeros((0, 3), np.int32)), first=True) == (0, False)
+    assert central_frame(_data(points, np.zeros((0, 3), np.int32)), first=True) == 0
 
 
 def test_copies_at_seams_belong_together(rng: np.random.Generator) -> None:
@@ -181,9 +181,9 @@ def test_the_central_frame_is_nearest_to_the_mean_of_the_edges(rng: np.random.Ge
     frames = np.einsum("tab,tib->tia", turns, frames) + 10 * rng.standard_normal(
         (len(frames), 1, 3)
     )
-    assert central_pose(_data(frames, faces))[0] == 3
+    assert central_frame(_data(frames, faces)) == 3
     many = np.repeat(frames, 40, axis=0)
-    found = central_pose(_data(many, faces))[0]
+    found = central_frame(_data(many, faces))
     assert found // 40 == 3
     assert found in np.linspace(0, len(many) - 1, 64).round()
 
@@ -196,14 +196,5 @@ def test_the_same_bits_whatever_threads_blas_may_use() -> None:
         with threadpoolctl.threadpool_limits(limit, user_api="blas"):
             surface = RestSurface.build(data, data.frame(0))
             assert surface is not None
-            found.add((surface.edges.data.tobytes(), central_pose(data)[0]))
+            found.add((surface.edges.data.tobytes(), central_frame(data)))
     assert len(found) == 1
-
-
-def test_a_pose_is_central_unless_it_is_crumpled(rng: np.random.Generator) -> None:
-    points, faces = surfaces.grid(4, 5)
-    frames = points + 0.2 * np.sin(np.arange(7))[:, None, None] * points[:, [2, 2, 0]]
-    data = _data(frames, faces)
-    crumpled = data.frame(3) + rng.normal(scale=0.2 * data.frame(3).std(), size=points.shape)
-    assert central_pose(data, data.frame(central_pose(data)[0]))[1]
-    assert not central_pose(data, crumpled)[1]
