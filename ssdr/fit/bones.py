@@ -20,6 +20,7 @@ from ..clips import names_of
 from ..errors import check_flag
 from ..frames.error import rmse_of, squared_error
 from ..frames.normals import with_fitted_normals
+from ..representation import short_repr
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.alternation import bone_step
@@ -63,6 +64,8 @@ class BoneFit(Fit):
 
     sweeps: int
     converged: bool
+
+    __repr__ = short_repr
 
 
 def fit_bones(

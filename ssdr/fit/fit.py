@@ -12,6 +12,7 @@ from ..checks import check_floats, check_squarable, check_transforms
 from ..errors import InputError
 from ..frames.error import rmse_of
 from ..frames.normals import with_fitted_normals
+from ..representation import short_repr
 from ..sequence import MeshSequence, as_sequences
 from ..skinning import Skinning
 from ..solver.trajectories import Array, Trajectories, gather
@@ -44,6 +45,8 @@ class Fit:
     skinning: Skinning
     squared_error: NDArray[np.float64]
     rmse: float
+
+    __repr__ = short_repr
 
 
 def checked(sequence: Any, skinning: Any) -> tuple[list[MeshSequence], Array, Array]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import check_flag
+from ..representation import short_repr
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from .edge_difference import Sted
@@ -51,6 +52,8 @@ class Comparison(Distances):
     hausdorff: Hausdorff | None = None
     sted: Sted | None = None
     normals: NormalErrors | None = None
+
+    __repr__ = short_repr
 
     def as_dict(self, *, arrays: bool = False) -> dict[str, Any]:
         """Dictionary of plain numbers, for JSON.

@@ -13,6 +13,7 @@ from scipy.sparse import csr_array, eye_array
 from ..checks import LARGEST, check_whole
 from ..errors import InputError, check_flag, is_real
 from ..parallel import chunk_bounds, run_chunks
+from ..representation import short_repr
 from ..sequence import MeshSequence
 from .inputs import Frames, as_pair, check_finite, chunk_size, edges_of, read
 
@@ -59,6 +60,8 @@ class Sted:
     c: float
     normaliser: float
     signed: bool
+
+    __repr__ = short_repr
 
 
 def sted(

@@ -14,6 +14,7 @@ from ..checks import check_whole
 from ..errors import InputError, check_flag
 from ..kernels.closest import farthest, fit_boxes, tree_order
 from ..parallel import chunk_bounds, run_chunks
+from ..representation import short_repr
 from ..sequence import MeshSequence
 from .inputs import Frames, as_sequence, check_finite, read
 
@@ -54,6 +55,8 @@ class Hausdorff:
     vertex_per_frame: NDArray[np.float64]
     surface_per_frame: NDArray[np.float64] | None
     subdivisions: int
+
+    __repr__ = short_repr
 
 
 def hausdorff(

@@ -13,6 +13,7 @@ from ..frames.executor import Executor
 from ..frames.normals import Angles, drawn_angles, holders_of
 from ..normals import surface_normals
 from ..parallel import chunk_bounds
+from ..representation import short_repr
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from .inputs import Frames, as_pair, as_sequence, chunk_size, read
@@ -61,6 +62,8 @@ class NormalErrors:
     per_frame: NDArray[np.float64]
     per_vertex: NDArray[np.float64]
     frames: NDArray[np.int64]
+
+    __repr__ = short_repr
 
     def as_dict(self) -> dict[str, float | None]:
         """Dictionary of the plain numbers, for JSON."""

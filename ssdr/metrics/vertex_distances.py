@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..parallel import chunk_bounds
+from ..representation import short_repr
 from .inputs import Frames, as_pair, check_finite, chunk_size, read
 
 __all__ = ["Distances", "distances", "rmse"]
@@ -61,6 +62,8 @@ class Distances:
     per_frame: NDArray[np.float64]
     per_vertex: NDArray[np.float64]
     diagonal: float
+
+    __repr__ = short_repr
 
 
 def distances(reference: Frames, other: Frames) -> Distances:
