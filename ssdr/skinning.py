@@ -29,6 +29,19 @@ from .surface import Surface, check_surface
 __all__ = ["BoneModel", "Skinning", "skin"]
 
 
+def skinning_in(thing: Any) -> Any:
+    """The model of a result that has one as its `skinning`; anything else as it is."""
+    return thing if isinstance(thing, Skinning) else getattr(thing, "skinning", thing)
+
+
+def check_skinning(model: Any) -> Skinning:
+    """The model that is given, itself or as the `skinning` of a result."""
+    found = skinning_in(model)
+    if not isinstance(found, Skinning):
+        raise InputError("skinning", "a Skinning", type(model).__name__)
+    return found
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Skinning:
     """Rest pose, sparse skin weights and bone transforms of an animated mesh.

@@ -90,7 +90,7 @@ def sted(
 
     Parameters
     ----------
-    reference, other : MeshSequence or (F, V, 3) array
+    reference, other : MeshSequence, Skinning, a result that has one, or (F, V, 3) array
     faces : (T, 3) int array, optional
         Triangles; those of the sequences by default.
     neighbourhood : int

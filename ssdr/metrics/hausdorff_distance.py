@@ -76,7 +76,7 @@ def hausdorff(
 
     Parameters
     ----------
-    reference, other : MeshSequence or (F, V, 3) array
+    reference, other : MeshSequence, Skinning, a result that has one, or (F, V, 3) array
         The numbers of vertices may differ.
     faces : (T, 3) int array, optional
         Triangles of the reference; those of the sequence by default.

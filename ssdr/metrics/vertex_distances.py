@@ -71,7 +71,7 @@ def distances(reference: Frames, other: Frames) -> Distances:
 
     Parameters
     ----------
-    reference, other : MeshSequence or (F, V, 3) array
+    reference, other : MeshSequence, Skinning, a result that has one, or (F, V, 3) array
         Read by chunks of frames; distances are computed in float64.
 
     Raises
@@ -129,7 +129,7 @@ def rmse(reference: Frames, other: Frames) -> float:
 
     Parameters
     ----------
-    reference, other : MeshSequence or (F, V, 3) array
+    reference, other : MeshSequence, Skinning, a result that has one, or (F, V, 3) array
 
     Raises
     ------
