@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .checks import check_range
+from .checks import check_range, remedy_of_shape
 from .errors import InputError
 from .kernels.lbs import skin_range
 from .parallel import chunk_bounds, run_chunks
@@ -68,7 +68,8 @@ def skin(
     if w.shape != j.shape:
         raise InputError("weights", f"shape {j.shape}", f"shape {w.shape}")
     if m.ndim not in (3, 4) or m.shape[-2:] != (3, 4):
-        raise InputError("transforms", "shape (F, B, 3, 4) or (B, 3, 4)", f"shape {m.shape}")
+        wanted = f"shape (F, B, 3, 4) or (B, 3, 4){remedy_of_shape(m.shape, (3, 4))}"
+        raise InputError("transforms", wanted, f"shape {m.shape}")
     check_range(j, "indices", m.shape[-3])
     for name, array in (("rest", p), ("weights", w), ("transforms", m)):
         if array.dtype.kind not in "fiu":
