@@ -161,6 +161,52 @@ class Skinning:
         for field, value in {**parts, "faces": faces, "fps": fps, "clips": clips}.items():
             put(self, field, value)
 
+    @classmethod
+    def from_dense(
+        cls,
+        rest: Any,
+        weights: Any,
+        transforms: Any,
+        *,
+        influences: int | None = None,
+        **options: Any,
+    ) -> Skinning:
+        """A model from a matrix of weights with a column for each bone.
+
+        Parameters
+        ----------
+        rest, transforms, **options
+            As of :class:`Skinning`.
+        weights : (V, B) array or sparse array
+            Non-negative; rows sum to 1.
+        influences : int, optional
+            Most influences per vertex, K: smaller weights are dropped as by :meth:`prune`.  By
+            default as many as the vertex with most of them has, so that nothing is lost.
+
+        Raises
+        ------
+        InputError
+            As of :class:`Skinning`; also if there is not a column for each bone.
+
+        Examples
+        --------
+        >>> dense = np.array([[1, 0, 0], [0.5, 0, 0.5], [0, 0, 1]])
+        >>> still = np.broadcast_to(np.eye(3, 4), (5, 3, 3, 4))
+        >>> model = ssdr.Skinning.from_dense(np.eye(3), dense, still)
+        >>> model.n_influences, np.array_equal(model.dense_weights(), dense)
+        (2, True)
+        """
+        weights = weights.toarray() if hasattr(weights, "toarray") else weights
+        dense = check_floats(weights, "weights", ("V", "B"))
+        moves = check_floats(transforms, "transforms", ("F", "B", 3, 4))
+        if dense.shape[1] != moves.shape[1]:
+            wanted = f"{moves.shape[1]} columns, one for each bone of the transforms"
+            raise InputError("weights", wanted, f"{dense.shape[1]}")
+        indices = np.broadcast_to(np.arange(dense.shape[1]), dense.shape)
+        used = max(1, int((dense > 0).sum(axis=1).max()))
+        model = cls(rest, indices, dense, moves, **options)
+        return model.prune(used if influences is None else influences)
+
     @property
     def n_vertices(self) -> int:
         return int(self.rest.shape[0])
@@ -392,7 +438,7 @@ class Skinning:
         return np.asarray(np.where(total[:, None] > 0, sums / safe, mean))
 
     def prune(self, influences: int, *, minimum: float = 0.0) -> Skinning:
-        """Keep the largest weights of each vertex and renormalise.
+        """Keep the largest weights of each vertex, and renormalise those of vertices that lose any.
 
         At most `influences` weights of at least `minimum` are kept, and always the largest.
         ``metrics.compare(model.skin(), pruned.skin())`` measures the error that this adds.
@@ -413,7 +459,8 @@ class Skinning:
         drop = weights < minimum
         drop[:, 0] = False
         weights[drop] = 0.0
-        weights /= weights.sum(axis=1, keepdims=True)
+        lost = np.count_nonzero(weights, axis=1) < np.count_nonzero(self.weights, axis=1)
+        weights[lost] /= weights[lost].sum(axis=1, keepdims=True)
         return dataclasses.replace(
             self,
             indices=np.where(weights > 0, indices, 0).astype(np.int32),
