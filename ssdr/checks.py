@@ -20,8 +20,10 @@ __all__ = [
     "BoneModel",
     "as_array",
     "check_bone_model",
+    "check_dense",
     "check_faces",
     "check_floats",
+    "check_frame_importance",
     "check_frames",
     "check_importance",
     "check_influences",
@@ -46,6 +48,9 @@ Array = NDArray[np.float64]
 
 LARGEST = 1e100  # bound on numbers whose squares are summed
 _MOST_INFLUENCES = 64
+# Least importance of a frame, relative to the largest: with less, the steps of all bones together
+# would be blind to the transforms of that frame.
+_LEAST_FRAME = 1e-4
 _LEAST_DETERMINANT = 1e-12  # least determinant of an affine bone; a smaller one flattens the mesh
 _OFF = 1e-4  # largest deviation of sums of weights from 1, and of rotations from orthogonal
 _ROUNDING = 1e-13  # deviation from orthogonal that is rounding and left as it is
@@ -74,7 +79,8 @@ def check_nonnegative(value: Any, argument: str, expected: str) -> float:
 def check_smoothness(smoothness: Any, faces: NDArray[np.int32]) -> float:
     value = check_nonnegative(smoothness, "smoothness", "a length >= 0 in the mesh's units")
     if value > 0 and len(faces) == 0:
-        raise InputError("smoothness", "0 for a mesh without faces", smoothness)
+        wanted = "0 for a mesh without faces (MeshSequence(frames, faces) has them)"
+        raise InputError("smoothness", wanted, smoothness)
     return value
 
 
@@ -249,6 +255,16 @@ def check_importance(value: Any, argument: str, count: int) -> Array | None:
     return np.asarray(array / array.max())
 
 
+def check_frame_importance(value: Any, count: int) -> Array | None:
+    """Importance ``(count,)`` of frames, above 0 and scaled to a maximum of 1."""
+    array = check_importance(value, "frame_importance", count)
+    if array is None:
+        return None
+    if not (array > 0).all():
+        raise InputError("frame_importance", "numbers > 0", float(array.min()))
+    return np.maximum(array, _LEAST_FRAME)
+
+
 # --- parts of a mesh and of a model ------------------------------------------------------------
 
 
@@ -297,6 +313,12 @@ def check_skin(
         came = f"{w[worst].sum()} at vertex {worst}"
         raise InputError(f"{prefix}weights", "rows that sum to 1", came)
     return np.ascontiguousarray(j, dtype=np.int32), w
+
+
+def check_dense(weights: Any, n_vertices: int | str = "V") -> NDArray[np.floating]:
+    """Weights ``(V, B)`` of all bones, from an array or a sparse array; sums are not checked."""
+    array = weights.toarray() if hasattr(weights, "toarray") else weights
+    return check_floats(array, "weights", (n_vertices, "B"))
 
 
 def check_transforms(

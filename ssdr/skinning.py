@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
-from .checks import BoneModel, check_faces, check_floats, check_frames, check_skin
+from .checks import BoneModel, check_dense, check_faces, check_floats, check_frames, check_skin
 from .clips import Clip, check_clips, in_order, pick
 from .errors import InputError, check_choice, is_real, is_whole
 from .hierarchy.transforms import (
@@ -196,8 +196,7 @@ class Skinning:
         >>> model.n_influences, np.array_equal(model.dense_weights(), dense)
         (2, True)
         """
-        weights = weights.toarray() if hasattr(weights, "toarray") else weights
-        dense = check_floats(weights, "weights", ("V", "B"))
+        dense = check_dense(weights)
         moves = check_floats(transforms, "transforms", ("F", "B", 3, 4))
         if dense.shape[1] != moves.shape[1]:
             wanted = f"{moves.shape[1]} columns, one for each bone of the transforms"
