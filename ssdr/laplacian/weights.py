@@ -69,7 +69,8 @@ def smooth_weights(
     model = check_skinning(skinning)
     count = model.n_influences if influences is None else check_influences(influences)
     if not len(model.faces):
-        raise InputError("skinning", "a model with triangles", "none")
+        wanted = "a model with triangles (dataclasses.replace(model, faces=faces) has them)"
+        raise InputError("skinning", wanted, "none")
     smoother = LaplacianSmoother(
         model.rest, model.faces, length, kind=kind, mass=mass, backend=backend
     )

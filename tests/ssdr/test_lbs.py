@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ssdr
+from docs import snippets
 
 
 def parts(
@@ -148,3 +150,17 @@ def test_refuses(argument: str, change: dict[str, Any]) -> None:
     with pytest.raises(ssdr.InputError) as caught:
         ssdr.skin_gradients(**(arrays | change))
     assert caught.value.argument == argument
+
+
+def test_the_function_of_the_page_in_pytorch() -> None:
+    torch = pytest.importorskip("torch")
+    page = Path(__file__).resolve().parents[2] / "docs" / "arrays.md"
+    names: dict[str, Any] = {"ssdr": ssdr}
+    code = [t for _, t in snippets.FENCE.findall(page.read_text("utf-8")) if "# needs: torch" in t]
+    assert len(code) == 1
+    exec(code[0], names)
+    rest, indices, weights, moves = (torch.from_numpy(a) for a in parts(9, n=4, n_frames=2))
+    real = [x.requires_grad_() for x in (rest, weights, moves)]
+    assert torch.autograd.gradcheck(
+        lambda p, w, m: names["Skin"].apply(p, indices, w, m), real, eps=1e-3, atol=1e-8
+    )
