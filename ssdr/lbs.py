@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .checks import check_range, remedy_of_shape
+from .checks import as_array, check_range, remedy_of_shape
 from .errors import InputError
 from .kernels.lbs import pull_back_to_bones, pull_back_to_vertices, skin_range
 from .parallel import chunk_bounds, run_chunks
@@ -187,8 +187,9 @@ def _checked(
     rest: Any, indices: Any, weights: Any, transforms: Any, *, dtype: Any, **further: Any
 ) -> _Parts:
     """Checked arguments; the precision is `dtype`, or that of the widest, with `further` arrays."""
-    p, w, m = np.asarray(rest), np.asarray(weights), np.asarray(transforms)
-    j = np.asarray(indices)
+    p, j = as_array(rest, "rest", "shape (V, 3)"), as_array(indices, "indices", "shape (V, K)")
+    w = as_array(weights, "weights", "shape (V, K)")
+    m = as_array(transforms, "transforms", "shape (F, B, 3, 4) or (B, 3, 4)")
     if p.ndim != 2 or p.shape[1] != 3:
         raise InputError("rest", "shape (V, 3)", f"shape {p.shape}")
     if j.ndim != 2 or len(j) != len(p) or j.shape[1] < 1 or j.dtype.kind not in "iu":
@@ -199,7 +200,7 @@ def _checked(
         wanted = f"shape (F, B, 3, 4) or (B, 3, 4){remedy_of_shape(m.shape, (3, 4))}"
         raise InputError("transforms", wanted, f"shape {m.shape}")
     check_range(j, "indices", m.shape[-3])
-    others = {name: np.asarray(array) for name, array in further.items()}
+    others = {name: as_array(x, name, "shape (F, V, 3)") for name, x in further.items()}
     for name, array in {"rest": p, "weights": w, "transforms": m, **others}.items():
         if array.dtype.kind not in "fiu":
             raise InputError(name, "real numbers", f"dtype {array.dtype}")

@@ -70,7 +70,7 @@ def fit_weights(
         Bones that each vertex, or every vertex, may follow; all by default.
     prior : (V, B) array, sparse array or Skinning, optional
         Weights that the result is to resemble, such as painted ones.  The objective then also has
-        F·`prior_length`²·|w − prior|² of each vertex.
+        F λ² |w − prior|² of each vertex, with λ the `prior_length`.
     prior_length : float, optional
         With `prior`: length in the mesh's units; a difference of 1 from the prior, in one weight,
         costs as much as an error of this length in every frame.
@@ -117,7 +117,7 @@ def fit_weights(
     target, length = _check_prior(prior, prior_length, n, skinning.n_bones)
     iterations = check_whole(iterations, "iterations", 1)
     faces = sequences[0].faces if len(sequences[0].faces) else skinning.faces
-    check_smoothness(smoothness, faces)
+    smoothness = check_smoothness(smoothness, faces)
     data, inner, bones = given.gathered(
         vertex_importance=check_importance(vertex_importance, "vertex_importance", n),
         frame_importance=check_frame_importance(frame_importance, given.n_frames),

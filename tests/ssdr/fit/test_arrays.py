@@ -283,3 +283,11 @@ def test_refuses(function: str, argument: str, change: dict[str, Any]) -> None:
     with pytest.raises(ssdr.InputError) as caught:
         getattr(ssdr, f"fit_{function}")(FRAMES, **(parts | change))
     assert caught.value.argument == argument
+
+
+def test_a_length_of_half_precision_does_not_overflow() -> None:
+    one, other = (
+        ssdr.fit_weights(FRAMES, CHAIN.skinning, smoothness=kind(3), iterations=2)
+        for kind in (np.float16, float)
+    )
+    assert np.array_equal(one.skinning.weights, other.skinning.weights)
