@@ -24,7 +24,7 @@ _PUBLIC = {
     "fit.weights": ("fit_weights",),
     "io": ("list_clips", "load", "load_skinning", "save"),
     "joints.mirror": ("Mirror", "find_mirror"),
-    "lbs": ("skin",),
+    "lbs": ("SkinGradients", "skin", "skin_gradients"),
     "levels_of_detail": ("LevelsOfDetail", "levels"),
     "parallel": ("get_threads", "set_threads"),
     "parsimony.smallest": ("smallest",),
@@ -52,6 +52,7 @@ __all__ = [
     "Mirror",
     "MissingDependencyError",
     "Skeleton",
+    "SkinGradients",
     "Skinning",
     "Space",
     "SsdrError",
@@ -85,6 +86,7 @@ __all__ = [
     "sequence",
     "set_threads",
     "skin",
+    "skin_gradients",
     "skinning",
     "smallest",
     "view",
@@ -108,7 +110,7 @@ if TYPE_CHECKING:
     from .fit.weights import fit_weights
     from .io import list_clips, load, load_skinning, save
     from .joints.mirror import Mirror, find_mirror
-    from .lbs import skin
+    from .lbs import SkinGradients, skin, skin_gradients
     from .levels_of_detail import LevelsOfDetail, levels
     from .parallel import get_threads, set_threads
     from .parsimony.smallest import smallest

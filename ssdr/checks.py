@@ -20,8 +20,10 @@ __all__ = [
     "BoneModel",
     "as_array",
     "check_bone_model",
+    "check_dense",
     "check_faces",
     "check_floats",
+    "check_frame_importance",
     "check_frames",
     "check_importance",
     "check_influences",
@@ -36,6 +38,7 @@ __all__ = [
     "check_whole",
     "names_arguments",
     "parse_tolerance",
+    "remedy_of_shape",
 ]
 
 P = ParamSpec("P")
@@ -45,6 +48,9 @@ Array = NDArray[np.float64]
 
 LARGEST = 1e100  # bound on numbers whose squares are summed
 _MOST_INFLUENCES = 64
+# Least importance of a frame, relative to the largest: with less, the steps of all bones together
+# would be blind to the transforms of that frame.
+_LEAST_FRAME = 1e-4
 _LEAST_DETERMINANT = 1e-12  # least determinant of an affine bone; a smaller one flattens the mesh
 _OFF = 1e-4  # largest deviation of sums of weights from 1, and of rotations from orthogonal
 _ROUNDING = 1e-13  # deviation from orthogonal that is rounding and left as it is
@@ -73,7 +79,8 @@ def check_nonnegative(value: Any, argument: str, expected: str) -> float:
 def check_smoothness(smoothness: Any, faces: NDArray[np.int32]) -> float:
     value = check_nonnegative(smoothness, "smoothness", "a length >= 0 in the mesh's units")
     if value > 0 and len(faces) == 0:
-        raise InputError("smoothness", "0 for a mesh without faces", smoothness)
+        wanted = "0 for a mesh without faces (MeshSequence(frames, faces) has them)"
+        raise InputError("smoothness", wanted, smoothness)
     return value
 
 
@@ -167,6 +174,7 @@ def check_floats(
     """
     wanted = f"shape ({', '.join(str(s) for s in shape)})"
     array = as_array(value, argument, f"numbers of {wanted}")
+    wanted += remedy_of_shape(array.shape, shape)
     if array.ndim != len(shape) or any(
         isinstance(s, int) and s != n for s, n in zip(shape, array.shape, strict=True)
     ):
@@ -182,6 +190,20 @@ def check_floats(
     if not np.isfinite(array).all():
         raise InputError(argument, "finite numbers", "NaN or Inf")
     return np.ascontiguousarray(array)
+
+
+def remedy_of_shape(came: tuple[int, ...], wanted: tuple[int | str, ...]) -> str:
+    """What turns an array of another usual shape into one of the wanted shape; else nothing."""
+    if wanted[-2:] == (3, 4) and len(came) > 2:
+        if came[-2:] == (4, 4):
+            return " (of 4×4 matrices for column vectors pass m[..., :3, :])"
+        if came[-2:] == (4, 3):
+            return " (of matrices for row vectors pass np.swapaxes(m, -1, -2))"
+    if wanted == ("T", 3) and len(came) == 2 and came[1] == 4:
+        return " (of quads q pass np.concatenate([q[:, [0, 1, 2]], q[:, [0, 2, 3]]]))"
+    if wanted == ("F", "V", 3) and len(came) == 2 and came[1] == 3:
+        return " (of a single frame pass frame[None])"
+    return ""
 
 
 def check_squarable(array: NDArray[np.floating], argument: str, expected: str = "") -> None:
@@ -233,6 +255,16 @@ def check_importance(value: Any, argument: str, count: int) -> Array | None:
     return np.asarray(array / array.max())
 
 
+def check_frame_importance(value: Any, count: int) -> Array | None:
+    """Importance ``(count,)`` of frames, above 0 and scaled to a maximum of 1."""
+    array = check_importance(value, "frame_importance", count)
+    if array is None:
+        return None
+    if not (array > 0).all():
+        raise InputError("frame_importance", "numbers > 0", float(array.min()))
+    return np.maximum(array, _LEAST_FRAME)
+
+
 # --- parts of a mesh and of a model ------------------------------------------------------------
 
 
@@ -243,6 +275,7 @@ def check_faces(faces: Any, n_vertices: int, argument: str = "faces") -> NDArray
     if array.size == 0:
         return np.zeros((0, 3), dtype=np.int32)
     if array.ndim != 2 or array.shape[1] != 3:
+        wanted += remedy_of_shape(array.shape, ("T", 3))
         raise InputError(argument, wanted, f"shape {array.shape}")
     if array.dtype.kind not in "iu":
         raise InputError(argument, "integers", f"dtype {array.dtype}")
@@ -265,10 +298,12 @@ def check_skin(
     `prefix` is put before the names of the arguments in errors, such as ``"start."``.
     """
     w = check_floats(weights, f"{prefix}weights", (n_vertices, "K"))
-    j = as_array(indices, f"{prefix}indices", f"integers of shape {w.shape}")
+    wanted = f"integers of shape {w.shape}"
+    j = as_array(indices, f"{prefix}indices", wanted)
     if j.shape != w.shape or j.dtype.kind not in "iu":
-        came = f"{j.dtype} {j.shape}"
-        raise InputError(f"{prefix}indices", f"integers of shape {w.shape}", came)
+        if indices is None:
+            wanted += " (of weights (V, B) of all bones: Skinning.from_dense)"
+        raise InputError(f"{prefix}indices", wanted, f"{j.dtype} {j.shape}")
     check_range(j, f"{prefix}indices", np.iinfo(np.int32).max if n_bones is None else n_bones)
     if w.min() < 0:
         raise InputError(f"{prefix}weights", "numbers >= 0", f"{w.min()}")
@@ -278,6 +313,12 @@ def check_skin(
         came = f"{w[worst].sum()} at vertex {worst}"
         raise InputError(f"{prefix}weights", "rows that sum to 1", came)
     return np.ascontiguousarray(j, dtype=np.int32), w
+
+
+def check_dense(weights: Any, n_vertices: int | str = "V") -> NDArray[np.floating]:
+    """Weights ``(V, B)`` of all bones, from an array or a sparse array; sums are not checked."""
+    array = weights.toarray() if hasattr(weights, "toarray") else weights
+    return check_floats(array, "weights", (n_vertices, "B"))
 
 
 def check_transforms(
@@ -308,7 +349,7 @@ def check_transforms(
     if bone_model != "affine":
         off = float(np.abs(gram / size[..., None, None] ** 2 - np.eye(3)).max())
         if off > _OFF:
-            raise InputError(argument, expected, f"off by {off:.2g}")
+            raise InputError(argument, expected, _off_by(gram, off, bone_model))
     if (det < 0).any():
         raise InputError(argument, expected, "a reflection")
     if bone_model == "affine":
@@ -320,6 +361,20 @@ def check_transforms(
     u, _, vt = np.linalg.svd(r)
     m[..., :3] = (u @ vt) * size[..., None, None]
     return np.asarray(m, dtype=np.float64)
+
+
+def _off_by(gram: Array, off: float, bone_model: BoneModel) -> str:
+    """How far 3×3 blocks, whose products with their transposes are `gram`, are from a bone model.
+
+    `off` is the largest deviation.  What other bone model would take them is said, too.
+    """
+    square = np.trace(gram, axis1=-2, axis2=-1)[..., None, None] / 3
+    even = np.abs(gram - square * np.eye(3)).max() <= _OFF * square.max()
+    if bone_model == "rigid" and even:
+        size = np.sqrt(square)
+        sizes = f"scales from {size.min():.4g} to {size.max():.4g}"
+        return f'blocks off by {off:.2g}, with {sizes} (bone_model="similarity" allows them)'
+    return f'blocks off by {off:.2g}, which shear or stretch (bone_model="affine" allows them)'
 
 
 def check_range(array: NDArray[Any], argument: str, count: int) -> None:

@@ -33,7 +33,7 @@ __all__ = ["LevelsOfDetail", "levels"]
 _TRIALS: dict[Effort, int] = {"fast": 4, "balanced": 48, "best": 160}
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class LevelsOfDetail(Decomposition):
     """Models of several numbers of bones; the first bones of a model are those of the next.
 

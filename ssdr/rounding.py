@@ -10,12 +10,12 @@ import numpy as np
 from .drivers import in_memory
 from .drivers.hand_back import with_normals
 from .drivers.problem import check_problem
-from .errors import InputError, check_choice
+from .errors import check_choice
 from .result import Decomposition
 from .search.stages import Compress
 from .search.starts import StartFromModel
 from .sequence import MeshSequence
-from .skinning import Skinning
+from .skinning import Skinning, check_skinning
 from .solver.warmup import compile_kernels
 from .start import Skeleton
 
@@ -63,8 +63,7 @@ def round_weights(
     >>> np.allclose(units, units.round())
     True
     """
-    if not isinstance(skinning, Skinning):
-        raise InputError("skinning", "a Skinning", type(skinning).__name__)
+    skinning = check_skinning(skinning)
     check_choice(storage, "storage", Literal["uint8", "uint16"])
     rig = None
     if skinning.parents is not None:

@@ -16,7 +16,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from .checks import as_array, check_faces, check_range
+from .checks import as_array, check_faces, check_range, remedy_of_shape
 from .copies import Selected, coincident, distinct
 from .errors import InputError, is_real
 from .space import UNKNOWN, Space, check_space
@@ -299,7 +299,8 @@ def _check_vertices(vertices: Any, argument: str, validate: bool) -> Any:
         raise InputError(argument, "numbers everywhere", "an array with masked entries")
     shape = tuple(vertices.shape)
     if len(shape) != 3 or shape[2] != 3:
-        raise InputError(argument, "an array of shape (F, V, 3)", f"shape {shape}")
+        remedy = remedy_of_shape(shape, ("F", "V", 3))
+        raise InputError(argument, f"an array of shape (F, V, 3){remedy}", f"shape {shape}")
     if any(size != size for size in shape):
         raise InputError(
             argument, "a known number of frames (dask: compute_chunk_sizes())", f"shape {shape}"

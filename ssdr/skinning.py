@@ -6,21 +6,14 @@ import dataclasses
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from .checks import BoneModel, check_faces, check_floats, check_frames, check_skin
+from .checks import BoneModel, check_dense, check_faces, check_floats, check_frames, check_skin
 from .clips import Clip, check_clips, in_order, pick
-from .errors import InputError, check_choice, is_real, is_whole
-from .hierarchy.transforms import (
-    Freedom,
-    check_parents,
-    from_local,
-    joint_freedom,
-    joint_gaps,
-    local_of_pose,
-    to_local,
-)
+from .errors import InputError, check_choice, is_whole
+from .hierarchy.articulated import Articulated
+from .hierarchy.transforms import check_parents
 from .lbs import skin
 from .sequence import check_vertex_map
 from .space import UNKNOWN, Space, check_space
@@ -29,8 +22,21 @@ from .surface import Surface, check_surface
 __all__ = ["BoneModel", "Skinning", "skin"]
 
 
+def skinning_in(thing: Any) -> Any:
+    """The model of a result that has one as its `skinning`; anything else as it is."""
+    return thing if isinstance(thing, Skinning) else getattr(thing, "skinning", thing)
+
+
+def check_skinning(model: Any) -> Skinning:
+    """The model that is given, itself or as the `skinning` of a result."""
+    found = skinning_in(model)
+    if not isinstance(found, Skinning):
+        raise InputError("skinning", "a Skinning", type(model).__name__)
+    return found
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
-class Skinning:
+class Skinning(Articulated):
     """Rest pose, sparse skin weights and bone transforms of an animated mesh.
 
     Parameters
@@ -148,6 +154,51 @@ class Skinning:
         for field, value in {**parts, "faces": faces, "fps": fps, "clips": clips}.items():
             put(self, field, value)
 
+    @classmethod
+    def from_dense(
+        cls,
+        rest: Any,
+        weights: Any,
+        transforms: Any,
+        *,
+        influences: int | None = None,
+        **options: Any,
+    ) -> Skinning:
+        """A model from a matrix of weights with a column for each bone.
+
+        Parameters
+        ----------
+        rest, transforms, **options
+            As of :class:`Skinning`.
+        weights : (V, B) array or sparse array
+            Non-negative; rows sum to 1.
+        influences : int, optional
+            Most influences per vertex, K: smaller weights are dropped as by :meth:`prune`.  By
+            default as many as the vertex with most of them has, so that nothing is lost.
+
+        Raises
+        ------
+        InputError
+            As of :class:`Skinning`; also if there is not a column for each bone.
+
+        Examples
+        --------
+        >>> dense = np.array([[1, 0, 0], [0.5, 0, 0.5], [0, 0, 1]])
+        >>> still = np.broadcast_to(np.eye(3, 4), (5, 3, 3, 4))
+        >>> model = ssdr.Skinning.from_dense(np.eye(3), dense, still)
+        >>> model.n_influences, np.array_equal(model.dense_weights(), dense)
+        (2, True)
+        """
+        dense = check_dense(weights)
+        moves = check_floats(transforms, "transforms", ("F", "B", 3, 4))
+        if dense.shape[1] != moves.shape[1]:
+            wanted = f"{moves.shape[1]} columns, one for each bone of the transforms"
+            raise InputError("weights", wanted, f"{dense.shape[1]}")
+        indices = np.broadcast_to(np.arange(dense.shape[1]), dense.shape)
+        used = max(1, int((dense > 0).sum(axis=1).max()))
+        model = cls(rest, indices, dense, moves, **options)
+        return model.prune(used if influences is None else influences)
+
     @property
     def n_vertices(self) -> int:
         return int(self.rest.shape[0])
@@ -183,130 +234,6 @@ class Skinning:
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joints: those of the bones that are attached there."""
         return self.names()
-
-    def local_transforms(self) -> NDArray[np.float64]:
-        """``(F, B, 3, 4)`` transforms of the joints relative to the joints of their parents.
-
-        A joint's coordinate system has its origin at the joint and, in the rest pose, the axes of
-        the world.  The transform of a root is relative to the world.
-
-        Raises
-        ------
-        InputError
-            If the bones have no hierarchy.
-
-        Examples
-        --------
-        >>> rest, indices, weights = np.eye(3), np.array([[0], [1], [1]]), np.ones((3, 1))
-        >>> tree = {"parents": [-1, 0], "joint_positions": [[0, 0, 0], [0, 1, 0]]}
-        >>> still = np.broadcast_to(np.eye(3, 4), (5, 2, 3, 4))
-        >>> arm = ssdr.Skinning(rest, indices, weights, still, **tree)
-        >>> arm.local_transforms()[0, 1, :, 3]
-        array([0., 1., 0.])
-        """
-        parents, positions = self._hierarchy("local_transforms")
-        return to_local(self.transforms, parents, positions)
-
-    def joint_gaps(self) -> NDArray[np.float64]:
-        """Distances ``(F, B)`` between the points to which a bone and its parent move their joint.
-
-        0 at roots, and 0 up to rounding where the joints are rigid.
-
-        Raises
-        ------
-        InputError
-            If the bones have no hierarchy.
-
-        Examples
-        --------
-        >>> rest, indices, weights = np.eye(3), np.array([[0], [1], [1]]), np.ones((3, 1))
-        >>> apart = np.array(np.broadcast_to(np.eye(3, 4), (5, 2, 3, 4)))
-        >>> apart[4, 1, :, 3] = [0, 0.5, 0]
-        >>> tree = {"parents": [-1, 0], "joint_positions": np.zeros((2, 3))}
-        >>> ssdr.Skinning(rest, indices, weights, apart, **tree).joint_gaps().max()
-        0.5
-        """
-        parents, positions = self._hierarchy("joint_gaps")
-        return joint_gaps(self.transforms, parents, positions)
-
-    def joint_freedom(self, least_turn: float = 1.0) -> tuple[Freedom, ...]:
-        """How far the motion determines each joint: "point", "line", "nothing" or "root".
-
-        If a bone turns about a single axis of its parent, its joint may be anywhere on a line; if
-        it does not turn, anywhere.  What motion leaves open is placed where the skin of the two
-        bones meets.
-
-        Parameters
-        ----------
-        least_turn : float
-            Degrees, root mean square over the frames; smaller turns do not count.
-
-        Raises
-        ------
-        InputError
-            If the bones have no hierarchy, or `least_turn` is not positive.
-
-        Examples
-        --------
-        >>> rest, indices, weights = np.eye(3), np.array([[0], [1], [1]]), np.ones((3, 1))
-        >>> tree = {"parents": [-1, 0], "joint_positions": np.zeros((2, 3))}
-        >>> still = np.broadcast_to(np.eye(3, 4), (5, 2, 3, 4))
-        >>> ssdr.Skinning(rest, indices, weights, still, **tree).joint_freedom()
-        ('root', 'nothing')
-        """
-        parents, _ = self._hierarchy("joint_freedom")
-        if not is_real(least_turn) or least_turn <= 0:
-            raise InputError("least_turn", "a number of degrees > 0", repr(least_turn))
-        return joint_freedom(self.transforms, parents, least_turn)
-
-    def pose(self, local_rotations: ArrayLike, root: ArrayLike | None = None) -> Skinning:
-        """A copy of the model with a new motion, given as rotations of its joints.
-
-        Parameters
-        ----------
-        local_rotations : (f, B, 3, 3) or (f, B, 4) array
-            Rotation of each joint relative to its parent, as a matrix or a quaternion xyzw of
-            length 1.  The first axis may be left out for a single frame.
-        root : (f, R, 3) array, optional
-            Positions of the joints of the R roots, in the order of the bones;
-            those of the rest pose by default.
-
-        Returns
-        -------
-        Skinning
-            With f frames, all of them keys of one clip.
-
-        Raises
-        ------
-        InputError
-            If the bones have no hierarchy, shapes do not match or a matrix or
-            quaternion is no rotation.
-
-        Examples
-        --------
-        >>> rest, indices, weights = np.eye(3), np.array([[0], [1], [1]]), np.ones((3, 1))
-        >>> tree = {"parents": [-1, 0], "joint_positions": [[0, 0, 0], [0, 1, 0]]}
-        >>> still = np.broadcast_to(np.eye(3, 4), (5, 2, 3, 4))
-        >>> arm = ssdr.Skinning(rest, indices, weights, still, **tree)
-        >>> half = np.sqrt(0.5)
-        >>> bent = arm.pose([[0, 0, 0, 1], [half, 0, 0, half]])
-        >>> bent.skin()[0, 2].round(3)
-        array([0., 0., -1.])
-        """
-        parents, positions = self._hierarchy("pose")
-        local = local_of_pose(parents, positions, local_rotations, root)
-        moved = from_local(local, parents, positions).astype(self.transforms.dtype)
-        one = (Clip(self.name, 0, len(moved), self.fps),)
-        return dataclasses.replace(self, transforms=moved, keyframes=None, clips=one)
-
-    def _hierarchy(self, what: str) -> tuple[NDArray[np.int32], NDArray[np.floating]]:
-        if self.parents is None:
-            raise InputError(
-                "parents",
-                f"a hierarchy for {what}: decompose(..., rig='rigid') finds one",
-                "bones without one",
-            )
-        return self.parents, self.joint_positions
 
     def skin(self, frames: Any = None, *, dtype: Any = None) -> NDArray[np.floating]:
         """Vertex positions ``(f, V, 3)`` in the given frames, by default in all."""
@@ -379,7 +306,7 @@ class Skinning:
         return np.asarray(np.where(total[:, None] > 0, sums / safe, mean))
 
     def prune(self, influences: int, *, minimum: float = 0.0) -> Skinning:
-        """Keep the largest weights of each vertex and renormalise.
+        """Keep the largest weights of each vertex, and renormalise those of vertices that lose any.
 
         At most `influences` weights of at least `minimum` are kept, and always the largest.
         ``metrics.compare(model.skin(), pruned.skin())`` measures the error that this adds.
@@ -400,7 +327,8 @@ class Skinning:
         drop = weights < minimum
         drop[:, 0] = False
         weights[drop] = 0.0
-        weights /= weights.sum(axis=1, keepdims=True)
+        lost = np.count_nonzero(weights, axis=1) < np.count_nonzero(self.weights, axis=1)
+        weights[lost] /= weights[lost].sum(axis=1, keepdims=True)
         return dataclasses.replace(
             self,
             indices=np.where(weights > 0, indices, 0).astype(np.int32),

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
+from .representation import short_repr
 from .skinning import Skinning
 
 __all__ = ["JointKind", "Skeleton", "Start"]
@@ -53,6 +54,8 @@ class Start:
     locked_vertices: Any = None
     transforms: Any = None
     locked_bones: Any = None
+
+    __repr__ = short_repr
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from .checks import check_range
 from .errors import InputError
+from .representation import short_repr
 
 __all__ = ["Material", "Surface", "check_surface"]
 
@@ -44,6 +45,8 @@ class Material:
     texture: bytes | None = None
     texture_type: str = "image/png"
 
+    __repr__ = short_repr
+
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Surface:
@@ -77,6 +80,8 @@ class Surface:
     normals: NDArray[np.float32] | None = None
     material_index: NDArray[np.int32] | None = None
     materials: tuple[Material, ...] = ()
+
+    __repr__ = short_repr
 
 
 def check_surface(surface: Surface, n_faces: int) -> Surface:

@@ -79,10 +79,8 @@ def find_body_bound(
         joints.append(clip.joints[here])
     truth, moved = np.concatenate(vertices), np.concatenate(joints).astype(np.float64)
     rest = np.asarray(store.rest, np.float64)
-    one = np.zeros((len(rest), 1), dtype=np.int32)  # weights to start from, which play no part
-    body = ssdr.Skinning(rest, one, np.ones((len(rest), 1)), moved, faces=store.faces)
     influences = min(_INFLUENCES, moved.shape[1])
-    fit = ssdr.fit_weights(truth, body, influences=influences).skinning
+    fit = ssdr.fit_weights(truth, rest, moved, influences=influences).skinning
     gap = np.linalg.norm(ssdr.skin(rest, fit.indices, fit.weights, moved) - truth, axis=2)
     index = np.flatnonzero(gap.max(axis=0) < close).astype(np.int32)
     if not len(index):

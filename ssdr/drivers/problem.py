@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..checks import (
     check_bone_model,
+    check_frame_importance,
     check_importance,
     check_influences,
     check_rng,
@@ -37,10 +38,6 @@ from .scan import needs_streaming
 from .schedule import RigKind
 
 __all__ = ["Problem", "check_problem"]
-
-# Least importance of a frame, relative to the largest: with less, the steps of all bones together
-# would be blind to the transforms of that frame.
-_LEAST_FRAME = 1e-4
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -226,11 +223,7 @@ def check_problem(
         raise InputError("time_limit", "a number of seconds > 0 or None", repr(time_limit))
     if callback is not None and not callable(callback):
         raise InputError("callback", "a function of one Progress, or None", repr(callback))
-    frame_importance = check_importance(frame_importance, "frame_importance", n_frames)
-    if frame_importance is not None:
-        if not (frame_importance > 0).all():
-            raise InputError("frame_importance", "numbers > 0", float(frame_importance.min()))
-        frame_importance = np.maximum(frame_importance, _LEAST_FRAME)
+    frame_importance = check_frame_importance(frame_importance, n_frames)
     importance = check_importance(vertex_importance, "vertex_importance", n)
     weighted = importance is not None or frame_importance is not None
     inputs, rows = sequences, None

@@ -9,17 +9,14 @@ import numpy as np
 
 from ..checks import (
     BoneModel,
-    check_bone_model,
     check_importance,
     check_mask,
     check_nonnegative,
-    check_transforms,
     check_whole,
 )
 from ..clips import names_of
-from ..errors import check_flag
-from ..frames.error import rmse_of, squared_error
-from ..frames.normals import with_fitted_normals
+from ..errors import InputError, check_flag
+from ..representation import short_repr
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.alternation import bone_step
@@ -28,7 +25,7 @@ from ..solver.initialization import fit_patches
 from ..solver.model import Locked, Model
 from ..solver.moments import bone_sums, stack_blocks
 from ..solver.trajectories import Array, Trajectories, gather
-from .fit import Fit, checked
+from .fit import Fit, checked, fit_of
 
 __all__ = ["BoneFit", "fit_bones"]
 
@@ -64,10 +61,14 @@ class BoneFit(Fit):
     sweeps: int
     converged: bool
 
+    __repr__ = short_repr
+
 
 def fit_bones(
     sequence: MeshSequence | Any,
-    skinning: Skinning,
+    rest: Skinning | Any,
+    indices: Any = None,
+    weights: Any = None,
     *,
     bone_model: BoneModel | None = None,
     from_transforms: bool = False,
@@ -76,7 +77,7 @@ def fit_bones(
     tolerance: float = 1e-6,
     max_sweeps: int = 200,
 ) -> BoneFit:
-    """Fit transforms that reproduce a sequence with the rest pose and weights of a model.
+    """Fit transforms that reproduce a sequence with a given rest pose and weights.
 
     A sweep solves a weighted Kabsch problem for each bone in each frame while the other bones are
     held (Gauss–Seidel); for similarity bones, the solution includes Umeyama's scale.  After every
@@ -88,15 +89,19 @@ def fit_bones(
     Parameters
     ----------
     sequence : MeshSequence, list of them, or (F, V, 3) array
-    skinning : Skinning
-        Its rest pose, weights and number of bones are used; it need not have the same frames.
+    rest : (V, 3) array or Skinning
+        Rest pose.  A skinning brings the weights and the number of bones, too; it need not have the
+        same frames.
+    indices, weights : (V, K) int and float arrays, optional
+        Skin weights; there are as many bones as the largest index says.  Without `indices`, weights
+        are those of all bones, (V, B) and possibly sparse.
     bone_model : {"rigid", "similarity", "affine"}, optional
-        By default that of `skinning`.
+        By default that of the skinning, or rigid.
     from_transforms : bool
-        Whether to start from the transforms of `skinning`, which must then be of these frames.  By
+        Whether to start from the transforms of a skinning, which must then be of these frames.  By
         default each bone starts from a fit to the vertices that it moves most.
     locked_bones : mask or indices, optional
-        Bones that keep the transforms of `skinning`.
+        Bones that keep the transforms of a skinning.
     vertex_importance : (V,) array, optional
     tolerance : float
         The sweeps end when no entry of a transform changes by more than this; translations are
@@ -124,16 +129,20 @@ def fit_bones(
     >>> fit = ssdr.fit_bones(dancer, start, max_sweeps=2)
     >>> fit.skinning.transforms.shape
     (24, 4, 3, 4)
+    >>> alike = ssdr.fit_bones(dancer, start.rest, start.indices, start.weights, max_sweeps=2)
+    >>> np.array_equal(alike.skinning.transforms, fit.skinning.transforms)
+    True
     """
-    sequences, rest, weights = checked(sequence, skinning)
-    n, n_frames = len(rest), sum(len(s) for s in sequences)
-    kind = check_bone_model(skinning.bone_model if bone_model is None else bone_model)
+    given = checked(sequence, rest, bone_model, indices=indices, weights=weights)
+    sequences, skinning, n = given.sequences, given.skinning, len(given.rest)
+    kind = skinning.bone_model
     locked_bones = check_mask(locked_bones, "locked_bones", skinning.n_bones)
-    world = None
-    if check_flag(from_transforms, "from_transforms") or (
-        locked_bones is not None and locked_bones.any()
-    ):
-        world = check_transforms(skinning.transforms, n_frames, kind, "skinning.")
+    world, kept = None, locked_bones is not None and bool(locked_bones.any())
+    if check_flag(from_transforms, "from_transforms") or kept:
+        if not given.prefix:
+            wanted = "a Skinning as `rest`, whose transforms are kept or started from"
+            raise InputError("locked_bones" if kept else "from_transforms", wanted, "arrays")
+        world = given.transforms()
     max_sweeps = check_whole(max_sweeps, "max_sweeps", 1)
     tolerance = check_nonnegative(tolerance, "tolerance", "a number >= 0")
     data = gather(
@@ -141,20 +150,20 @@ def fit_bones(
         bones=skinning.n_bones,
         vertex_importance=check_importance(vertex_importance, "vertex_importance", n),
     )
-    inner = data.points_from_world(rest, "skinning.rest")
+    inner = data.points_from_world(given.rest, f"{given.prefix}rest")
     start = None if world is None else data.moves_from_world(world, "skinning.transforms")
     locked = Locked(rest=True, weights=np.ones(n, dtype=bool), bones=locked_bones, bone_model=kind)
     # no step may turn a bone inside out, which blocks some paths of affine bones from their own
     # fit; from rigid bones these paths are open
     kinds: list[BoneModel] = [kind]
-    indices = skinning.indices
+    used, amounts = skinning.indices, given.weights
     if start is None:
         if kind == "affine":
             kinds = ["rigid", "affine"]
-        largest = indices[np.arange(n), weights.argmax(axis=1)].astype(np.intp)
+        largest = used[np.arange(n), amounts.argmax(axis=1)].astype(np.intp)
         start = fit_patches(data, inner, largest, skinning.n_bones, kinds[0])
-    model = Model.start(start, inner, indices[:, 0], indices.shape[1])
-    model.indices, model.weights = indices.copy(), weights
+    model = Model.start(start, inner, used[:, 0], used.shape[1])
+    model.indices, model.weights = used.copy(), amounts
     sweeps = 0
     for one in kinds:
         of_kind = dataclasses.replace(locked, bone_model=one)
@@ -163,17 +172,10 @@ def fit_bones(
     if world is None and _from_neighbours(data, model, locked, max_sweeps):
         more, moved = _settle(data, model, locked, tolerance, max_sweeps)
         sweeps += more
-    out_rest, out = data.to_world(model.rest, model.transforms)
-    squared = squared_error(sequences, out_rest, indices, weights, out)
-    names = names_of(sequences)
-    fitted = dataclasses.replace(skinning, transforms=out, keyframes=None, bone_model=kind, **names)
-    return BoneFit(
-        skinning=with_fitted_normals(sequences, fitted),
-        squared_error=squared,
-        rmse=rmse_of(squared, n_frames),
-        sweeps=sweeps,
-        converged=moved <= tolerance,
-    )
+    _, out = data.to_world(model.rest, model.transforms)
+    fitted = dataclasses.replace(skinning, transforms=out, keyframes=None, **names_of(sequences))
+    found = fit_of(sequences, fitted)
+    return BoneFit(**vars(found), sweeps=sweeps, converged=moved <= tolerance)
 
 
 def _settle(

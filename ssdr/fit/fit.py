@@ -8,17 +8,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import check_floats, check_squarable, check_transforms
+from ..checks import (
+    BoneModel,
+    as_array,
+    check_bone_model,
+    check_dense,
+    check_floats,
+    check_squarable,
+    check_transforms,
+)
+from ..clips import names_of
 from ..errors import InputError
-from ..frames.error import rmse_of
+from ..frames.error import rmse_of, squared_error
 from ..frames.normals import with_fitted_normals
+from ..representation import short_repr
 from ..sequence import MeshSequence, as_sequences
-from ..skinning import Skinning
+from ..skinning import Skinning, skinning_in
 from ..solver.trajectories import Array, Trajectories, gather
 
-__all__ = ["Fit", "checked", "fit_of", "gathered"]
-
-Gathered = tuple[Trajectories, Array, Array]
+__all__ = ["Fit", "Given", "checked", "fit_of"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -45,37 +53,139 @@ class Fit:
     squared_error: NDArray[np.float64]
     rmse: float
 
-
-def checked(sequence: Any, skinning: Any) -> tuple[list[MeshSequence], Array, Array]:
-    """Check the arguments; return the shots, and the model's rest pose and weights as float64."""
-    sequences = as_sequences(sequence)
-    if not isinstance(skinning, Skinning):
-        raise InputError("skinning", "a Skinning", type(skinning).__name__)
-    n = sequences[0].n_vertices
-    if skinning.n_vertices != n:
-        raise InputError("skinning", f"{n} vertices, as the sequence has", skinning.n_vertices)
-    rest = np.asarray(check_floats(skinning.rest, "skinning.rest", (n, 3), copy=True), np.float64)
-    check_squarable(rest, "skinning.rest")
-    weights = np.array(skinning.weights, dtype=np.float64)
-    return sequences, rest, weights / weights.sum(axis=1, keepdims=True)
+    __repr__ = short_repr
 
 
-def gathered(sequences: list[MeshSequence], skinning: Skinning, rest: Array) -> Gathered:
-    """Take the shots, and the model's rest pose and transforms, into the solver's space.
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Given:
+    """Checked arguments of a fit.
 
-    The model must have as many frames as the shots.
+    Attributes
+    ----------
+    sequences : list of MeshSequence
+        The shots.
+    skinning : Skinning
+        The model; parts that are fitted have any values if arrays were given.
+    rest, weights : (V, 3), (V, K) float64
+        Those of the model; rows of weights sum to 1.
+    prefix : str
+        What stands before the names of the model's arrays in errors.
     """
-    n_frames = sum(len(s) for s in sequences)
-    world = check_transforms(skinning.transforms, n_frames, skinning.bone_model, "skinning.")
-    data = gather(sequences, bones=world.shape[1])
-    inner = data.points_from_world(rest, "skinning.rest")
-    return data, inner, data.moves_from_world(world, "skinning.transforms")
+
+    sequences: list[MeshSequence]
+    skinning: Skinning
+    rest: Array
+    weights: Array
+    prefix: str
+
+    @property
+    def n_frames(self) -> int:
+        return sum(len(s) for s in self.sequences)
+
+    def transforms(self) -> Array:
+        """The model's transforms, checked to be of its bone model and of these frames."""
+        kind = self.skinning.bone_model
+        return check_transforms(self.skinning.transforms, self.n_frames, kind, self.prefix)
+
+    def gathered(
+        self, vertex_importance: Array | None = None, frame_importance: Array | None = None
+    ) -> tuple[Trajectories, Array, Array]:
+        """The shots, and the model's rest pose and transforms, in the solver's space."""
+        world = self.transforms()
+        data = gather(
+            self.sequences,
+            bones=world.shape[1],
+            vertex_importance=vertex_importance,
+            frame_importance=frame_importance,
+        )
+        inner = data.points_from_world(self.rest, f"{self.prefix}rest")
+        return data, inner, data.moves_from_world(world, f"{self.prefix}transforms")
 
 
-def fit_of(
-    sequences: list[MeshSequence], data: Trajectories, error: Array, skinning: Skinning
-) -> Fit:
-    """Fit of a model, from the squared error (V,) of its vertices in the solver's space."""
-    squared = error * data.scale**2
-    skinning = with_fitted_normals(sequences, skinning)
-    return Fit(skinning=skinning, squared_error=squared, rmse=rmse_of(squared, data.n_frames))
+def checked(
+    sequence: Any, rest: Any, bone_model: BoneModel | None = None, /, **arrays: Any
+) -> Given:
+    """Check the arguments of a fit.
+
+    Parameters
+    ----------
+    sequence : MeshSequence, list of them, or (F, V, 3) array
+    rest : (V, 3) array, Skinning, or a result that has one
+    bone_model : str, optional
+        By default that of the model, or rigid.
+    **arrays
+        Further parts of a model that the fit needs: `indices` and `weights`, `transforms`, or all;
+        None where `rest` is a model.  Without `indices`, weights are those of all bones.
+    """
+    sequences = as_sequences(sequence)
+    n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
+    kind = None if bone_model is None else check_bone_model(bone_model)
+    model, prefix = skinning_in(rest), ""
+    if isinstance(model, Skinning):
+        for name, value in arrays.items():
+            if value is not None:
+                raise InputError(name, "None beside a Skinning, which has its own", "an array")
+        if model.n_vertices != n:
+            raise InputError("skinning", f"{n} vertices, as the sequence has", model.n_vertices)
+        model, prefix = dataclasses.replace(model, bone_model=kind or model.bone_model), "skinning."
+    else:
+        if as_array(rest, "rest", "an array (V, 3) or a Skinning").dtype.kind not in "fiu":
+            raise InputError("rest", "an array (V, 3) or a Skinning", type(rest).__name__)
+        place = check_floats(rest, "rest", (n, 3))
+        model = _model(sequences, place, arrays, n_frames, kind or "rigid")
+    position = np.asarray(check_floats(model.rest, f"{prefix}rest", (n, 3), copy=True), np.float64)
+    check_squarable(position, f"{prefix}rest")
+    weights = np.array(model.weights, dtype=np.float64)
+    return Given(
+        sequences=sequences,
+        skinning=model,
+        rest=position,
+        weights=weights / weights.sum(axis=1, keepdims=True),
+        prefix=prefix,
+    )
+
+
+def _model(
+    sequences: list[MeshSequence],
+    rest: NDArray[np.floating],
+    arrays: dict[str, Any],
+    n_frames: int,
+    bone_model: BoneModel,
+) -> Skinning:
+    """A model of the given arrays; what is missing has any values."""
+    for name, value in arrays.items():
+        if value is None and name != "indices":
+            raise InputError(name, "an array beside the rest pose, or a Skinning for it", "None")
+    options: dict[str, Any] = {"faces": sequences[0].faces, "bone_model": bone_model}
+    options |= names_of(sequences)
+    weights, indices = arrays.get("weights"), arrays.get("indices")
+    moves = arrays.get("transforms")
+    if moves is not None:
+        moves = check_floats(moves, "transforms", (n_frames, "B", 3, 4))
+    if weights is None:
+        one = np.zeros((len(rest), 1), dtype=np.int32)
+        return Skinning(rest, one, np.ones(one.shape), moves, **options)
+    if moves is None:
+        if indices is None:
+            count = check_dense(weights, len(rest)).shape[1]
+        else:
+            j = as_array(indices, "indices", "integers of shape (V, K)")
+            count = int(j.max()) + 1 if j.size and j.dtype.kind in "iu" else 1
+        moves = np.broadcast_to(np.eye(3, 4), (n_frames, max(count, 1), 3, 4))
+    if indices is None:
+        return Skinning.from_dense(rest, weights, moves, **options)
+    return Skinning(rest, indices, weights, moves, **options)
+
+
+def fit_of(sequences: list[MeshSequence], skinning: Skinning) -> Fit:
+    """Fit of a model, whose error is measured on the frames."""
+    rest, weights, transforms = (
+        np.asarray(a, dtype=np.float64)
+        for a in (skinning.rest, skinning.weights, skinning.transforms)
+    )
+    squared = squared_error(sequences, rest, skinning.indices, weights, transforms)
+    return Fit(
+        skinning=with_fitted_normals(sequences, skinning),
+        squared_error=squared,
+        rmse=rmse_of(squared, len(transforms)),
+    )

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import check_mask
+from ..checks import BoneModel, check_mask
 from ..errors import check_choice
 from ..sequence import MeshSequence
 from ..skinning import Skinning
@@ -16,7 +16,7 @@ from ..solver.model import Locked, Model
 from ..solver.objective import Objective
 from ..solver.rest_surface import RestPose, RestSurface
 from ..solver.trajectories import Trajectories
-from .fit import Fit, checked, fit_of, gathered
+from .fit import Fit, checked, fit_of
 
 __all__ = ["fit_rest_pose"]
 
@@ -25,8 +25,12 @@ _STEPS, _GAIN = 40, 1e-6  # most steps, and relative decrease of the objective t
 
 def fit_rest_pose(
     sequence: MeshSequence | Any,
-    skinning: Skinning,
+    rest: Skinning | Any,
+    indices: Any = None,
+    weights: Any = None,
+    transforms: Any = None,
     *,
+    bone_model: BoneModel | None = None,
     locked_vertices: Any = None,
     rest_pose: RestPose = "surface",
 ) -> Fit:
@@ -39,13 +43,20 @@ def fit_rest_pose(
     Parameters
     ----------
     sequence : MeshSequence, list of them, or (F, V, 3) array
-    skinning : Skinning
-        Its weights and transforms are used; it must have as many frames as the sequence.  Its rest
-        positions are kept at locked vertices, and where the motion does not determine them.
+    rest : (V, 3) array or Skinning
+        Rest pose to start from, such as the first frame.  It is kept at locked vertices, and where
+        the motion does not determine positions.  A skinning brings the weights and transforms, too,
+        and must have as many frames as the sequence.
+    indices, weights : (V, K) int and float arrays, optional
+        Skin weights.  Without `indices`, weights are those of all bones, (V, B) and possibly
+        sparse.
+    transforms : (F, B, 3, 4) array, optional
+    bone_model : {"rigid", "similarity", "affine"}, optional
+        What the transforms are; by default those of the skinning, or rigid.
     locked_vertices : mask or indices, optional
         Vertices that keep their rest position.
     rest_pose : {"surface", "free"}
-        "surface": edges resemble those of the model's rest pose, as in :func:`decompose`.  "free":
+        "surface": edges resemble those of `rest`, as in :func:`decompose`.  "free":
         the least error alone.
 
     Returns
@@ -68,26 +79,29 @@ def fit_rest_pose(
     >>> fit = ssdr.fit_rest_pose(dancer, start)
     >>> fit.skinning.rest.shape
     (799, 3)
+    >>> parts = start.indices, start.weights, start.transforms
+    >>> alike = ssdr.fit_rest_pose(dancer, start.rest, *parts)
+    >>> np.allclose(alike.skinning.rest, fit.skinning.rest)
+    True
     """
-    sequences, outer, weights = checked(sequence, skinning)
+    parts = {"indices": indices, "weights": weights, "transforms": transforms}
+    given = checked(sequence, rest, bone_model, **parts)
+    sequences, skinning, outer = given.sequences, given.skinning, given.rest
     stay = check_mask(locked_vertices, "locked_vertices", len(outer))
     check_choice(rest_pose, "rest_pose", RestPose)
-    data, inner, bones = gathered(sequences, skinning, outer)
+    data, inner, bones = given.gathered()
     model = Model.start(bones, inner, skinning.indices[:, 0], skinning.n_influences)
-    model.indices, model.weights = skinning.indices.copy(), weights
+    model.indices, model.weights = skinning.indices.copy(), given.weights
     every = np.ones(len(outer), dtype=bool)
     if rest_pose == "surface":
         faces = sequences[0].faces if len(sequences[0].faces) else skinning.faces
         data = dataclasses.replace(data, faces=faces)
         data = dataclasses.replace(data, surface=RestSurface.build(data, inner))
     _settle(data, model, Locked(weights=every))
-    if stay is not None and stay.any():
-        model.rest = np.where(stay[:, None], inner, model.rest)
-        vertex_step(data, model, locked=Locked(weights=every, rest=True))
-    rest, _ = data.to_world(model.rest, model.transforms)
+    found = data.points_to_world(model.rest)
     if stay is not None:
-        rest[stay] = outer[stay]
-    return fit_of(sequences, data, model.error, dataclasses.replace(skinning, rest=rest))
+        found[stay] = outer[stay]
+    return fit_of(sequences, dataclasses.replace(skinning, rest=found))
 
 
 def _settle(data: Trajectories, model: Model, locked: Locked) -> None:

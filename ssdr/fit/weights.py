@@ -6,58 +6,96 @@ import dataclasses
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..checks import check_influences, check_smoothness, check_whole
+from ..checks import (
+    BoneModel,
+    as_array,
+    check_dense,
+    check_frame_importance,
+    check_importance,
+    check_influences,
+    check_nonnegative,
+    check_skin,
+    check_smoothness,
+    check_whole,
+)
+from ..errors import InputError
 from ..sequence import MeshSequence
-from ..skinning import Skinning
+from ..skinning import Skinning, skinning_in
 from ..solver.alternation import vertex_step
 from ..solver.initialization import single_bone_errors
 from ..solver.model import Locked, Model
-from ..solver.smoothness import WeightSmoothness
+from ..solver.smoothness import WeightSmoothness, strength_of
+from ..solver.trajectories import Array, Trajectories
 from ..solver.vertex_newton import optimise_vertices
-from .fit import Fit, checked, fit_of, gathered
+from .fit import Fit, checked, fit_of
 
 __all__ = ["fit_weights"]
 
 
 def fit_weights(
     sequence: MeshSequence | Any,
-    skinning: Skinning,
+    rest: Skinning | Any,
+    transforms: Any = None,
     *,
     influences: int = 4,
+    allowed: Any = None,
+    prior: Any = None,
+    prior_length: float | None = None,
     smoothness: float = 0.0,
+    vertex_importance: Any = None,
+    frame_importance: Any = None,
+    bone_model: BoneModel | None = None,
     iterations: int = 20,
 ) -> Fit:
-    """Fit convex weights of at most K bones to every vertex of a model.
+    """Fit convex weights of at most K bones to every vertex, under given bones.
 
     For each vertex it minimises Σ_t |v^t − Σ_j w_j M_j^t p̃|² over w >= 0 with Σ w = 1, where v^t
     is the vertex in frame t of the sequence, p̃ its rest position in homogeneous coordinates, and
     M_j^t the transform of bone j.  An active-set method solves for all bones, then for the K bones
-    of largest weight; then bones are exchanged while this lowers the error.
+    of largest weight; then, without a prior and smoothness, bones are exchanged while this lowers
+    the error.
 
     Parameters
     ----------
     sequence : MeshSequence, list of them, or (F, V, 3) array
-    skinning : Skinning
-        Its rest pose and transforms are used, its weights are not; it must have as many frames as
-        the sequence.
+    rest : (V, 3) array or Skinning
+        Rest pose.  A skinning brings the transforms, too; its weights are not used.
+    transforms : (F, B, 3, 4) array, optional
+        ``[R | T]`` from the rest pose to each frame of the sequence.
     influences : int
         Most influences per vertex (K).
+    allowed : (V, B) or (B,) bool array, optional
+        Bones that each vertex, or every vertex, may follow; all by default.
+    prior : (V, B) array, sparse array or Skinning, optional
+        Weights that the result is to resemble, such as painted ones.  The objective then also has
+        F λ² |w − prior|² of each vertex, with λ the `prior_length`.
+    prior_length : float, optional
+        With `prior`: length in the mesh's units; a difference of 1 from the prior, in one weight,
+        costs as much as an error of this length in every frame.
     smoothness : float
         Length in the mesh's units; a difference of 1 in a weight between the ends of an edge costs
         as much as an error of this length at one vertex in every frame.  With 0 there is no such
         cost.
+    vertex_importance : (V,) array, optional
+        Factors of the squared errors beside `prior` and `smoothness`; on their scale the mean is 1.
+    frame_importance : (F,) array, optional
+        Factors of the squared errors, above 0.
+    bone_model : {"rigid", "similarity", "affine"}, optional
+        What the transforms are; by default those of the skinning, or rigid.
     iterations : int
         Most sweeps over the mesh if `smoothness` couples the vertices.
 
     Returns
     -------
     Fit
+        Its errors are those of positions alone, without importances.
 
     Raises
     ------
     InputError
-        If an argument is not usable.
+        If an argument is not usable, or a vertex may follow no bone.
 
     References
     ----------
@@ -68,28 +106,94 @@ def fit_weights(
     --------
     >>> dancer = ssdr.samples.load("dancer_small")
     >>> start = ssdr.initialize(dancer, bones=4)
-    >>> fit = ssdr.fit_weights(dancer, start, influences=2)
+    >>> fit = ssdr.fit_weights(dancer, start.rest, start.transforms, influences=2)
     >>> fit.skinning.weights.shape
     (799, 2)
     """
-    sequences, rest, _ = checked(sequence, skinning)
-    k, n = check_influences(influences), len(rest)
+    given = checked(sequence, rest, bone_model, transforms=transforms)
+    sequences, skinning, n = given.sequences, given.skinning, len(given.rest)
+    k = check_influences(influences)
+    may = _check_allowed(allowed, n, skinning.n_bones)
+    target, length = _check_prior(prior, prior_length, n, skinning.n_bones)
     iterations = check_whole(iterations, "iterations", 1)
-    data, inner, bones = gathered(sequences, skinning, rest)
+    faces = sequences[0].faces if len(sequences[0].faces) else skinning.faces
+    smoothness = check_smoothness(smoothness, faces)
+    data, inner, bones = given.gathered(
+        vertex_importance=check_importance(vertex_importance, "vertex_importance", n),
+        frame_importance=check_frame_importance(frame_importance, given.n_frames),
+    )
     cost, _ = single_bone_errors(data, inner, bones, np.arange(n))
+    if may is not None:
+        data = _Barred(**vars(data), allowed=may)
+        cost[~may] = np.inf
     model = Model.start(bones, inner, cost.argmin(axis=1), min(k, bones.shape[1]))
     locked = Locked(rest=True)
-    faces = sequences[0].faces if len(sequences[0].faces) else skinning.faces
-    check_smoothness(smoothness, faces)
     smooth = WeightSmoothness.build(data, faces, smoothness)
-    if smooth is None:
+    if smooth is None and target is None:
         vertex_step(data, model, locked=locked)
         # the K largest are not always the K best: exchange bones wherever that pays
         optimise_vertices(data, model, locked=locked)
     else:
-        for _ in range(iterations):
-            pull, stiff = smooth.terms(model)
-            vertex_step(data, model, locked=locked, pull=pull, stiff=stiff)
+        stiffness = strength_of(data, length) / np.maximum(data.importance, 1e-6)
+        constant = 0.0 if target is None else stiffness[:, None] * target
+        for _ in range(1 if smooth is None else iterations):
+            pull, stiff = (0.0, 0.0) if smooth is None else smooth.terms(model)
+            pulls = np.ascontiguousarray(pull + constant)
+            vertex_step(data, model, locked=locked, pull=pulls, stiff=stiff + stiffness)
     padded = model.with_influences(k)
-    skin = dataclasses.replace(skinning, indices=padded.indices, weights=padded.weights)
-    return fit_of(sequences, data, model.error, skin)
+    found = dataclasses.replace(skinning, indices=padded.indices, weights=padded.weights)
+    return fit_of(sequences, found)
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class _Barred(Trajectories):
+    """Trajectories of vertices that may not follow every bone.
+
+    Attributes
+    ----------
+    allowed : (V, B) bool
+    """
+
+    allowed: NDArray[np.bool_]
+
+    def products(self, rows: Any, reduced: Array, length: float) -> Array:
+        y = super().products(rows, reduced, length)
+        # the gradient of such a weight is infinite, so that no step lets its bone in
+        y[:, 0, 3][~self.allowed[rows]] = -np.inf
+        return y
+
+
+def _check_allowed(allowed: Any, n_vertices: int, n_bones: int) -> NDArray[np.bool_] | None:
+    """Mask (V, B) of the bones that each vertex may follow; None if all may."""
+    if allowed is None:
+        return None
+    wanted = f"a mask of shape ({n_vertices}, {n_bones}) or ({n_bones},)"
+    mask = as_array(allowed, "allowed", wanted)
+    if mask.dtype != bool or mask.shape not in ((n_vertices, n_bones), (n_bones,)):
+        raise InputError("allowed", wanted, f"{mask.dtype} {mask.shape}")
+    mask = np.broadcast_to(mask, (n_vertices, n_bones))
+    none = ~mask.any(axis=1)
+    if none.any():
+        raise InputError("allowed", "a bone for each vertex", f"none for {int(none.argmax())}")
+    return mask
+
+
+def _check_prior(
+    prior: Any, length: Any, n_vertices: int, n_bones: int
+) -> tuple[Array | None, float]:
+    """Prior weights (V, B), or None, and the length beside them."""
+    if prior is None:
+        if length is not None:
+            raise InputError("prior_length", "None without a prior", repr(length))
+        return None, 0.0
+    value = check_nonnegative(length, "prior_length", "a length >= 0 in the mesh's units")
+    model = skinning_in(prior)
+    try:
+        dense = check_dense(model.dense_weights() if isinstance(model, Skinning) else prior)
+        if dense.shape != (n_vertices, n_bones):
+            raise InputError("weights", f"shape ({n_vertices}, {n_bones})", f"shape {dense.shape}")
+        indices = np.broadcast_to(np.arange(n_bones), dense.shape)
+        check_skin(indices, dense, n_vertices, n_bones)
+    except InputError as error:
+        raise InputError("prior", error.expected, error.got) from error
+    return np.asarray(dense, dtype=np.float64), value

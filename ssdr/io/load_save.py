@@ -273,15 +273,14 @@ def save(
     >>> np.array_equal(again.vertices, dancer.vertices)
     True
     """
-    from ..skinning import Skinning
+    from ..skinning import Skinning, skinning_in
 
     target = _as_path(path)
     try:
         suffix, format_ = format_of(target)
     except FormatError as error:
         raise InputError("path", f"a suffix of {', '.join(_writable())}", str(target)) from error
-    if not isinstance(thing, (MeshSequence, Skinning)):
-        thing = getattr(thing, "skinning", thing)
+    thing = skinning_in(thing)
     if not isinstance(thing, (MeshSequence, Skinning)):
         raise InputError("thing", "a MeshSequence, Skinning or Decomposition", type(thing).__name__)
     writer, joined = "write_sequence", ""

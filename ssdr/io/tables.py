@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import FormatError, InputError
+from ..representation import short_repr
 from .atomic import write_bytes
 from .budget import afford
 from .registry import SaveReport, check, natural_key, read_file, reading, written_vertices
@@ -54,6 +55,8 @@ class SkinWeights:
     indices: NDArray[np.int32]
     weights: NDArray[np.float64]
     bone_names: tuple[str, ...]
+
+    __repr__ = short_repr
 
 
 def write_skinning(skinning: Skinning, path: Path, *, unweld: bool = False) -> SaveReport:

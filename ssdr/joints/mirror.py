@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from ..errors import InputError
 from ..hierarchy.transforms import rest_diagonal
+from ..representation import short_repr
 from ..skinning import Skinning
 
 __all__ = [
@@ -65,6 +66,8 @@ class Mirror:
     gap: float
     partners: NDArray[np.int64]
     sides: NDArray[np.int64]
+
+    __repr__ = short_repr
 
     def image(self, points: ArrayLike) -> Array:
         """Mirror images of points (..., 3)."""

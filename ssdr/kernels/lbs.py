@@ -1,4 +1,4 @@
-"""Kernels of linear blend skinning: positions of the vertices, and their squared errors."""
+"""Kernels of linear blend skinning: positions, their squared errors, and their derivatives."""
 
 from __future__ import annotations
 
@@ -90,3 +90,83 @@ def squared_error_range(
                 b += w * (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3])
                 c += w * (m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3])
             per_vertex[i] += a * a + b * b + c * c
+
+
+@kernel
+def pull_back_to_vertices(
+    rest: Any,
+    indices: Any,
+    weights: Any,
+    transforms: Any,
+    gradient: Any,
+    to_rest: Any,
+    to_weights: Any,
+    first: int,
+    last: int,
+) -> None:
+    """Add up the gradients of vertices first..last in their rest positions and weights.
+
+    rest        (V, 3)        float     rest positions, in
+    indices     (V, K)        int32     bone of each influence, in
+    weights     (V, K)        float     its weight, in
+    transforms  (F, B, 3, 4)  float     transforms of the bones, in
+    gradient    (F, V, 3)     float     gradient in the positions, in
+    to_rest     (V, 3)        float64   gradient in `rest`, added to for first..last
+    to_weights  (V, K)        float64   gradient in `weights`, added to for first..last
+
+    ``float`` is float32 or float64, the same type for all five arrays.
+    """
+    for t in range(transforms.shape[0]):
+        for i in range(first, last):
+            x, y, z = np.float64(rest[i, 0]), np.float64(rest[i, 1]), np.float64(rest[i, 2])
+            gx = np.float64(gradient[t, i, 0])
+            gy = np.float64(gradient[t, i, 1])
+            gz = np.float64(gradient[t, i, 2])
+            for k in range(indices.shape[1]):
+                m = transforms[t, indices[i, k]]
+                a = gx * m[0, 0] + gy * m[1, 0] + gz * m[2, 0]
+                b = gx * m[0, 1] + gy * m[1, 1] + gz * m[2, 1]
+                c = gx * m[0, 2] + gy * m[1, 2] + gz * m[2, 2]
+                d = gx * m[0, 3] + gy * m[1, 3] + gz * m[2, 3]
+                to_weights[i, k] += a * x + b * y + c * z + d
+                w = weights[i, k]
+                if w != 0:  # unused influences name bone 0, whose transform may not be finite
+                    to_rest[i, 0] += w * a
+                    to_rest[i, 1] += w * b
+                    to_rest[i, 2] += w * c
+
+
+@kernel
+def pull_back_to_bones(
+    rest: Any,
+    indices: Any,
+    weights: Any,
+    gradient: Any,
+    to_transforms: Any,
+    first: int,
+    last: int,
+) -> None:
+    """Add up the gradients of frames first..last in their transforms.
+
+    rest           (V, 3)        float     rest positions, in
+    indices        (V, K)        int32     bone of each influence, in
+    weights        (V, K)        float     its weight, 0 in unused influences, in
+    gradient       (F, V, 3)     float     gradient in the positions, in
+    to_transforms  (F, B, 3, 4)  float64   gradient in the transforms, added to for first..last
+
+    ``float`` is float32 or float64, the same type for all four arrays.
+    """
+    for t in range(first, last):
+        for i in range(rest.shape[0]):
+            x, y, z = np.float64(rest[i, 0]), np.float64(rest[i, 1]), np.float64(rest[i, 2])
+            for k in range(indices.shape[1]):
+                w = np.float64(weights[i, k])
+                if w == 0:
+                    continue
+                out = to_transforms[t, indices[i, k]]
+                for c in range(3):
+                    g = w * gradient[t, i, c]
+                    out[c, 0] += g * x
+                    out[c, 1] += g * y
+                    out[c, 2] += g * z
+                    out[c, 3] += g

@@ -10,6 +10,7 @@ from .smoothing import (
     LaplacianSmoother,
     split_frequencies,
 )
+from .weights import smooth_weights
 
 __all__ = [
     "Backend",
@@ -19,6 +20,7 @@ __all__ = [
     "MassKind",
     "cotangent_laplacian",
     "mass_matrix",
+    "smooth_weights",
     "split_frequencies",
     "uniform_laplacian",
 ]

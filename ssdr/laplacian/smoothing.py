@@ -11,6 +11,7 @@ from scipy.sparse import csc_matrix
 
 from ..checks import LARGEST
 from ..errors import InputError, check_choice, is_real, is_whole
+from ..representation import short_repr
 from ..sequence import MeshSequence
 from .factor import Backend, factor_spd
 from .operators import (
@@ -213,6 +214,8 @@ class FrequencySplit:
     low: NDArray[np.floating]
     high: NDArray[np.floating]
     smoother: LaplacianSmoother
+
+    __repr__ = short_repr
 
     @property
     def backend(self) -> Backend:

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import check_flag
-from ..sequence import MeshSequence
-from ..skinning import Skinning
+from ..representation import short_repr
+from ..skinning import Skinning, skinning_in
 from .edge_difference import Sted
 from .edge_difference import sted as _sted
 from .hausdorff_distance import Hausdorff
@@ -52,6 +52,8 @@ class Comparison(Distances):
     sted: Sted | None = None
     normals: NormalErrors | None = None
 
+    __repr__ = short_repr
+
     def as_dict(self, *, arrays: bool = False) -> dict[str, Any]:
         """Dictionary of plain numbers, for JSON.
 
@@ -90,7 +92,7 @@ class Comparison(Distances):
 
 def compare(
     reference: Frames,
-    other: Frames | Skinning,
+    other: Frames,
     faces: ArrayLike | None = None,
     *,
     hausdorff: bool = True,
@@ -100,9 +102,9 @@ def compare(
 
     Parameters
     ----------
-    reference, other : MeshSequence or (F, V, 3) array
-        Sequences that are not in memory are read by chunks of frames.  `other` may be a
-        :class:`~ssdr.Skinning`, whose normals are compared as engines draw them.
+    reference, other : MeshSequence, Skinning, a result that has one, or (F, V, 3) array
+        Sequences that are not in memory are read by chunks of frames.  The normals of a skinning
+        `other` are compared as engines draw them.
     faces : (T, 3) int array, optional
         Triangles of both; by default those of either sequence.  Without triangles, the Hausdorff
         distance is that of the vertices alone and STED has no spatial part.
@@ -127,9 +129,7 @@ def compare(
     >>> round(comparison.rmse, 3), round(comparison.hausdorff.vertex_max, 3)
     (3.0, 3.0)
     """
-    model = other if isinstance(other, Skinning) else None
-    if isinstance(other, Skinning):
-        other = MeshSequence(other.skin(), other.faces, validate=False)
+    model = skinning_in(other)
     first, second = as_pair(reference, other, faces)
     check_flag(hausdorff, "hausdorff")
     check_flag(sted, "sted")
@@ -139,7 +139,7 @@ def compare(
         n_vertices=first.n_vertices,
         hausdorff=_hausdorff(first, second) if hausdorff else None,
         sted=_sted(first, second) if sted else None,
-        normals=_normals(first, second if model is None else model),
+        normals=_normals(first, model if isinstance(model, Skinning) else second),
     )
 
 

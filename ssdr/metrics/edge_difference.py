@@ -13,6 +13,7 @@ from scipy.sparse import csr_array, eye_array
 from ..checks import LARGEST, check_whole
 from ..errors import InputError, check_flag, is_real
 from ..parallel import chunk_bounds, run_chunks
+from ..representation import short_repr
 from ..sequence import MeshSequence
 from .inputs import Frames, as_pair, check_finite, chunk_size, edges_of, read
 
@@ -60,6 +61,8 @@ class Sted:
     normaliser: float
     signed: bool
 
+    __repr__ = short_repr
+
 
 def sted(
     reference: Frames,
@@ -87,7 +90,7 @@ def sted(
 
     Parameters
     ----------
-    reference, other : MeshSequence or (F, V, 3) array
+    reference, other : MeshSequence, Skinning, a result that has one, or (F, V, 3) array
     faces : (T, 3) int array, optional
         Triangles; those of the sequences by default.
     neighbourhood : int

@@ -14,6 +14,7 @@ from ..checks import check_whole
 from ..errors import InputError, check_flag
 from ..kernels.closest import farthest, fit_boxes, tree_order
 from ..parallel import chunk_bounds, run_chunks
+from ..representation import short_repr
 from ..sequence import MeshSequence
 from .inputs import Frames, as_sequence, check_finite, read
 
@@ -55,6 +56,8 @@ class Hausdorff:
     surface_per_frame: NDArray[np.float64] | None
     subdivisions: int
 
+    __repr__ = short_repr
+
 
 def hausdorff(
     reference: Frames,
@@ -73,7 +76,7 @@ def hausdorff(
 
     Parameters
     ----------
-    reference, other : MeshSequence or (F, V, 3) array
+    reference, other : MeshSequence, Skinning, a result that has one, or (F, V, 3) array
         The numbers of vertices may differ.
     faces : (T, 3) int array, optional
         Triangles of the reference; those of the sequence by default.

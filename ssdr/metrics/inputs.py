@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,16 +10,28 @@ from numpy.typing import ArrayLike, NDArray
 from ..checks import LARGEST
 from ..errors import InputError
 from ..sequence import MeshSequence
+from ..skinning import Skinning, skinning_in
 
-Frames = MeshSequence | ArrayLike
+
+class _Result(Protocol):
+    """What a function returns that makes a model."""
+
+    @property
+    def skinning(self) -> Skinning: ...
+
+
+Frames = MeshSequence | Skinning | _Result | ArrayLike
 _CHUNK_BYTES = 16 << 20  # bytes of float64 compared at a time, to bound memory
 
 
 def as_sequence(frames: Frames, faces: ArrayLike | None, argument: str) -> MeshSequence:
-    """`frames` as a MeshSequence; `faces`, if given, replace its own.
+    """`frames` as a MeshSequence, skinned if they are a model; `faces`, if given, replace its own.
 
     `argument` is the name of `frames` in errors.
     """
+    frames = skinning_in(frames)
+    if isinstance(frames, Skinning):
+        frames = MeshSequence(frames.skin(), frames.faces, frames.fps, validate=False)
     if isinstance(frames, MeshSequence):
         if faces is None:
             return frames

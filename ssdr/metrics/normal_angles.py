@@ -13,8 +13,9 @@ from ..frames.executor import Executor
 from ..frames.normals import Angles, drawn_angles, holders_of
 from ..normals import surface_normals
 from ..parallel import chunk_bounds
+from ..representation import short_repr
 from ..sequence import MeshSequence
-from ..skinning import Skinning
+from ..skinning import Skinning, skinning_in
 from .inputs import Frames, as_pair, as_sequence, chunk_size, read
 
 __all__ = ["NormalErrors", "errors_of_model", "known_errors", "normals"]
@@ -62,6 +63,8 @@ class NormalErrors:
     per_vertex: NDArray[np.float64]
     frames: NDArray[np.int64]
 
+    __repr__ = short_repr
+
     def as_dict(self) -> dict[str, float | None]:
         """Dictionary of the plain numbers, for JSON."""
         return {k: v for k, v in vars(self).items() if not isinstance(v, np.ndarray)}
@@ -72,9 +75,7 @@ class NormalErrors:
         )
 
 
-def normals(
-    reference: Frames, model: Skinning | Frames, faces: ArrayLike | None = None
-) -> NormalErrors:
+def normals(reference: Frames, model: Frames, faces: ArrayLike | None = None) -> NormalErrors:
     """Angles between the normals of a reference and those that are drawn of a model.
 
     The normals of a surface are means over the triangles around a vertex, weighted by their angles
@@ -85,9 +86,9 @@ def normals(
 
     Parameters
     ----------
-    reference : MeshSequence or (F, V, 3) array
+    reference : MeshSequence, Skinning or (F, V, 3) array
         Read by chunks of frames.
-    model : Skinning, MeshSequence or (F, V, 3) array
+    model : Skinning, a result that has one, MeshSequence or (F, V, 3) array
         A skinning is measured as engines draw it, by the normals that it has or, if it has none, by
         those of its rest pose; frames by the normals of their surface.
     faces : (T, 3) int array, optional
@@ -116,6 +117,7 @@ def normals(
     (True, (799,))
     """
     first = as_sequence(reference, faces, "reference")
+    model = skinning_in(model)
     if isinstance(model, Skinning):
         expected, found = first.vertices.shape[:2], (model.n_frames, model.n_vertices)
         if expected != found:

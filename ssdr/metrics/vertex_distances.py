@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..parallel import chunk_bounds
+from ..representation import short_repr
 from .inputs import Frames, as_pair, check_finite, chunk_size, read
 
 __all__ = ["Distances", "distances", "rmse"]
@@ -62,13 +63,15 @@ class Distances:
     per_vertex: NDArray[np.float64]
     diagonal: float
 
+    __repr__ = short_repr
+
 
 def distances(reference: Frames, other: Frames) -> Distances:
     """Statistics of the distances between corresponding vertices.
 
     Parameters
     ----------
-    reference, other : MeshSequence or (F, V, 3) array
+    reference, other : MeshSequence, Skinning, a result that has one, or (F, V, 3) array
         Read by chunks of frames; distances are computed in float64.
 
     Raises
@@ -126,7 +129,7 @@ def rmse(reference: Frames, other: Frames) -> float:
 
     Parameters
     ----------
-    reference, other : MeshSequence or (F, V, 3) array
+    reference, other : MeshSequence, Skinning, a result that has one, or (F, V, 3) array
 
     Raises
     ------

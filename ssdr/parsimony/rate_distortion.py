@@ -14,6 +14,7 @@ from ..checks import check_whole
 from ..drivers.efforts import Effort
 from ..drivers.problem import check_problem
 from ..errors import Cancelled
+from ..representation import short_repr
 from ..search.moves import add_bone
 from ..search.progress import Callback, Clock, ProgressReport
 from ..search.stages import Polish
@@ -63,6 +64,8 @@ class Curve:
     rmse: NDArray[np.float64]
     diagonal: float
     knee: int
+
+    __repr__ = short_repr
 
 
 def curve(

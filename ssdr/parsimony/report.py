@@ -8,11 +8,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, check_choice
+from ..errors import check_choice
 from ..hierarchy.transforms import rest_diagonal, translating
 from ..quantisation import WeightStorage
 from ..result import Decomposition
-from ..skinning import Skinning
+from ..skinning import Skinning, check_skinning
 
 __all__ = [
     "Attempt",
@@ -257,8 +257,7 @@ def size(skinning: Skinning, *, storage: WeightStorage = "uint16") -> Size:
     >>> size.rest == 12 * 799, size.joints == 12 * 4
     (True, True)
     """
-    if not isinstance(skinning, Skinning):
-        raise InputError("skinning", "a Skinning", type(skinning).__name__)
+    skinning = check_skinning(skinning)
     frames, bones = skinning.transforms.shape[:2]
     keys = np.full(bones, frames)
     if skinning.keyframes is not None:

@@ -19,7 +19,7 @@ from ..hierarchy.bone_ends import limb_ends
 from ..io.corners import Corners, rest_normals, split_corners
 from ..normals import NormalHolders, surface_normals
 from ..sequence import MeshSequence
-from ..skinning import Skinning
+from ..skinning import Skinning, skinning_in
 from .palette import bone_colors, mix
 from .parts import Part, checked_parts, checked_regions
 from .raster import unit as normalised
@@ -77,8 +77,7 @@ class Scene:
             If the subject is of an unknown type or does not match the reference, or parts or
             regions do not fit it.
         """
-        if not isinstance(subject, (MeshSequence, Skinning)):
-            subject = getattr(subject, "skinning", subject)
+        subject = skinning_in(subject)
         if not isinstance(subject, (MeshSequence, Skinning)):
             kind = type(subject).__name__
             raise InputError("subject", "a MeshSequence, Skinning or Decomposition", kind)

@@ -12,7 +12,13 @@ from ..checks import LARGEST
 from .model import Model
 from .trajectories import Array, Trajectories
 
-__all__ = ["WeightSmoothness"]
+__all__ = ["WeightSmoothness", "strength_of"]
+
+
+def strength_of(data: Trajectories, length: float) -> float:
+    """Factor with which |w|² costs as much as an error of a `length` in the input's units."""
+    # bounded, since the square must not overflow; near the bound the error hardly counts anyway
+    return data.n_frames * min(length / data.scale, LARGEST) ** 2
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -52,8 +58,7 @@ class WeightSmoothness:
         laplacian = uniform_laplacian(faces, data.n_vertices)
         degree = laplacian.diagonal()
         adjacency = csr_array(diags_array(degree) - laplacian)
-        # bounded, since the square must not overflow; near the bound the error hardly counts anyway
-        strength = data.n_frames * min(smoothness / data.scale, LARGEST) ** 2
+        strength = strength_of(data, smoothness)
         return WeightSmoothness(adjacency, degree, strength, np.maximum(data.importance, 1e-6))
 
     def terms(self, model: Model) -> tuple[Array, Array]:

@@ -10,7 +10,7 @@ import logging
 from typing import Any
 
 from ..sequence import MeshSequence
-from ..skinning import Skinning
+from ..skinning import Skinning, skinning_in
 
 __all__ = ["notebook_html"]
 
@@ -28,7 +28,7 @@ def notebook_html(thing: Any) -> str:
     most 2 million vertices; else a picture of the middle frame, up to 50,000 vertices.  Below it
     stands the text that ``repr`` gives and, where there is no page, how to get one.
     """
-    subject = getattr(thing, "skinning", thing)
+    subject = skinning_in(thing)
     shown = ""
     for part in (_frame, _picture):
         try:

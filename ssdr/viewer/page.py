@@ -21,7 +21,7 @@ from ..errors import InputError, check_flag
 from ..io.atomic import atomic_path
 from ..render.raster import up_axes
 from ..sequence import MeshSequence, as_sequences
-from ..skinning import Skinning
+from ..skinning import Skinning, skinning_in
 from .payload import Payload, payload
 
 __all__ = ["PARTS", "WEB", "Page", "assembled", "page_text", "view"]
@@ -172,7 +172,7 @@ def page_text(
     max_bytes: int = _MAX_BYTES,
 ) -> tuple[str, Payload]:
     """Text of a page and what it holds; parameters and errors as of :func:`view`."""
-    subject = getattr(model, "skinning", model)
+    subject = skinning_in(model)
     if not isinstance(subject, (Skinning, MeshSequence)):
         expected = "a Skinning, Decomposition or MeshSequence"
         raise InputError("model", expected, type(model).__name__)

@@ -190,7 +190,7 @@ def test_refuses_transforms_of_another_kind(case: str) -> None:
 @pytest.mark.parametrize("call", [ssdr.decompose, ssdr.initialize, ssdr.fit_bones])
 def test_refuses_an_unknown_kind(call: Any) -> None:
     frames = np.random.default_rng(0).standard_normal((5, 20, 3))
-    about = {"skinning": motions.model(frames[0])} if call is ssdr.fit_bones else {"bones": 2}
+    about = {"rest": motions.model(frames[0])} if call is ssdr.fit_bones else {"bones": 2}
     with pytest.raises(ssdr.InputError, match="affine") as caught:
         call(frames, bone_model="soft", **about)
     assert caught.value.argument == "bone_model"

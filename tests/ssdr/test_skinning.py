@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
 from helpers import naive
@@ -145,9 +146,65 @@ def test_prune_keeps_the_largest(seed, keep, minimum):
     np.testing.assert_allclose(pruned.weights.sum(axis=1), 1, atol=1e-12)
 
 
-def test_prune_of_nothing_changes_nothing():
-    model = Skinning(**make())
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_prune_of_nothing_changes_no_bit(dtype):
+    model = Skinning(**make(dtype=dtype))
+    assert np.array_equal(model.prune(8).dense_weights(), model.dense_weights())
     np.testing.assert_allclose(model.prune(8).skin(), model.skin(), atol=1e-14)
+
+
+@given(seed=st.integers(0, 10**6), bones=st.integers(1, 7), used=st.integers(1, 7))
+@settings(max_examples=40, deadline=None)
+def test_dense_weights_come_back_to_the_bit(seed, bones, used):
+    rng = np.random.default_rng(seed)
+    dense = rng.random((11, bones))
+    dense[rng.permuted(np.tile(np.arange(bones), (11, 1)), axis=1) >= used] = 0
+    dense /= dense.sum(axis=1, keepdims=True)
+    rest, moves = rng.standard_normal((11, 3)), rng.standard_normal((4, bones, 3, 4))
+    for given_weights in (dense, csr_array(dense), dense.tolist()):
+        model = Skinning.from_dense(rest, given_weights, moves, fps=30)
+        assert np.array_equal(model.dense_weights(), dense)
+        assert model.n_influences == min(used, bones)
+        assert (np.diff(model.weights, axis=1) <= 0).all()
+        assert model.fps == 30
+    frames = np.einsum("ij,tjab,ib->tia", dense, moves, np.c_[rest, np.ones(11)])
+    np.testing.assert_allclose(model.skin(), frames, atol=1e-13)
+    cut = Skinning.from_dense(rest, dense, moves, influences=2)
+    assert cut.n_influences == min(2, bones)
+    least = np.sort(dense, axis=1)[:, -2:][:, :1]
+    expected = np.where(dense >= least, dense, 0)
+    expected /= expected.sum(axis=1, keepdims=True)
+    np.testing.assert_allclose(cut.dense_weights(), expected, atol=1e-15)
+
+
+def test_dense_weights_of_integers_and_single_precision():
+    rest, moves = np.eye(3), np.tile(np.eye(3, 4), (2, 4, 1, 1))
+    each = Skinning.from_dense(rest, np.eye(3, 4, dtype=int), moves)
+    assert each.indices.tolist() == [[0], [1], [2]]
+    single = Skinning.from_dense(rest, np.full((3, 4), 0.25, np.float32), moves)
+    assert single.weights.dtype == np.float32
+
+
+@pytest.mark.parametrize(
+    ("argument", "weights", "influences"),
+    [
+        ("weights", np.full((3, 5), 0.2), None),
+        ("weights", np.full((3, 3), 1 / 3), None),
+        ("weights", np.full((2, 4), 0.25), None),
+        ("weights", np.full(4, 0.25), None),
+        ("weights", [[2, -1, 0, 0]] * 3, None),
+        ("weights", np.full((3, 4), 0.2), None),
+        ("weights", np.full((3, 4), np.nan), None),
+        ("influences", np.full((3, 4), 0.25), 0),
+        ("influences", np.full((3, 4), 0.25), 1.5),
+    ],
+)
+def test_dense_weights_that_are_refused(argument, weights, influences):
+    with pytest.raises(InputError) as caught:
+        Skinning.from_dense(
+            np.eye(3), weights, np.tile(np.eye(3, 4), (2, 4, 1, 1)), influences=influences
+        )
+    assert caught.value.argument == argument
 
 
 def test_everything_given_is_kept():

@@ -18,13 +18,13 @@ MIRRORED = motions.model(CHAIN.rest, transforms=CHAIN.transforms * np.array([1, 
     ("function", "argument", "change"),
     [
         (ssdr.fit_bones, "bone_model", {"bone_model": "soft"}),
-        (ssdr.fit_bones, "skinning", {"skinning": "model.npz"}),
-        (ssdr.fit_bones, "skinning", {"skinning": motions.model(np.zeros((119, 3)))}),
-        (ssdr.fit_bones, "skinning.rest", {"skinning": motions.model(np.full((120, 3), 1e155))}),
+        (ssdr.fit_bones, "rest", {"rest": "model.npz"}),
+        (ssdr.fit_bones, "skinning", {"rest": motions.model(np.zeros((119, 3)))}),
+        (ssdr.fit_bones, "skinning.rest", {"rest": motions.model(np.full((120, 3), 1e155))}),
         (
             ssdr.fit_bones,
             "skinning.rest",
-            {"skinning": motions.model(np.full((120, 3), 1e95)), "small": 1e-60},
+            {"rest": motions.model(np.full((120, 3), 1e95)), "small": 1e-60},
         ),
         (ssdr.fit_bones, "skinning.transforms", {"locked_bones": [0]}),
         (ssdr.fit_bones, "skinning.transforms", {"from_transforms": True}),
@@ -39,22 +39,22 @@ MIRRORED = motions.model(CHAIN.rest, transforms=CHAIN.transforms * np.array([1, 
         (ssdr.fit_weights, "iterations", {"iterations": 0}),
         (ssdr.fit_weights, "smoothness", {"smoothness": -1.0}),
         (ssdr.fit_weights, "smoothness", {"smoothness": float("nan")}),
-        (ssdr.fit_weights, "skinning", {"skinning": None}),
-        (ssdr.fit_weights, "skinning", {"skinning": motions.model(np.zeros((3, 3)))}),
+        (ssdr.fit_weights, "rest", {"rest": None}),
+        (ssdr.fit_weights, "skinning", {"rest": motions.model(np.zeros((3, 3)))}),
         (
             ssdr.fit_weights,
             "skinning.transforms",
             {
-                "skinning": motions.model(
+                "rest": motions.model(
                     np.zeros((120, 3)), transforms=np.tile(np.eye(3, 4), (19, 2, 1, 1))
                 )
             },
         ),
-        (ssdr.fit_rest_pose, "skinning", {"skinning": np.zeros((120, 3))}),
+        (ssdr.fit_rest_pose, "weights", {"rest": np.zeros((120, 3))}),
         (
             ssdr.fit_rest_pose,
             "skinning.transforms",
-            {"skinning": motions.model(np.zeros((120, 3)))},
+            {"rest": motions.model(np.zeros((120, 3)))},
         ),
         (ssdr.fit_rest_pose, "locked_vertices", {"locked_vertices": [120]}),
         (ssdr.fit_rest_pose, "locked_vertices", {"locked_vertices": [True]}),
@@ -66,12 +66,12 @@ MIRRORED = motions.model(CHAIN.rest, transforms=CHAIN.transforms * np.array([1, 
         (ssdr.initialize, "rest", {"rest": np.zeros((119, 3))}),
         (ssdr.initialize, "rng", {"rng": -1}),
         (ssdr.initialize, "rng", {"rng": "seed"}),
-        (ssdr.fit_weights, "skinning.transforms", {"skinning": MIRRORED}),
+        (ssdr.fit_weights, "skinning.transforms", {"rest": MIRRORED}),
     ],
 )
 def test_refuses(function: Callable[..., object], argument: str, change: dict[str, object]) -> None:
     still = motions.model(CHAIN.rest, CHAIN.indices, CHAIN.weights)
-    model = {"skinning": still if function is ssdr.fit_bones else CHAIN.skinning}
+    model = {"rest": still if function is ssdr.fit_bones else CHAIN.skinning}
     options = {"bones": 3} if function is ssdr.initialize else model
     options = options | change
     frames = options.pop("small", 1.0) * CHAIN.frames

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import ssdr
+from helpers import motions
 from helpers.surfaces import animation
 from ssdr import InputError, MeshSequence
-from ssdr.metrics import compare, distances, hausdorff, rmse, sted
+from ssdr.metrics import compare, distances, hausdorff, normals, rmse, sted
 
 
 def test_chunks_and_files_give_the_same(monkeypatch, tmp_path):
@@ -141,3 +143,28 @@ def test_a_diagonal_whose_square_is_no_number() -> None:
     assert ssdr.MeshSequence(np.eye(3)[None] * 1e200).diagonal() == pytest.approx(
         np.sqrt(3) * 1e200
     )
+
+
+@pytest.mark.parametrize("kind", ["skinning", "result"])
+def test_every_metric_takes_a_model_for_its_frames(kind):
+    chain = motions.chain(bones=3)
+    frames = ssdr.MeshSequence(motions.wobble(chain), chain.faces)
+    model = chain.skinning if kind == "skinning" else SimpleNamespace(skinning=chain.skinning)
+    skinned = ssdr.MeshSequence(chain.frames, chain.faces)
+    for measure in (distances, hausdorff, sted, normals, rmse):
+        for a, b, c, d in (
+            (frames, model, frames, skinned),
+            (model, frames, skinned, frames),
+        ):
+            found, expected = measure(a, b), measure(c, d)
+            if measure is normals and a is frames:  # drawn as engines do, not as a surface
+                found, expected = found.surface, expected.mean
+            if isinstance(found, float):
+                assert found == pytest.approx(expected, rel=1e-9)
+            else:
+                for name, value in vars(expected).items():
+                    if isinstance(value, float):
+                        assert getattr(found, name) == pytest.approx(value, rel=1e-9), name
+    found = ssdr.metrics.compare(model, frames)
+    assert found.rmse == pytest.approx(rmse(chain.frames, frames), rel=1e-12)
+    assert ssdr.metrics.compare(frames, model).normals.surface is not None

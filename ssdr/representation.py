@@ -1,0 +1,31 @@
+"""Representations of results in a few words, whatever the size of their arrays."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+__all__ = ["short_repr"]
+
+
+def short_repr(self: Any) -> str:
+    """Representation of a dataclass that gives the type and shape of arrays, not their numbers.
+
+    A dataclass with arrays takes it as its ``__repr__``; a class derived from it does so again.
+    """
+    fields = ((f.name, getattr(self, f.name)) for f in dataclasses.fields(self) if f.repr)
+    parts = (f"{name}={_short(value)}" for name, value in fields)
+    return f"{type(self).__name__}({', '.join(parts)})"
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, (bytes, bytearray)):
+        return f"<{len(value)} bytes>"
+    if isinstance(value, (list, tuple)) and np.size(np.asarray(value, dtype=object)) > 8:
+        return f"<{type(value).__name__} of {len(value)}>"
+    shape, dtype = getattr(value, "shape", None), getattr(value, "dtype", None)
+    if shape is not None and dtype is not None and shape != ():
+        return f"<{dtype} {tuple(shape)}>"
+    return repr(value)
