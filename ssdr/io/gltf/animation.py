@@ -195,6 +195,7 @@ class Nodes:
         self.document, self.animation = document, animation
         self.items = document.items("nodes")
         self._cache: dict[int, NDArray[np.float64]] = {}
+        self._reserved: set[int] = set()
         self._parent: dict[int, int] = {}
         for parent, node in enumerate(self.items):
             for child in node.get("children", []):
@@ -205,6 +206,12 @@ class Nodes:
         if len(self.order) < len(every):
             node = min(every.difference(self.order))
             raise FormatError(f"node {node} is its own ancestor, or is below one that is")
+        animated = {node for node, path in animation.channels if path != "weights"}
+        self._moving: set[int] = set()
+        for node in self.order:
+            own = node in animated and "matrix" not in self.items[node]
+            if own or self._parent.get(node) in self._moving:
+                self._moving.add(node)
         self.shown = self.order
         if document.items("scenes"):
             scene = document.items("scenes")[document.json.get("scene", 0)]
@@ -216,8 +223,27 @@ class Nodes:
             node = self._parent[node]
             yield node
 
+    def reserve(self, nodes: Iterable[int]) -> None:
+        """Spend what the transforms of these nodes and of all above them take, before they do.
+
+        Raises
+        ------
+        FormatError
+            If the file asks for more memory than it may.
+        """
+        n_frames, spent = len(self.animation.times), 0
+        for node in nodes:
+            above: int | None = node
+            while above is not None and above not in self._reserved:
+                self._reserved.add(above)
+                spent += 128 * (n_frames if above in self._moving else 1)
+                above = self._parent.get(above)
+        what = f"{len(self._reserved)} nodes over {n_frames} frames"
+        self.document.budget.spend(spent, what)
+
     def matrices(self, node: int) -> NDArray[np.float64]:
         """Global transforms ``(F, 4, 4)`` of a node; ``(1, 4, 4)`` if the node does not move."""
+        self.reserve([node])
         chain = [node]
         while chain[-1] not in self._cache and chain[-1] in self._parent:
             chain.append(self._parent[chain[-1]])
@@ -225,10 +251,6 @@ class Nodes:
             if k not in self._cache:
                 local = self._local(k)
                 above = self._cache.get(self._parent.get(k, -1), np.eye(4)[None])
-                n_frames = max(len(local), len(above))
-                self.document.budget.spend(
-                    128 * n_frames, f"{len(self._cache) + 1} nodes over {n_frames} frames"
-                )
                 self._cache[k] = above @ local
         return self._cache[node]
 
