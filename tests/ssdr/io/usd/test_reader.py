@@ -193,3 +193,41 @@ def test_meshes_are_chosen_by_name(tmp_path):
     assert ssdr.load_skinning(path, meshes="body").rest[:, 0].tolist() == [1, 1, 1]
     with pytest.raises(ssdr.InputError, match=r"meshes: .*SkirtShape.*'trousers'"):
         ssdr.load(path, meshes="trousers")
+
+
+def _many_of_one(path):
+    """3,000 meshes that inherit the points of one."""
+    stage = Usd.Stage.CreateNew(str(path))
+    one = UsdGeom.Mesh(stage.CreateClassPrim("/one"))
+    stage.GetPrimAtPath("/one").SetTypeName("Mesh")
+    n = 2000
+    strip = np.arange(n - 2, dtype=np.int32)[:, None] + np.arange(3, dtype=np.int32)
+    one.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(np.eye(n, 3, dtype=np.float32)))
+    one.CreateFaceVertexCountsAttr(Vt.IntArray(n - 2, 3))
+    one.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(strip.ravel()))
+    with Sdf.ChangeBlock():
+        for k in range(3000):
+            prim = Sdf.CreatePrimInLayer(stage.GetRootLayer(), f"/m{k}")
+            prim.specifier, prim.typeName = Sdf.SpecifierDef, "Mesh"
+            prim.inheritPathList.prependedItems.append("/one")
+    stage.Save()
+
+
+def _packed(path):
+    """Five million equal triangles, which a binary layer holds in some kB."""
+    stage = Usd.Stage.CreateNew(str(path))
+    mesh = UsdGeom.Mesh.Define(stage, "/m")
+    mesh.CreatePointsAttr(Vt.Vec3fArray(3))
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray(5_000_000, 3))
+    corners = np.tile(np.arange(3, dtype=np.int32), 5_000_000)
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(corners))
+    stage.Save()
+
+
+@pytest.mark.parametrize("write", [_many_of_one, _packed])
+def test_meshes_larger_than_their_file_are_refused_before_they_take_memory(tmp_path, write):
+    write(tmp_path / "a.usdc")
+    assert (tmp_path / "a.usdc").stat().st_size < 1 << 20
+    for read in (ssdr.load, ssdr.load_skinning, ssdr.list_clips):
+        with pytest.raises(ssdr.FormatError, match="corners beside others needs"):
+            read(tmp_path / "a.usdc")
