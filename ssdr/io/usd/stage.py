@@ -94,14 +94,22 @@ def _check_layers(path: Path) -> None:
 
 
 def _templates(layer: Any) -> list[dict[str, Any]]:
-    """Times that each set of value clips in a layer states for its pattern of files."""
+    """Times that each set of value clips in a layer states for its pattern of files.
+
+    Raises
+    ------
+    FormatError
+        If the layer names a part that it does not hold; usd-core ends the process over those.
+    """
     found: list[dict[str, Any]] = []
 
     def look(path: Any) -> None:
-        if not (path.IsPrimPath() or path.IsPrimVariantSelectionPath()):
-            return
-        spec = layer.GetObjectAtPath(path)
-        if spec.HasInfo("clips"):
+        of_prim = path.IsPrimPath() or path.IsPrimVariantSelectionPath()
+        if not (of_prim or path.IsPropertyPath() or path.isEmpty):
+            return  # targets of relationships and connections hold nothing
+        spec = None if path.isEmpty else layer.GetObjectAtPath(path)
+        check(spec, f"damaged: it names a part {path or 'without a name'}, which it does not hold")
+        if of_prim and spec.HasInfo("clips"):
             for one in spec.GetInfo("clips").values():
                 given = one if isinstance(one, dict) else {}
                 times = {k: given[k] for k in _TEMPLATE if is_real(given.get(k), finite=False)}
@@ -144,13 +152,26 @@ def _check_nesting(file: Path) -> None:
 
 
 @contextlib.contextmanager
-def system_errors(path: Path) -> Iterator[None]:
-    """Context that turns USD's errors about writing `path` into the OSErrors that caused them."""
+def system_errors(path: Path, source: Path | None = None) -> Iterator[None]:
+    """Context that turns USD's errors about writing `path` into the OSErrors that caused them.
+
+    USD reads a file's arrays only when it copies them. So if the system names no reason and there
+    is a `source`, from which `path` is written, that is damaged.
+
+    Raises
+    ------
+    OSError
+        If `path` cannot be written.
+    FormatError
+        If `source` cannot be read.
+    """
     try:
         yield
     except Tf.ErrorException as error:
         text = " ".join(str(error).split())
         known = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EACCES, errno.EROFS)
         number = next((n for n in known if os.strerror(n) in text), None)
+        if number is None and source is not None:
+            raise FormatError(f"{source}: truncated or damaged ({text[-300:]})") from error
         reason = text if number is None else os.strerror(number)
         raise OSError(number or errno.EIO, reason, str(path)) from error
