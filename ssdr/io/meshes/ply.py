@@ -157,9 +157,9 @@ def _uneven(length: int, properties: list[_Property], body: memoryview) -> tuple
     check(len(lengths) == length * len(lists), problem)
     counts = np.ones((length, len(properties)), dtype=np.int64)
     counts[:, lists] = lengths.reshape(length, -1)
-    sizes = counts * [np.dtype(kind).itemsize for _, kind, _ in properties]
+    sizes = counts * np.array([np.dtype(kind).itemsize for _, kind, _ in properties])
     heads = [0 if count is None else np.dtype(count).itemsize for _, _, count in properties]
-    ends = np.cumsum(sizes + heads).reshape(sizes.shape)
+    ends = np.cumsum(sizes + heads, dtype=np.int64).reshape(sizes.shape)
     used = int(ends[-1, -1])
     check(used <= len(body), problem)
     columns: _Columns = {}
@@ -185,14 +185,14 @@ def _lengths(length: int, properties: list[_Property], body: memoryview) -> Iter
             skipped = 0
     at = 0
     for _ in range(length):
-        for before, count, size in steps:
+        for before, stated, size in steps:
             at += before
-            if at + count.size > len(body):
+            if at + stated.size > len(body):
                 return
-            (n,) = count.unpack_from(body, at)
+            (n,) = stated.unpack_from(body, at)
             if not 0 <= n <= len(body) or n % 1:
                 return
-            at += count.size + int(n) * size
+            at += stated.size + int(n) * size
             yield int(n)
         at += skipped
 

@@ -107,7 +107,7 @@ def _templates(layer: Any) -> list[dict[str, Any]]:
         of_prim = path.IsPrimPath() or path.IsPrimVariantSelectionPath()
         if not (of_prim or path.IsPropertyPath() or path.isEmpty):
             return  # targets of relationships and connections hold nothing
-        spec = None if path.isEmpty else layer.GetObjectAtPath(path)
+        spec: Any = None if path.isEmpty else layer.GetObjectAtPath(path)
         check(spec, f"damaged: it names a part {path or 'without a name'}, which it does not hold")
         if of_prim and spec.HasInfo("clips"):
             for one in spec.GetInfo("clips").values():
