@@ -136,7 +136,7 @@ def _same_line(said: str, printed: str, tolerance: float) -> bool:
     return (
         words[0] == words[1]
         and all(math.isclose(a, b, rel_tol=tolerance) for a, b in zip(*numbers, strict=True))
-        and all(math.isclose(a, b, rel_tol=0.02, abs_tol=0.1) for a, b in zip(*sizes, strict=True))
+        and all(math.isclose(a, b, rel_tol=0.02, abs_tol=0.15) for a, b in zip(*sizes, strict=True))
     )
 
 

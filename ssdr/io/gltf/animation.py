@@ -79,12 +79,18 @@ def animation_names(document: Document) -> tuple[str, ...]:
 
 def read_animations(document: Document, fps: float | None = None) -> list[Animation]:
     """All animations in the order of the file; a single still frame if it has none."""
-    return [read_animation(document, k, fps) for k in range(len(animation_names(document)))]
+    names = animation_names(document)
+    return [read_animation(document, k, fps, name) for k, name in enumerate(names)]
 
 
-def read_animation(document: Document, index: int, fps: float | None = None) -> Animation:
-    """Animation number `index` of the file, with frames at its own rate or at `fps`."""
-    name = animation_names(document)[index]
+def read_animation(
+    document: Document, index: int, fps: float | None = None, name: str | None = None
+) -> Animation:
+    """Animation number `index` of the file, with frames at its own rate or at `fps`.
+
+    `name` is its name among all of them, if that is known already.
+    """
+    name = animation_names(document)[index] if name is None else name
     if not document.items("animations"):
         return Animation(name, fps or 24.0, np.zeros(1), {})
     item = document.items("animations")[index]
@@ -104,8 +110,13 @@ def read_animation(document: Document, index: int, fps: float | None = None) -> 
             first = document.number(stated.get("start", 0.0), "start")
     elif between:
         count = math.ceil((last - first) * rate - 0.01) + 1  # the last frame holds the last key
-    document.budget.spend(8 * count, f"{count} frames at {rate:g} per second")
-    return Animation(name, rate, first + np.arange(count) / rate, channels, between)
+    document.budget.spend(24 * count, f"{count} frames at {rate:g} per second")
+    with np.errstate(over="ignore"):
+        times = first + np.arange(count) / rate
+    check(
+        np.isfinite(times[-1:]).all(), f"{count} frames at {rate:g} per second from {first:g} s on"
+    )
+    return Animation(name, rate, times, channels, between)
 
 
 def _channels(document: Document, item: dict[str, Any]) -> dict[tuple[int, str], _Channel]:

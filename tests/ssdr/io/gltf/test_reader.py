@@ -239,6 +239,10 @@ HOSTILE = {
     "80 million vertices without data": (_nothing(80_000_000), "POSITION of 80000000 elements"),
     "frames without data": (_frames(200_000_000), "200000000 frames at 24 per second needs"),
     "frames without end": (_frames(10**12), "max_bytes"),
+    "times beyond float64": (
+        _put("animations", 0, extras={"ssdr": {"fps": 1e-308, "frames": 100}}),
+        "100 frames at 1e-308 per second from",
+    ),
     "a last key after a year": (_last_key, "720000001 frames at 24 per second needs"),
     "nested nodes over many frames": (_nested, "nodes over 9600 frames needs"),
     "nodes beside each other over many frames": (_beside, "nodes over 9600 frames needs"),

@@ -50,6 +50,14 @@ def test_ply_counts_are_not_believed(tmp_path, kind, n_vertices, n_faces, count)
         ssdr.load(tmp_path / "a.ply")
 
 
+@pytest.mark.parametrize("corner", [0.5, np.nan, 1e300])
+def test_ply_corners_that_are_no_integers_are_refused(tmp_path, corner):
+    head = HEAD.format("ascii", 3) + TAIL.format(1, "uchar").replace(" int ", " double ")
+    (tmp_path / "a.ply").write_text(head + f"0 0 0 1 0 0 0 1 0 3 0 1 {corner}")
+    with pytest.raises(FormatError, match="the faces are not lists of integers"):
+        ssdr.load(tmp_path / "a.ply")
+
+
 @pytest.mark.parametrize("length", [2**31 - 1, -3])
 @pytest.mark.parametrize("first", [True, False])
 def test_ply_lists_are_not_believed(tmp_path, length, first):

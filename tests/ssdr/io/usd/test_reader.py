@@ -113,6 +113,15 @@ def _faces(_, mesh):
     mesh.GetFaceVertexIndicesAttr().Set(Vt.IntArray.FromNumpy(values))
 
 
+def _infinite(stage, mesh):
+    """A mesh without a skin, below a transform without a size."""
+    for name in ("skel:joints", "skel:skeleton", "primvars:skel:jointIndices"):
+        mesh.GetPrim().RemoveProperty(name)
+    matrix = Gf.Matrix4d(1.0)
+    matrix[0, 0] = np.inf
+    UsdGeom.Xformable(mesh).AddTransformOp().Set(matrix)
+
+
 def _nan(_, mesh):
     points = np.array(mesh.GetPointsAttr().Get())
     points[3, 1] = np.nan
@@ -126,6 +135,7 @@ def _nan(_, mesh):
         (_joints(-1), "joint -1 of a skin of 5"),
         (_faces, "1000000 for 254 points"),
         (_nan, "finite"),
+        (_infinite, "a transform that is not finite"),
         (lambda _, m: m.GetFaceVertexCountsAttr().Set([3, 3]), "add up to 6"),
         (lambda _, m: m.GetPointsAttr().Set([]), "no points"),
         (lambda _, m: m.GetPointsAttr().Set([(0, 0, 0)]), "for 1 points"),
