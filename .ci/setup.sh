@@ -40,7 +40,7 @@ find_python() {
         printf '%s' "$PYTHON"
         return
     fi
-    for candidate in python3.14 python3.13 python3.12 python3.11 python3 python; do
+    for candidate in python3.13 python3.12 python3.11 python3 python; do
         if command -v "$candidate" >/dev/null && usable "$candidate"; then
             command -v "$candidate"
             return

@@ -9,8 +9,9 @@ import re
 import shlex
 import subprocess
 import sys
+import textwrap
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ import numpy as np
 import ssdr
 from docs.gallery import made
 
-__all__ = ["FENCE", "GALLERY", "STILL", "prepare", "run", "runs"]
+__all__ = ["FENCE", "GALLERY", "STILL", "needing", "prepare", "run", "run_needing", "runs"]
 
 ROOT = Path(__file__).resolve().parents[1]
 GALLERY = sorted((ROOT / "docs" / "gallery").glob("*.md"))
@@ -26,6 +27,9 @@ FENCE = re.compile(r"^```(\S*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 # The picture that stands for the live page ``name``.html, which the commands of its page write.
 STILL = re.compile(r"!\[(?P<title>[^\]]*)\]\(\.\./images/gallery_(?P<name>\w+)\.webp\)")
 _NEEDS = "# needs: "
+_NEEDING = re.compile(
+    rf"^( *)```python\n\1{_NEEDS}([^\n]*)\n(.*?)^\1```$", re.MULTILINE | re.DOTALL
+)
 
 
 def blocks(page: Path) -> list[tuple[str, str]]:
@@ -40,6 +44,21 @@ def runs(page: Path) -> bool:
         or (language == "sh" and re.search(r"^ssdr ", text, re.MULTILINE))
         for language, text in blocks(page)
     )
+
+
+def needing(page: Path) -> list[tuple[str, str]]:
+    """What each block of a page needs that does not run by itself, and its text."""
+    found = _NEEDING.findall(page.read_text(encoding="utf-8"))
+    return [(need, textwrap.dedent(text)) for _, need, text in found]
+
+
+def run_needing(text: str, names: Mapping[str, object], replaced: Mapping[str, str]) -> None:
+    """Run a block in the working directory, with `names` and some words replaced by others."""
+    for old, new in replaced.items():
+        if old not in text:
+            raise ValueError(f"{old} is not in the block")
+        text = text.replace(old, new)
+    exec(compile(text, "block", "exec"), {"__name__": "__main__", "np": np, "ssdr": ssdr, **names})
 
 
 def prepare(page: Path, folder: Path) -> None:

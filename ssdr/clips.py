@@ -176,12 +176,14 @@ def readable(name: object) -> str:
 def unique_names(names: Sequence[str], default: str = "bone") -> tuple[str, ...]:
     """Distinct names: a name that occurred before gets a number at its end."""
     seen: set[str] = set()
+    numbers: dict[str, int] = {}  # the next of each name, since all below it are taken
     result = []
     for name in names:
-        base, k = name or default, 1
+        base = name or default
         name = base
         while name in seen:
-            name, k = f"{base}_{k}", k + 1
+            number = numbers.get(base, 1)
+            name, numbers[base] = f"{base}_{number}", number + 1
         seen.add(name)
         result.append(name)
     return tuple(result)

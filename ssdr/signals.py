@@ -7,6 +7,10 @@
    step, and the best model so far is written to the outputs.  A second signal ends the process
    at once (:func:`stop_on_signals`; :mod:`ssdr.cli.saving` writes the model).
 
+Python acts on a signal only between its own instructions, and code of another language that runs
+for long keeps it waiting.  So a thread counts the signals: a second after the second one it ends
+the process, whatever it is doing.
+
 The exit code is 130 each time.
 """
 
@@ -15,6 +19,7 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -24,6 +29,7 @@ __all__ = ["interrupt_on_signals", "stop_on_signals"]
 
 _SHOW_CURSOR = b"\x1b[?25h\n"  # the progress bar hides it
 _HANGUP = getattr(signal, "SIGHUP", None)  # none on Windows
+_GRACE = 1.0  # seconds for removing temporary files after the second signal
 
 
 def interrupt_on_signals() -> contextlib.AbstractContextManager[None]:
@@ -42,13 +48,18 @@ def stop_on_signals() -> Iterator[threading.Event]:
 
     def ask() -> None:
         if stop.is_set():
-            _write_stderr(_SHOW_CURSOR if sys.stderr.isatty() else b"")
-            os._exit(130)
+            _end()
         stop.set()
         _write_stderr(b"\nssdr: stopping after this step and saving; again to end at once\n")
 
     with _handling(ask):
         yield stop
+
+
+def _end(message: bytes = b"") -> None:
+    """End the process without any further step of it."""
+    _write_stderr((_SHOW_CURSOR if sys.stderr.isatty() else b"") + message)
+    os._exit(130)
 
 
 def _write_stderr(text: bytes) -> None:
@@ -78,8 +89,49 @@ def _handling(handler: Callable[[], None]) -> Iterator[None]:
     for number in before:
         signal.signal(number, called)
     try:
-        yield
+        with _counted(frozenset(before)):
+            yield
     finally:
         for number, old in before.items():
             if signal.getsignal(number) != signal.SIG_IGN:
                 signal.signal(number, old)
+
+
+@contextlib.contextmanager
+def _counted(numbers: frozenset[int]) -> Iterator[None]:
+    """End the process soon after the second of these signals inside the block.
+
+    The interpreter writes the number of each signal to a socket when it comes, even while other
+    code keeps Python waiting.  If signals are written elsewhere already, as inside another such
+    block, nothing is done here.
+    """
+    before = signal.set_wakeup_fd(-1)
+    if before != -1:
+        signal.set_wakeup_fd(before)
+        yield
+        return
+    received, sent = socket.socketpair()
+    ended = threading.Event()
+
+    def count() -> None:
+        seen: list[int] = []
+        while len(seen) < 2:
+            data = received.recv(1)
+            if not data:  # the block has ended
+                return
+            seen += [n for n in data if n in numbers and not (n == _HANGUP and n in seen)]
+        if not ended.wait(_GRACE):
+            _end(b"\nssdr: interrupted\n")
+
+    thread = threading.Thread(target=count, daemon=True)
+    with received, sent:
+        sent.setblocking(False)
+        thread.start()
+        signal.set_wakeup_fd(sent.fileno(), warn_on_full_buffer=False)
+        try:
+            yield
+        finally:
+            signal.set_wakeup_fd(-1)
+            ended.set()
+            sent.close()
+            thread.join()

@@ -2,16 +2,24 @@
 
 In the Python shell: ``import houdini_bones; houdini_bones.to_bones(hou.selectedNodes()[0],
 "/path/to/python", "--bones", "24")``, with this file as ``houdini_bones.py`` on Houdini's Python
-path, the Python of an environment with ``ssdr[usd]``, and options of ``ssdr decompose``.
+path, the Python of an environment with ``ssdr[usd]``, and options of ``ssdr decompose``.  The bones
+go into ``NODE_bones.usdc`` beside the scene; ``"--force"`` overwrites one of that name.
 """
 
 import json
+import os
 import subprocess
 import tempfile
 from pathlib import Path
 
 import hou
 import numpy as np
+
+
+def _variables():
+    """Environment in which another Python sees its own packages, not those of Houdini."""
+    left_out = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
+    return {name: value for name, value in os.environ.items() if name not in left_out}
 
 
 def to_bones(node, python, *options):
@@ -30,8 +38,10 @@ def to_bones(node, python, *options):
     with tempfile.TemporaryDirectory() as folder:
         source = str(Path(folder) / "input.npz")
         np.savez(source, vertices=np.array(frames), faces=np.array(faces), fps=hou.fps())
-        words = [python, "-m", "ssdr", "decompose", source, "-o", path, "--force", "--json"]
-        done = subprocess.run([*words, *options], capture_output=True, text=True, check=False)
+        words = [python, "-m", "ssdr", "decompose", source, "-o", path, "--json"]
+        done = subprocess.run(
+            [*words, *options], env=_variables(), capture_output=True, text=True, check=False
+        )
         if done.returncode:
             raise hou.NodeError(json.loads(done.stdout)["error"] if done.stdout else done.stderr)
     character = node.parent().createNode("kinefx::usdcharacterimport")

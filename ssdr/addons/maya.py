@@ -6,6 +6,7 @@ installed, and options of ``ssdr decompose``.  Maya's own Python needs NumPy.
 """
 
 import json
+import os
 import subprocess
 import tempfile
 from pathlib import Path
@@ -17,6 +18,12 @@ import numpy as np
 
 def _mesh(name):
     return om.MFnMesh(om.MSelectionList().add(name).getDagPath(0))
+
+
+def _variables():
+    """Environment in which another Python sees its own packages, not those of Maya."""
+    left_out = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
+    return {name: value for name, value in os.environ.items() if name not in left_out}
 
 
 def to_bones(python, *options):
@@ -34,7 +41,7 @@ def to_bones(python, *options):
         source, result = str(Path(folder) / "input.npz"), str(Path(folder) / "model.npz")
         np.savez(source, vertices=np.array(frames), faces=faces)
         words = [python, "-m", "ssdr", "decompose", source, "-o", result, "--json", *options]
-        done = subprocess.run(words, capture_output=True, text=True, check=False)
+        done = subprocess.run(words, env=_variables(), capture_output=True, text=True, check=False)
         if done.returncode:
             raise RuntimeError(json.loads(done.stdout)["error"] if done.stdout else done.stderr)
         with np.load(result, allow_pickle=False) as archive:

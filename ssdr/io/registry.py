@@ -282,13 +282,14 @@ def bake(skinning: Skinning) -> MeshSequence:
     Raises
     ------
     InputError
-        If clips have different frame rates.
+        If clips have different frame rates, or a vertex is too far away for a number.
     """
     from ..normals import corner_normals
 
     hint = "skinning.select(name) takes one out"
     check_one_rate(skinning.clips, f"where vertices are stored, which have one; {hint}")
-    frames, surface = skinning.skin(), skinning.surface
+    with np.errstate(over="ignore", invalid="ignore"):  # of which the sequence says more
+        frames, surface = skinning.skin(), skinning.surface
     if surface is not None and surface.normals is not None:
         # those of a skinning belong to its rest pose, which need not be a frame
         normals = corner_normals(frames[0], skinning.faces, surface)
@@ -302,7 +303,6 @@ def bake(skinning: Skinning) -> MeshSequence:
         surface=surface,
         vertex_map=skinning.vertex_map,
         space=skinning.space,
-        validate=False,
     )
 
 

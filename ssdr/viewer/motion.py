@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checks import check_squarable
 from ..errors import InputError
 from ..sequence import MeshSequence
 from ..skinning import Skinning
@@ -117,6 +118,11 @@ def walk(model: Skinning, truth: Truth | None, vertical: Float, *, hidden: bool 
     """Extent and path of a model over all frames, and its errors against a reference.
 
     A model that is `hidden` counts for errors alone.
+
+    Raises
+    ------
+    InputError
+        If coordinates are too large to be squared, as those of the lengths that a page states.
     """
     boxes, paths, diagonal, reach = [], [], 0.0, 0.0
     outer = Outermost(), Outermost()
@@ -124,11 +130,13 @@ def walk(model: Skinning, truth: Truth | None, vertical: Float, *, hidden: bool 
     found: list[tuple[Any, ...]] = []
     for frames in _chunks(model.n_frames, model.n_vertices):
         shown = model.skin(frames, dtype=np.float64)
+        check_squarable(shown, "model")
         seen = [] if hidden else [shown]
         if truth is None:
             found.append((np.zeros(len(shown)),) * 4 + (np.zeros(len(shown), dtype=np.int64),))
         else:
             off = truth.read(frames)
+            check_squarable(off, "reference")
             size_of = np.linalg.norm(np.ptp(off, axis=1), axis=1)
             diagonal = max(diagonal, float(size_of.max()))
             seen.append(off)

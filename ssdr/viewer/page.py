@@ -217,7 +217,7 @@ def assembled(
         return "\n".join(part.read_text(encoding="utf-8") for part in parts)
 
     # Without "<", no name in the document can end the element or open a comment in it.
-    text = json.dumps(document, separators=(",", ":")).replace("<", "\\u003c")
+    text = json.dumps(document, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     kind = "application/octet-stream;base64"
     data = "\n".join(
         f'<script type="{kind}" id="block{k}">{base64.b64encode(block).decode()}</script>'

@@ -100,9 +100,13 @@ def network(*, vertices=150, bones=9, bound=True, condition=False, detail=True, 
     return made.eval()
 
 
+def saved(path, **change):
+    """Path to which a :func:`network` was saved."""
+    made = network(**change)
+    trained_on = None if made.condition else SimulationParameters()
+    return save_checkpoint(Checkpoint((made,), (trained_on,), None), path)
+
+
 def live(folder, **change):
     """The runtime of a :func:`network` that was saved in a folder."""
-    made = network(**change)
-    path = folder / "one.safetensors"
-    trained_on = None if made.condition else SimulationParameters()
-    return load_live(save_checkpoint(Checkpoint((made,), (trained_on,), None), path))
+    return load_live(saved(folder / "one.safetensors", **change))

@@ -8,6 +8,7 @@ import itertools
 import json
 import os
 import pkgutil
+import re
 import shutil
 import subprocess
 import sys
@@ -91,6 +92,13 @@ def test_the_readme_and_the_page_on_installing_name_the_extras() -> None:
     assert {name for name in extras if f"| `{name}` |" in page} == extras
     for_users = extras - {"bench", "docs", "dev"}
     assert {name for name in for_users if f"`{name}`" in readme} == for_users
+
+
+def test_the_readme_promises_no_fbx_without_blender() -> None:
+    paragraphs = (ROOT / "README.md").read_text().split("\n\n")
+    promised = [text for text in paragraphs if ".fbx" in text]
+    assert promised
+    assert all("Blender" in text for text in promised)
 
 
 def test_unknown_name_is_an_attribute_error() -> None:
@@ -236,3 +244,17 @@ def test_wheel_holds_the_package_and_nothing_else(package: str, tmp_path: Path) 
         assert f"{package}/{name}" in held
     assert f"{info}/licenses/LICENSE" in held
     assert not [name for name in held if name.endswith((".pyc", ".nbi", ".nbc"))]
+
+
+def test_setup_and_pages_name_the_pythons_of_the_classifiers() -> None:
+    named = re.compile(r"Programming Language :: Python :: (3\.\d+)")
+    classified = [m[1] for text in _project()["classifiers"] if (m := named.fullmatch(text))]
+    setup = (ROOT / ".ci" / "setup.sh").read_text()
+    candidates = re.search(r"for candidate in (.*) python3 python;", setup)
+    assert candidates is not None
+    assert candidates[1].split() == [f"python{version}" for version in reversed(classified)]
+    said = f"Python {classified[0]} to {classified[-1]} on Linux"
+    assert said in (ROOT / "README.md").read_text()
+    *before, last = classified
+    said = f"runs on Python {', '.join(before)} and {last}."
+    assert said in (ROOT / "docs" / "install.md").read_text()

@@ -3,6 +3,7 @@
 import json
 import shutil
 import tempfile
+import traceback
 from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import Any
@@ -55,6 +56,11 @@ class Job:
             return False
         except OSError as error:
             raise Problem(f"{error.filename or 'Disk'}: {error.strerror or error}") from error
+        except Problem:
+            raise
+        except Exception as error:
+            traceback.print_exc()
+            raise Problem(f"Unexpected {type(error).__name__}: {error}") from error
         return True
 
     def cancel(self) -> None:
@@ -89,8 +95,13 @@ class Decompose(Job):
 
     def __init__(self, context: Any, source: Any, options: Any, python: Path) -> None:
         check(source)
-        if options.joints == "ARMATURE" and options.armature is None:
-            raise Problem("Choose the armature whose bones to keep")
+        if options.joints == "ARMATURE":
+            armature = options.armature  # a script may set any object
+            if armature is None:
+                raise Problem("Choose the armature whose bones to keep")
+            if armature.type != "ARMATURE":
+                kind = armature.type.lower()
+                raise Problem(f"Choose an armature: {armature.name} is of type {kind}")
         self.context, self.source = context, source
         self.options, self.python = options, str(python)
         self.clips = marked(context.scene) if options.clips else []
@@ -180,14 +191,14 @@ class Page(Job):
 class Install(Job):
     """A Python environment with ssdr in it."""
 
-    def __init__(self, environment: Path, source: str) -> None:
-        if not (source or bpy.app.online_access):
+    def __init__(self, environment: Path, source: str, online: bool) -> None:
+        if online and not bpy.app.online_access:
             raise Problem(
                 "Blender has no leave to go online: allow it in Preferences > System, or name a "
                 "folder of wheels"
             )
-        self.environment = environment
-        self.commands = installation(environment, source)
+        self.environment, self.online = environment, online
+        self.commands = installation(environment, source, online)
         super().__init__()
 
     def steps(self) -> Steps:
@@ -196,7 +207,12 @@ class Install(Job):
                 for number, words in enumerate(self.commands):
                     for _ in follow(words, Path(folder)):
                         yield number / len(self.commands), "installing ssdr (a few minutes)"
-            except BaseException:
+            except BaseException as error:
                 shutil.rmtree(self.environment, ignore_errors=True)
+                if isinstance(error, Problem) and not self.online:
+                    raise Problem(
+                        f"{error} (put the wheels of all that ssdr needs beside its own, or let "
+                        "pip fetch them)"
+                    ) from error
                 raise
         yield 1.0, "ssdr is installed"

@@ -21,19 +21,24 @@ def python_in(folder: Path) -> Path:
     return folder / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
 
 
-def installation(environment: Path, source: str) -> list[list[str]]:
+def installation(environment: Path, source: str, online: bool) -> list[list[str]]:
     """Commands that make an environment and install ssdr into it.
 
-    `source` is a wheel, or a folder that holds the wheels of ssdr and of all that it needs (then no
-    network is used); if it is empty, pip finds ssdr by its name.
+    `source` is a wheel, or a folder that holds the wheels of ssdr and of all that it needs.
+    `online` says whether pip may fetch what a single wheel needs; ssdr itself is in no package
+    index, where anyone could take its name.
     """
-    what = ["ssdr"]
-    if Path(source).is_dir() and source:
-        what = ["--no-index", "--find-links", source, "ssdr"]
-    elif source:
-        if not (source.endswith(".whl") and Path(source).is_file()):
-            raise Problem(f"{source} is neither a wheel nor a folder of wheels")
-        what = ["--find-links", str(Path(source).parent), source]
+    if not source:
+        raise Problem(
+            "Choose what to install from: a wheel of ssdr, or a folder with it and what it needs"
+        )
+    alone = ["--isolated", "--no-index"]
+    if Path(source).is_dir():
+        what = [*alone, "--find-links", source, "ssdr"]
+    elif source.endswith(".whl") and Path(source).is_file():
+        what = [*([] if online else alone), "--find-links", str(Path(source).parent), source]
+    else:
+        raise Problem(f"{source} is neither a wheel nor a folder of wheels")
     python = str(python_in(environment))
     return [
         [sys.executable, "-m", "venv", "--clear", str(environment)],
@@ -50,10 +55,19 @@ def follow(words: list[str], folder: Path) -> Generator[str, None, str]:
     """
     out, err = folder / "stdout.txt", folder / "stderr.txt"
     hidden = {"creationflags": 0x08000000} if sys.platform == "win32" else {}  # no console window
+    # The other Python must see its own packages, not those of Blender.
+    left_out = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
+    variables = {name: value for name, value in os.environ.items() if name not in left_out}
     with out.open("wb") as stdout, err.open("wb") as stderr:
         try:
             process = subprocess.Popen(
-                words, cwd=folder, stdin=subprocess.DEVNULL, stdout=stdout, stderr=stderr, **hidden
+                words,
+                cwd=folder,
+                env=variables,
+                stdin=subprocess.DEVNULL,
+                stdout=stdout,
+                stderr=stderr,
+                **hidden,
             )
         except OSError as error:
             raise Problem(f"{words[0]} cannot be run: {error.strerror}") from error

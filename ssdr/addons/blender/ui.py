@@ -47,14 +47,19 @@ class SSDR_preferences(bpy.types.AddonPreferences):
     )
     source: StringProperty(
         name="Install from",
-        description="A wheel of ssdr, or a folder with it and all that it needs (no network is "
-        "used); empty: ssdr by its name from the package index",
+        description="A wheel of ssdr, or a folder with it and all that it needs",
         subtype="FILE_PATH",
+    )
+    online: BoolProperty(
+        name="Fetch what the wheel needs",
+        description="Let pip download NumPy, SciPy, Numba and the like from its package index; "
+        "otherwise no network is used, and their wheels must lie beside that of ssdr",
     )
 
     def draw(self, context: Any) -> None:
         self.layout.prop(self, "python")
         self.layout.prop(self, "source")
+        self.layout.prop(self, "online")
         made = python_in(_environment()).is_file()
         self.layout.operator("ssdr.install", text="Install again" if made else "Install")
 
@@ -233,8 +238,9 @@ class SSDR_OT_install(_Stepwise, bpy.types.Operator):
     bl_description = "Make a Python environment of its own and install ssdr into it with pip"
 
     def start(self, context: Any) -> Job:
-        named = context.preferences.addons[__package__].preferences.source
-        return Install(_environment(), bpy.path.abspath(named) if named else "")
+        chosen = context.preferences.addons[__package__].preferences
+        source = bpy.path.abspath(chosen.source) if chosen.source else ""
+        return Install(_environment(), source, chosen.online)
 
 
 class SSDR_PT_panel(bpy.types.Panel):

@@ -81,7 +81,8 @@ def read(
         count, n = skinning.n_frames, skinning.n_vertices
         size = count * n * 3 * skinning.rest.itemsize
         afford(size, f"baking {count} frames of {n} vertices", path, max_bytes)
-        return bake(skinning)
+        with reading(path):
+            return bake(skinning)
     arrays = read_arrays(
         path,
         required=("vertices", "faces"),

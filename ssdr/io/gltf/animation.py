@@ -79,12 +79,18 @@ def animation_names(document: Document) -> tuple[str, ...]:
 
 def read_animations(document: Document, fps: float | None = None) -> list[Animation]:
     """All animations in the order of the file; a single still frame if it has none."""
-    return [read_animation(document, k, fps) for k in range(len(animation_names(document)))]
+    names = animation_names(document)
+    return [read_animation(document, k, fps, name) for k, name in enumerate(names)]
 
 
-def read_animation(document: Document, index: int, fps: float | None = None) -> Animation:
-    """Animation number `index` of the file, with frames at its own rate or at `fps`."""
-    name = animation_names(document)[index]
+def read_animation(
+    document: Document, index: int, fps: float | None = None, name: str | None = None
+) -> Animation:
+    """Animation number `index` of the file, with frames at its own rate or at `fps`.
+
+    `name` is its name among all of them, if that is known already.
+    """
+    name = animation_names(document)[index] if name is None else name
     if not document.items("animations"):
         return Animation(name, fps or 24.0, np.zeros(1), {})
     item = document.items("animations")[index]
@@ -104,8 +110,13 @@ def read_animation(document: Document, index: int, fps: float | None = None) -> 
             first = document.number(stated.get("start", 0.0), "start")
     elif between:
         count = math.ceil((last - first) * rate - 0.01) + 1  # the last frame holds the last key
-    document.budget.spend(8 * count, f"{count} frames at {rate:g} per second")
-    return Animation(name, rate, first + np.arange(count) / rate, channels, between)
+    document.budget.spend(24 * count, f"{count} frames at {rate:g} per second")
+    with np.errstate(over="ignore"):
+        times = first + np.arange(count) / rate
+    check(
+        np.isfinite(times[-1:]).all(), f"{count} frames at {rate:g} per second from {first:g} s on"
+    )
+    return Animation(name, rate, times, channels, between)
 
 
 def _channels(document: Document, item: dict[str, Any]) -> dict[tuple[int, str], _Channel]:
@@ -195,6 +206,7 @@ class Nodes:
         self.document, self.animation = document, animation
         self.items = document.items("nodes")
         self._cache: dict[int, NDArray[np.float64]] = {}
+        self._reserved: set[int] = set()
         self._parent: dict[int, int] = {}
         for parent, node in enumerate(self.items):
             for child in node.get("children", []):
@@ -205,6 +217,12 @@ class Nodes:
         if len(self.order) < len(every):
             node = min(every.difference(self.order))
             raise FormatError(f"node {node} is its own ancestor, or is below one that is")
+        animated = {node for node, path in animation.channels if path != "weights"}
+        self._moving: set[int] = set()
+        for node in self.order:
+            own = node in animated and "matrix" not in self.items[node]
+            if own or self._parent.get(node) in self._moving:
+                self._moving.add(node)
         self.shown = self.order
         if document.items("scenes"):
             scene = document.items("scenes")[document.json.get("scene", 0)]
@@ -216,8 +234,27 @@ class Nodes:
             node = self._parent[node]
             yield node
 
+    def reserve(self, nodes: Iterable[int]) -> None:
+        """Spend what the transforms of these nodes and of all above them take, before they do.
+
+        Raises
+        ------
+        FormatError
+            If the file asks for more memory than it may.
+        """
+        n_frames, spent = len(self.animation.times), 0
+        for node in nodes:
+            above: int | None = node
+            while above is not None and above not in self._reserved:
+                self._reserved.add(above)
+                spent += 128 * (n_frames if above in self._moving else 1)
+                above = self._parent.get(above)
+        what = f"{len(self._reserved)} nodes over {n_frames} frames"
+        self.document.budget.spend(spent, what)
+
     def matrices(self, node: int) -> NDArray[np.float64]:
         """Global transforms ``(F, 4, 4)`` of a node; ``(1, 4, 4)`` if the node does not move."""
+        self.reserve([node])
         chain = [node]
         while chain[-1] not in self._cache and chain[-1] in self._parent:
             chain.append(self._parent[chain[-1]])
@@ -225,10 +262,6 @@ class Nodes:
             if k not in self._cache:
                 local = self._local(k)
                 above = self._cache.get(self._parent.get(k, -1), np.eye(4)[None])
-                n_frames = max(len(local), len(above))
-                self.document.budget.spend(
-                    128 * n_frames, f"{len(self._cache) + 1} nodes over {n_frames} frames"
-                )
                 self._cache[k] = above @ local
         return self._cache[node]
 

@@ -190,6 +190,7 @@ class PrimitiveGroup:
 
     def transforms(self, nodes: Nodes) -> NDArray[np.float64]:
         """Transforms ``(F, B, 3, 4)`` of the bones from the rest pose to world space."""
+        nodes.reserve(self._joints)
         shape = len(nodes.animation.times), len(self._joints)
         self.document.budget.spend(96 * shape[0] * shape[1], "{} frames of {} bones".format(*shape))
         result = np.empty((*shape, 3, 4))
@@ -239,7 +240,11 @@ def read_parts(
         numbers += [n for some in coarser for n in some.get("ids", ()) if n in nodes.order]
     numbers = [number for number in numbers if "mesh" in nodes.items[number]]
     names = [_names_of(document, nodes.items[number]) for number in numbers]
-    for number in [numbers[k] for k in choose(meshes, names)]:
+    numbers = [numbers[k] for k in choose(meshes, names)]
+    skins = {node["skin"] for node in (nodes.items[number] for number in numbers) if "skin" in node}
+    nodes.reserve(joint for skin in skins for joint in document.items("skins")[skin]["joints"])
+    nodes.reserve(number for number in numbers if "skin" not in nodes.items[number])
+    for number in numbers:
         node = nodes.items[number]
         groups: dict[str, dict[int, dict[str, Any]]] = {}
         for place, primitive in enumerate(document.items("meshes")[node["mesh"]]["primitives"]):

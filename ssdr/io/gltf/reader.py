@@ -13,7 +13,14 @@ from ...skinning import Skinning
 from ...space import METRES_Y_UP
 from ..registry import pick_clip, reading
 from ..scene import Sample, join_sequence, join_skinning, part_starts
-from .animation import Nodes, animation_names, mesh_name, read_animation, read_animations
+from .animation import (
+    Animation,
+    Nodes,
+    animation_names,
+    mesh_name,
+    read_animation,
+    read_animations,
+)
 from .document import Document
 from .parts import JointPoints, PrimitiveGroup, read_materials, read_parts
 
@@ -58,7 +65,8 @@ def read(
     """
     with reading(path, "clip", "meshes"):
         document = Document(path, max_bytes)
-        nodes = _play(document, pick_clip(animation_names(document), clip, path), fps)
+        index = pick_clip(animation_names(document), clip, path)
+        nodes = _play(document, read_animation(document, index, fps))
         parts = read_parts(document, nodes, meshes)
         n_frames, n_vertices = len(nodes.animation.times), part_starts(parts)[-1]
         document.budget.spend(
@@ -68,9 +76,8 @@ def read(
         return join_sequence(sample, read_materials(document), mesh_name(document), METRES_Y_UP)
 
 
-def _play(document: Document, index: int, fps: float | None) -> Nodes:
+def _play(document: Document, one: Animation) -> Nodes:
     """Nodes in the frames of an animation, with a warning if keys lie between these."""
-    one = read_animation(document, index, fps)
     if one.between:
         warnings.warn(
             f"{document.path}: {one.between} keys of the clip {one.name} lie between its frames, "
@@ -119,7 +126,7 @@ def read_skinning(
     """
     with reading(path, "meshes"):
         document = Document(path, max_bytes)
-        clips = [_play(document, k, fps) for k in range(len(animation_names(document)))]
+        clips = [_play(document, one) for one in read_animations(document, fps)]
         if joints_alone and not any("mesh" in clips[0].items[k] for k in clips[0].shown):
             parts: list[PrimitiveGroup] = [JointPoints(document, clips)]
         else:

@@ -6,6 +6,7 @@ stay whole, and the coordinates are stored at the corners of triangles.
 
 from __future__ import annotations
 
+import array
 import logging
 import re
 from pathlib import Path
@@ -56,7 +57,7 @@ def _faces(
     path: Path, lines: list[bytes], *, with_surface: bool
 ) -> tuple[NDArray[np.int64], Surface | None]:
     tables: dict[bytes, list[list[bytes]]] = {b"v": [], b"vt": [], b"vn": []}
-    corners: list[list[int]] = []
+    corners = array.array("q")  # a list for each would take five times the memory
     counts: list[int] = []
     materials: dict[str, int] = {}  # in the order in which they are named
     libraries: list[str] = []
@@ -68,7 +69,8 @@ def _faces(
             tables[key].append(rest.split())
         elif key == b"f":
             words = rest.split()
-            corners.extend(_corner(word, tables) for word in words)
+            for word in words:
+                corners.extend(_corner(word, tables))
             counts.append(len(words))
             used.append(material)
         elif key == b"usemtl":

@@ -6,6 +6,8 @@ Blender writes), reorders polygons, and does not notice that a number or a row i
 
 from __future__ import annotations
 
+import struct
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +64,8 @@ def parse_ply(path: Path, _like: Mesh | None = None) -> Mesh:
         faces = np.zeros((0, 3), dtype=np.int64)
         if face:
             counts, values = face.get("vertex_indices") or face["vertex_index"]
-            indices = values.astype(np.int64)
+            with np.errstate(invalid="ignore"):  # of what is no integer at all
+                indices = values.astype(np.int64)
             check((indices == values).all(), "the faces are not lists of integers")
             faces = indices[fan(counts)[0]]
         return Mesh(vertices=vertices, faces=faces, surface=_surface(vertex, faces))
@@ -147,20 +150,52 @@ def _even(
 
 def _uneven(length: int, properties: list[_Property], body: memoryview) -> tuple[_Columns, int]:
     """Columns and size in bytes of an element whose rows hold lists of different lengths."""
-    rows: dict[str, list[NDArray[Any]]] = {name: [] for name, _, _ in properties}
+    problem = f"states {length} rows, but the file ends before"
+    least = sum(np.dtype(count or kind).itemsize for _, kind, count in properties)
+    check(length * least <= len(body), problem)
+    lists = [k for k, (_, _, count) in enumerate(properties) if count is not None]
+    lengths = np.fromiter(_lengths(length, properties, body), dtype=np.int64)
+    check(len(lengths) == length * len(lists), problem)
+    counts = np.ones((length, len(properties)), dtype=np.int64)
+    counts[:, lists] = lengths.reshape(length, -1)
+    sizes = counts * np.array([np.dtype(kind).itemsize for _, kind, _ in properties])
+    heads = [0 if count is None else np.dtype(count).itemsize for _, _, count in properties]
+    ends = np.cumsum(sizes + heads, dtype=np.int64).reshape(sizes.shape)
+    used = int(ends[-1, -1])
+    check(used <= len(body), problem)
+    columns: _Columns = {}
+    for k, (name, kind, _) in enumerate(properties):
+        inside = np.zeros(used + 1, dtype=np.int8)  # 1 in bytes of this property's values
+        np.add.at(inside, ends[:, k] - sizes[:, k], 1)
+        np.add.at(inside, ends[:, k], -1)
+        held = np.frombuffer(body, np.uint8, used)[np.cumsum(inside[:-1], dtype=np.int8) > 0]
+        columns[name] = counts[:, k], np.frombuffer(held.tobytes(), kind)
+    return columns, used
+
+
+def _lengths(length: int, properties: list[_Property], body: memoryview) -> Iterator[int]:
+    """Lengths of the lists of each row, up to the first that is no length or not in the file."""
+    steps, skipped = [], 0
+    for _, kind, count in properties:
+        size = np.dtype(kind).itemsize
+        if count is None:
+            skipped += size
+        else:
+            # bytes before the list's length, the length, and size of an entry
+            steps.append((skipped, struct.Struct(count), size))
+            skipped = 0
     at = 0
     for _ in range(length):
-        for name, kind, count in properties:
-            n = value = 1
-            if count is not None:
-                value = np.frombuffer(body, count, 1, at)[0]
-                n, at = int(value), at + value.nbytes
-            whole = n >= 0 and n == value and at + n * np.dtype(kind).itemsize <= len(body)
-            check(whole, f"states {length} rows, but the file ends before")
-            rows[name].append(np.frombuffer(body, kind, n, at))
-            at += rows[name][-1].nbytes
-    counts = {name: np.array([len(row) for row in found]) for name, found in rows.items()}
-    return {name: (counts[name], np.concatenate(rows[name])) for name in rows}, at
+        for before, stated, size in steps:
+            at += before
+            if at + stated.size > len(body):
+                return
+            (n,) = stated.unpack_from(body, at)
+            if not 0 <= n <= len(body) or n % 1:
+                return
+            at += stated.size + int(n) * size
+            yield int(n)
+        at += skipped
 
 
 def _surface(vertex: _Columns, faces: NDArray[np.int64]) -> Surface | None:

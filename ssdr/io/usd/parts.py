@@ -67,9 +67,12 @@ class MeshPrim:
         self.weights = np.ones((self.n_points, 1))
         if self.joints is not None:
             self._read_influences()
-        elif np.linalg.det(self._transforms_at(_FIRST)[0, :, :3]) < 0:
-            # a mirroring transform turns triangles inside out
-            self.corners, self.faces = self.corners[:, ::-1], self.faces[:, ::-1]
+        else:
+            linear = self._transforms_at(_FIRST)[0, :, :3]
+            self._check(np.isfinite(linear).all(), "a transform that is not finite")
+            if np.linalg.det(linear) < 0:
+                # a mirroring transform turns triangles inside out
+                self.corners, self.faces = self.corners[:, ::-1], self.faces[:, ::-1]
 
     def _check(self, valid: Any, problem: str) -> None:
         """Raise a FormatError with the text `problem` unless `valid` is true."""

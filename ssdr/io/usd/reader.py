@@ -27,6 +27,7 @@ from .stage import open_stage
 
 _log = logging.getLogger(__name__)
 _ALL = Usd.TraverseInstanceProxies()
+_POINT_BYTES, _CORNER_BYTES = 36, 72  # of a MeshPrim, at least
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -90,6 +91,7 @@ class StageReader:
         self.budget = SceneBudget(
             path, sum(f.stat().st_size for f in files if f.is_file()), max_bytes
         )
+        self._counted: set[Any] = set()  # paths of the meshes whose arrays are in the budget
         self.space = self._find_space()
         _log.info("%s: %s", path, self.space)
 
@@ -174,12 +176,27 @@ class StageReader:
         shown = [prim for prim in prims if prim.IsA(UsdGeom.Mesh) and self._is_shown(prim)]
         names = [str(prim.GetPath()).split("/")[1:] for prim in shown]
         places = [shown[k] for k in choose(self._wanted, names)]
+        self._spend(places)
         meshes = [MeshPrim(self.path, p, *bound.get(str(p.GetPath()), ())) for p in places]
         if not meshes and joints_alone:
             meshes = [JointPoints(self.path, skeleton) for skeleton in skeletons]
         check(meshes, "no visible mesh")
         rate, codes = self._clock(meshes, clip, fps)
         return Sample(Clip(clip.name, 0, len(codes), rate), meshes, codes)
+
+    def _spend(self, prims: Sequence[Any]) -> None:
+        """Spend what the arrays of meshes take, before they are made: many may share a few points.
+
+        Each mesh is counted once, for all clips.
+        """
+        first = Usd.TimeCode.EarliestTime()
+        new = [p for p in prims if p.GetPath() not in self._counted]
+        for mesh in map(UsdGeom.Mesh, new):
+            attributes = mesh.GetPointsAttr(), mesh.GetFaceVertexIndicesAttr()
+            points, corners = (len(one.Get(first) or ()) for one in attributes)
+            what = f"{mesh.GetPath()} of {points} points and {corners} corners beside others"
+            self.budget.spend(_POINT_BYTES * points + _CORNER_BYTES * corners, what)
+        self._counted.update(p.GetPath() for p in new)
 
     def _is_shown(self, prim: Any) -> bool:
         shown = UsdGeom.Imageable(prim)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Tf, Usd, UsdUtils
 
-from ...errors import FormatError
+from ...errors import FormatError, is_real
 from ..references import is_inside
 from ..registry import check, refuse_device
 
@@ -27,6 +27,8 @@ _QUOTED = re.compile(
     rb"|#[^\n]*|//[^\n]*|/\*.*?(?:\*/|\Z)",
     re.DOTALL,
 )
+_MOST_CLIPS = 100_000  # files of value clips that USD looks for, each of them some 10 µs
+_TEMPLATE = ("templateStartTime", "templateEndTime", "templateStride")
 _STEPS = np.zeros(256, dtype=np.int8)
 _STEPS[list(b"([{")], _STEPS[list(b")]}")] = 1, -1
 
@@ -62,10 +64,11 @@ def _check_layers(path: Path) -> None:
     Raises
     ------
     FormatError
-        If one of them is nested too deeply, lies outside the folder of the file, or is a device or
-        a package.
+        If one of them is nested too deeply, lies outside the folder of the file, is a device or a
+        package, or if they name more value clips than can be looked for.
     """
     seen, waiting = set(), [path]
+    templates: list[dict[str, Any]] = []
     while waiting:
         file = waiting.pop()
         if file.resolve() in seen:
@@ -74,6 +77,7 @@ def _check_layers(path: Path) -> None:
         refuse_device(file)
         _check_nesting(file)
         layer = Sdf.Layer.FindOrOpen(str(file))
+        templates += _templates(layer)
         for asset in itertools.chain(*UsdUtils.ExtractExternalReferences(str(file))):
             named = Sdf.Layer.SplitIdentifier(asset)[0].partition("[")[0]
             name = Path(Sdf.ComputeAssetPathRelativeToLayer(layer, named))
@@ -86,6 +90,50 @@ def _check_layers(path: Path) -> None:
             # the files of value clips can be named by a pattern such as clip.###.usd
             pattern = "*".join(re.split("#+", name.name))
             waiting += name.parent.glob(pattern) if "#" in name.name else [name]
+    _check_templates(templates)
+
+
+def _templates(layer: Any) -> list[dict[str, Any]]:
+    """Times that each set of value clips in a layer states for its pattern of files.
+
+    Raises
+    ------
+    FormatError
+        If the layer names a part that it does not hold; usd-core ends the process over those.
+    """
+    found: list[dict[str, Any]] = []
+
+    def look(path: Any) -> None:
+        of_prim = path.IsPrimPath() or path.IsPrimVariantSelectionPath()
+        if not (of_prim or path.IsPropertyPath() or path.isEmpty):
+            return  # targets of relationships and connections hold nothing
+        spec: Any = None if path.isEmpty else layer.GetObjectAtPath(path)
+        check(spec, f"damaged: it names a part {path or 'without a name'}, which it does not hold")
+        if of_prim and spec.HasInfo("clips"):
+            for one in spec.GetInfo("clips").values():
+                given = one if isinstance(one, dict) else {}
+                times = {k: given[k] for k in _TEMPLATE if is_real(given.get(k), finite=False)}
+                found.extend([times] if times else [])
+
+    layer.Traverse(Sdf.Path.absoluteRootPath, look)
+    return found
+
+
+def _check_templates(templates: list[dict[str, Any]]) -> None:
+    """Refuse patterns of value clips that name more files than USD could look for in time.
+
+    A layer may change some of the times that a weaker one states, so that those of incomplete sets
+    count for all of them.
+    """
+    whole = [times for times in templates if len(times) == len(_TEMPLATE)]
+    partial = [times for times in templates if len(times) < len(_TEMPLATE)]
+    total = 0.0
+    for stated in (partial, *([one, *partial] for one in whole)):
+        first, last, step = ([t[k] for t in stated if k in t] for k in _TEMPLATE)
+        rising = [s for s in step if s > 0]  # USD refuses any other
+        if first and last and rising:
+            total += (max(last) - min(first)) / min(rising)
+    check(total <= _MOST_CLIPS, f"value clips of {total:.3g} files, at most {_MOST_CLIPS} are read")
 
 
 def _check_nesting(file: Path) -> None:
@@ -104,13 +152,26 @@ def _check_nesting(file: Path) -> None:
 
 
 @contextlib.contextmanager
-def system_errors(path: Path) -> Iterator[None]:
-    """Context that turns USD's errors about writing `path` into the OSErrors that caused them."""
+def system_errors(path: Path, source: Path | None = None) -> Iterator[None]:
+    """Context that turns USD's errors about writing `path` into the OSErrors that caused them.
+
+    USD reads a file's arrays only when it copies them. So if the system names no reason and there
+    is a `source`, from which `path` is written, that is damaged.
+
+    Raises
+    ------
+    OSError
+        If `path` cannot be written.
+    FormatError
+        If `source` cannot be read.
+    """
     try:
         yield
     except Tf.ErrorException as error:
         text = " ".join(str(error).split())
         known = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EACCES, errno.EROFS)
         number = next((n for n in known if os.strerror(n) in text), None)
+        if number is None and source is not None:
+            raise FormatError(f"{source}: truncated or damaged ({text[-300:]})") from error
         reason = text if number is None else os.strerror(number)
         raise OSError(number or errno.EIO, reason, str(path)) from error

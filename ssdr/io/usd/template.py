@@ -242,7 +242,7 @@ def copy(path: Path, target: Path, *, clips: Sequence[str | int] | None = None) 
         found = reader.clips
     names = [clip.name for clip in found]
     kept = {pick(names, clip) for clip in clips} if clips is not None else set(range(len(found)))
-    with atomic_path(target) as temporary, system_errors(target):
+    with atomic_path(target) as temporary, system_errors(target, path):
         stage = _transfer(reader, temporary, target)
         for number, clip in enumerate(found):
             if number not in kept and clip.animation is not None:

@@ -95,7 +95,7 @@ def write_skinning(
     if rig.scales is not None:
         notes.append("UsdSkel holds scales in half precision")
     if template is not None:
-        with atomic_path(path) as temporary, system_errors(path):
+        with atomic_path(path) as temporary, system_errors(path, Path(template)):
             lost += put(Path(template), temporary, path, skinning, rig, clip_names or {}, strict)
     else:
         with _new_stage(path, first.fps, first.n_frames, skinning.space, notes) as stage:

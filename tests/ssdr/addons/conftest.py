@@ -138,10 +138,12 @@ def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def blender(archive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     """Function that runs code in a fresh Blender with the extension; the JSON that it printed."""
     monkeypatch.setenv("BLENDER_USER_RESOURCES", str(tmp_path / "user"))
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    python = tmp_path / "python"  # the extension hides this process's PYTHONPATH from it
+    python.write_text(f'#!/bin/sh\nPYTHONPATH="{ROOT}" exec "{sys.executable}" "$@"\n')
+    python.chmod(0o755)
 
     def run(code: str) -> Any:
-        arguments = tmp_path, archive, Path(sys.executable)
+        arguments = tmp_path, archive, python
         out = run_blender(tmp_path / "scene.py", _HEAD + code, *arguments)
         said = [line for line in out.splitlines() if line.startswith("SAID ")]
         assert "Traceback" not in out

@@ -84,6 +84,8 @@ found["count"] = error()
 still.modifiers.remove(build)
 options.joints = "ARMATURE"
 found["armature"] = error()
+options.armature = still
+found["mesh"] = error()
 options.joints = "NONE"
 bending()
 options.clips = True
@@ -101,8 +103,10 @@ preferences.python = shutil.which("git") or shutil.which("false")
 found["no ssdr"] = error()
 preferences.python = ""
 found["environment"] = error()
+found["source"] = error(bpy.ops.ssdr.install)
+preferences.source, preferences.online = str(FOLDER / "ssdr.zip"), True
 found["online"] = error(bpy.ops.ssdr.install)
-preferences.source = str(FOLDER / "ssdr.zip")
+preferences.online = False
 found["wheel"] = error(bpy.ops.ssdr.install)
 found["left"] = left_behind()
 print("SAID " + json.dumps(found))
@@ -114,6 +118,7 @@ print("SAID " + json.dumps(found))
         "hidden": "Grid is hidden: show it",
         "count": "their number must stay the same",
         "armature": "Choose the armature whose bones to keep",
+        "mesh": "Choose an armature: Grid is of type mesh",
         "no marker": "There is no marker between the frames 1 and 30 of the scene",
         "one frame": "The clip jump, from its marker at frame 30 on, has 1 frame: move a marker",
         "bones": "bones: expected an integer from 1 to",
@@ -121,6 +126,7 @@ print("SAID " + json.dumps(found))
         "python": "There is no Python at",
         "no ssdr": "has no ssdr that works",
         "environment": "ssdr is not installed yet: press Install in Preferences",
+        "source": "Choose what to install from",
         "online": "Blender has no leave to go online",
         "wheel": "is neither a wheel nor a folder of wheels",
     }.items():
@@ -146,10 +152,8 @@ def test_the_button_installs_from_a_folder_of_wheels_and_the_page_opens(
     said = blender(
         """
 preferences.python, preferences.source = "", str(FOLDER / "wheels")
-path = os.environ.pop("PYTHONPATH")
 installed = list(bpy.ops.ssdr.install())
 made = ui._python(bpy.context)
-os.environ["PYTHONPATH"] = path
 preferences.python = str(PYTHON)
 item = bending()
 options.color_error = False

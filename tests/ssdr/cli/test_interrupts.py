@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import sys
+import time
 
 import pytest
 
@@ -110,6 +111,30 @@ def test_a_signal_while_loading_is_a_line(name, tmp_path, clip):
     process.send_signal(getattr(signal, name))
     _, err = process.communicate(timeout=20)
     assert (process.returncode, err) == (130, "ssdr: interrupted\n")
+
+
+@pytest.mark.parametrize("names", [["SIGINT", "SIGTERM"], ["SIGTERM"] * 2, ["SIGHUP", "SIGTERM"]])
+@pytest.mark.skipif("SIGHUP" not in SIGNALS, reason="no such signals here")
+def test_a_second_signal_ends_code_that_never_returns_to_python(names, tmp_path, clip):
+    """As when another library's function that reads a file does not end."""
+    code = (
+        "import hashlib, sys, ssdr.io, ssdr.cli\n"
+        "def load(*a, **k):\n"
+        "    sys.stderr.write('loading\\n'); sys.stderr.flush()\n"
+        "    hashlib.pbkdf2_hmac('sha256', b'', b'', 10**9)\n"
+        "ssdr.io.load = load\n"
+        "sys.exit(ssdr.cli.main())\n"
+    )
+    process = start(["-c", code, "decompose", clip, "-o", tmp_path / "b.npz", "-b", 2])
+    try:
+        wait_for(process, "loading")
+        for name in names:
+            time.sleep(0.1)  # two of one kind at once are one
+            process.send_signal(getattr(signal, name))
+        _, err = process.communicate(timeout=20)
+    finally:
+        process.kill()
+    assert (process.returncode, err) == (130, "\nssdr: interrupted\n")
 
 
 @pytest.mark.slow

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -69,6 +71,9 @@ def test_frame_rate():
     # no such rate where keys follow each other at two
     assert frame_rate(np.unique(np.r_[np.arange(25) / 24, np.arange(31) / 30])) == 120
     assert unique_names(["a", "a", "", "a_1", "a"]) == ("a", "a_1", "bone", "a_1_1", "a_2")
+    start = time.process_time()  # a file of 2 MB took minutes with names that are all alike
+    assert unique_names(["a"] * 60_000)[-1] == "a_59999"
+    assert time.process_time() - start < 10
 
 
 def test_a_rigid_joint_stores_a_rotation_alone():

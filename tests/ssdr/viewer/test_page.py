@@ -306,6 +306,10 @@ def test_refusals(dancer, tmp_path):
         ssdr.view(model, path=tmp_path / "a.html", up="w")
     with pytest.raises(ssdr.InputError, match="a folder that exists"):
         ssdr.view(model, path=tmp_path / "none" / "a.html")
+    far = dataclasses.replace(dancer, vertices=1e200 * dancer.vertices.astype(np.float64))
+    for pair in ((far,), (dancer, far), (far, dancer)):  # JSON has no NaN
+        with pytest.raises(ssdr.InputError, match=r"numbers of less than 1e\+100"):
+            ssdr.view(*pair, path=tmp_path / "a.html")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -165,6 +165,23 @@ def test_indices_were_called_joints_in_version_1(tmp_path, skinned, version, nam
         np.testing.assert_array_equal(ssdr.load_skinning(path).indices, skinned.indices)
 
 
+@pytest.mark.parametrize(("linear", "shift"), [(1, 1e308), (1e5, 0)])
+def test_a_skinning_whose_vertices_are_no_numbers_is_refused(tmp_path, linear, shift):
+    """Each of its own numbers is one."""
+    transforms = np.tile(np.eye(3, 4) * linear, (2, 1, 1, 1))
+    transforms[..., 3] = shift
+    corner = np.full((4, 3), 1e308)
+    model = ssdr.Skinning(corner, np.zeros((4, 1), int), np.ones((4, 1)), transforms,
+                          bone_model="affine")  # fmt: skip
+    ssdr.save(model, tmp_path / "a.npz")
+    with pytest.raises(FormatError, match=r"a\.npz: vertices: expected finite numbers, got inf"):
+        ssdr.load(tmp_path / "a.npz")
+    with pytest.raises(ssdr.InputError, match="vertices: expected finite numbers, got inf"):
+        ssdr.save(model, tmp_path / "a.npy")
+    with pytest.raises(ssdr.InputError, match=r"model: expected numbers of less than 1e\+100"):
+        ssdr.view(model, path=tmp_path / "a.html")
+
+
 def test_a_baked_skinning_needs_no_more_memory_than_it_may(tmp_path, skinned):
     """A file of 1 MiB stated 20 GB of vertices."""
     n, frames = 40_000, 40_000

@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import json
 import os
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -207,6 +208,18 @@ def _nested(document, _):
     animation["extras"]["ssdr"]["frames"] = 9600
 
 
+def _beside(document, binary):
+    """The same nodes, each of which holds the mesh and moves for itself."""
+    _nested(document, binary)
+    nodes, animation = document["nodes"], document["animations"][0]
+    first = len(nodes) - 2001
+    document["scenes"][0]["nodes"] += range(first + 1, first + 2001)
+    for k in range(first, first + 2001):
+        nodes[k] = {"mesh": 0}
+        target = {"node": k, "path": "translation"}
+        animation["channels"].append({"sampler": 0, "target": target})
+
+
 def _frames(count):
     return _put("animations", 0, extras={"ssdr": {"fps": 24, "frames": count}})
 
@@ -222,12 +235,17 @@ HOSTILE = {
     ),
     "NaN": (_bytes(lambda p: 0, np.float32(np.nan).tobytes()), "NaN or Inf"),
     "a count beyond the data": (_put("accessors", 0, count=10**4), "do not fit"),
-    "a huge count": (_put("accessors", 0, count=10**12), "elements needs 24000000001104 bytes"),
+    "a huge count": (_put("accessors", 0, count=10**12), r"elements needs 2400000000\d+ bytes"),
     "80 million vertices without data": (_nothing(80_000_000), "POSITION of 80000000 elements"),
     "frames without data": (_frames(200_000_000), "200000000 frames at 24 per second needs"),
     "frames without end": (_frames(10**12), "max_bytes"),
+    "times beyond float64": (
+        _put("animations", 0, extras={"ssdr": {"fps": 1e-308, "frames": 100}}),
+        "100 frames at 1e-308 per second from",
+    ),
     "a last key after a year": (_last_key, "720000001 frames at 24 per second needs"),
     "nested nodes over many frames": (_nested, "nodes over 9600 frames needs"),
+    "nodes beside each other over many frames": (_beside, "nodes over 9600 frames needs"),
     "a negative offset": (
         _put("bufferViews", 0, byteOffset=-4),
         "byteOffset of bufferView 0 is -4",
@@ -260,6 +278,20 @@ HOSTILE = {
     "a web address": (_put("buffers", 0, uri="http://x/y"), "outside"),
     "a bad data URI": (_put("buffers", 0, uri="data:;base64,???"), "data URI"),
 }
+
+
+@pytest.mark.parametrize("change", [_nested, _beside])
+def test_nodes_are_refused_before_they_take_memory(tmp_path, change):
+    ssdr.save(tube(frames=3), tmp_path / "a.glb")
+    path = rebuild(tmp_path / "a.glb", tmp_path / "b.glb", change)
+    for function in (ssdr.load, ssdr.load_skinning):
+        tracemalloc.start()
+        try:
+            with pytest.raises(ssdr.FormatError, match="nodes over 9600 frames needs"):
+                function(path)
+            assert tracemalloc.get_traced_memory()[1] < 32 << 20
+        finally:
+            tracemalloc.stop()
 
 
 @pytest.mark.parametrize("case", HOSTILE)

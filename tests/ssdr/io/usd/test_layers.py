@@ -11,7 +11,7 @@ import pytest
 import ssdr
 from helpers.rig_model import tube
 
-pytest.importorskip("pxr.UsdSkel", reason="usd-core is not installed")
+Sdf = pytest.importorskip("pxr.Sdf", reason="usd-core is not installed")
 
 CLIPS = 'clips = {{\n dictionary default = {{\n {}\n string primPath = "/a"\n }}\n }}'
 OUTSIDE = {
@@ -94,11 +94,41 @@ def test_layers_that_are_no_files_or_too_deep_are_refused(stage, case):
         "references = @./in.usda@",
         "references = @./parts/in.usda@",
         CLIPS.format("asset[] assetPaths = [@./in.usda@]"),
+        CLIPS.format(
+            'string templateAssetPath = "./in.#.usda"\n double templateStartTime = 0\n'
+            " double templateEndTime = 9600\n double templateStride = 1"
+        ),
         "active = true",
     ],
 )
 def test_layers_of_the_folder_are_read(stage, metadata):
     assert ssdr.load(stage(metadata)).n_vertices == 11
+
+
+@pytest.mark.parametrize(
+    ("end", "stride", "other"),
+    [(1e9, 0.001, ""), ("inf", 1, ""), (1, 1, "double templateStride = 1e-9"), (1e9, None, None)],
+)
+@pytest.mark.parametrize("suffix", [".usda", ".usdc"])
+def test_value_clips_without_end_are_refused(tmp_path, end, stride, other, suffix):
+    """USD looks for each of the files, and answers no signal meanwhile."""
+    times = f"double templateStartTime = 0\n double templateEndTime = {end}\n"
+    times += f"double templateStride = {stride or 1}\n" if other is not None else ""
+    clips = CLIPS.format(f'string templateAssetPath = "./clip.#.#.usda"\n{times}')
+    weaker = tmp_path / f"weaker{suffix}"
+    text = f'#usda 1.0\ndef Mesh "M" (\n{clips}\n) {{}}\n'
+    layer = Sdf.Layer.CreateNew(str(weaker))
+    layer.ImportFromString(text)
+    layer.Save()
+    own = CLIPS.format("double templateStride = 0.001" if other is None else other)
+    path = tmp_path / "a.usda"
+    path.write_text(
+        f"#usda 1.0\n(\n subLayers = [@./{weaker.name}@]\n)\n"
+        f'over "M" (\n variants = {{ string v = "a" }}\n prepend variantSets = "v"\n) {{\n'
+        f'variantSet "v" = {{ "a" (\n{own}\n) {{}} }}\n}}\n'
+    )
+    with pytest.raises(ssdr.FormatError, match=r"value clips of \S+ files, at most 100000"):
+        ssdr.load(path)
 
 
 @pytest.mark.parametrize(

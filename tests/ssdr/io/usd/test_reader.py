@@ -113,6 +113,15 @@ def _faces(_, mesh):
     mesh.GetFaceVertexIndicesAttr().Set(Vt.IntArray.FromNumpy(values))
 
 
+def _infinite(stage, mesh):
+    """A mesh without a skin, below a transform without a size."""
+    for name in ("skel:joints", "skel:skeleton", "primvars:skel:jointIndices"):
+        mesh.GetPrim().RemoveProperty(name)
+    matrix = Gf.Matrix4d(1.0)
+    matrix[0, 0] = np.inf
+    UsdGeom.Xformable(mesh).AddTransformOp().Set(matrix)
+
+
 def _nan(_, mesh):
     points = np.array(mesh.GetPointsAttr().Get())
     points[3, 1] = np.nan
@@ -126,6 +135,7 @@ def _nan(_, mesh):
         (_joints(-1), "joint -1 of a skin of 5"),
         (_faces, "1000000 for 254 points"),
         (_nan, "finite"),
+        (_infinite, "a transform that is not finite"),
         (lambda _, m: m.GetFaceVertexCountsAttr().Set([3, 3]), "add up to 6"),
         (lambda _, m: m.GetPointsAttr().Set([]), "no points"),
         (lambda _, m: m.GetPointsAttr().Set([(0, 0, 0)]), "for 1 points"),
@@ -193,3 +203,41 @@ def test_meshes_are_chosen_by_name(tmp_path):
     assert ssdr.load_skinning(path, meshes="body").rest[:, 0].tolist() == [1, 1, 1]
     with pytest.raises(ssdr.InputError, match=r"meshes: .*SkirtShape.*'trousers'"):
         ssdr.load(path, meshes="trousers")
+
+
+def _many_of_one(path):
+    """3,000 meshes that inherit the points of one."""
+    stage = Usd.Stage.CreateNew(str(path))
+    one = UsdGeom.Mesh(stage.CreateClassPrim("/one"))
+    stage.GetPrimAtPath("/one").SetTypeName("Mesh")
+    n = 2000
+    strip = np.arange(n - 2, dtype=np.int32)[:, None] + np.arange(3, dtype=np.int32)
+    one.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(np.eye(n, 3, dtype=np.float32)))
+    one.CreateFaceVertexCountsAttr(Vt.IntArray(n - 2, 3))
+    one.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(strip.ravel()))
+    with Sdf.ChangeBlock():
+        for k in range(3000):
+            prim = Sdf.CreatePrimInLayer(stage.GetRootLayer(), f"/m{k}")
+            prim.specifier, prim.typeName = Sdf.SpecifierDef, "Mesh"
+            prim.inheritPathList.prependedItems.append("/one")
+    stage.Save()
+
+
+def _packed(path):
+    """Five million equal triangles, which a binary layer holds in some kB."""
+    stage = Usd.Stage.CreateNew(str(path))
+    mesh = UsdGeom.Mesh.Define(stage, "/m")
+    mesh.CreatePointsAttr(Vt.Vec3fArray(3))
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray(5_000_000, 3))
+    corners = np.tile(np.arange(3, dtype=np.int32), 5_000_000)
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(corners))
+    stage.Save()
+
+
+@pytest.mark.parametrize("write", [_many_of_one, _packed])
+def test_meshes_larger_than_their_file_are_refused_before_they_take_memory(tmp_path, write):
+    write(tmp_path / "a.usdc")
+    assert (tmp_path / "a.usdc").stat().st_size < 1 << 20
+    for read in (ssdr.load, ssdr.load_skinning, ssdr.list_clips):
+        with pytest.raises(ssdr.FormatError, match="corners beside others needs"):
+            read(tmp_path / "a.usdc")

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import struct
+
 import numpy as np
 import pytest
 
 import ssdr
 from helpers.gltf_asset import grid, png
+from helpers.rig_model import tube
 
 pytest.importorskip("pxr")
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdShade, Vt
@@ -168,3 +171,43 @@ def test_copy_and_what_is_left_out(tmp_path):
     assert {"cameras", "lights", "normal of materials", "the primvar st1"} <= set(
         ssdr.io.left_out(source)
     )
+
+
+def _layer_of_many(path):
+    """A binary layer with a mesh, and a prim of 23 integers and a long compressed array."""
+    ssdr.save(tube(frames=3), path)
+    stage = Usd.Stage.Open(str(path))
+    prim = stage.DefinePrim("/tube/More")
+    for k in range(23):
+        prim.CreateAttribute(f"n{k}", Sdf.ValueTypeNames.Int)
+    many = np.tile(np.random.default_rng(0).integers(0, 2**31, 100), 4000).astype(np.int32)
+    array = stage.GetPrimAtPath("/tube").CreateAttribute("many", Sdf.ValueTypeNames.IntArray)
+    array.Set(Vt.IntArray.FromNumpy(many))
+    stage.GetRootLayer().Export(str(path.with_name("b.usdc")))
+    return path.with_name("b.usdc").read_bytes()
+
+
+def _unpackable(data):
+    """The long array, which no one reads until it is copied, is noise."""
+    at = data.index(struct.pack("<Q", 400_000)) + 16
+    return data[:at] + b"\xff" * 64 + data[at + 64 :]
+
+
+def _nameless(data):
+    """A property has a name that the file does not hold: usd-core would end the process."""
+    at = data.index(struct.pack("<Q", 23)) + 8
+    return data[:at] + b"\xee" * 4 + data[at + 4 :]
+
+
+@pytest.mark.parametrize("damage", [_unpackable, _nameless])
+@pytest.mark.parametrize("suffix", [".usda", ".usdc"])
+def test_damage_that_shows_when_a_file_is_copied_is_the_files(tmp_path, damage, suffix):
+    path, target = tmp_path / "b.usdc", tmp_path / f"c{suffix}"
+    path.write_bytes(damage(_layer_of_many(tmp_path / "a.usdc")))
+    for write in (
+        lambda: ssdr.io.copy(path, target),
+        lambda: ssdr.save(tube(frames=3), target, template=path),
+    ):
+        with pytest.raises(ssdr.FormatError, match=r"b\.usdc: .*damaged"):
+            write()
+    assert not target.exists()

@@ -1,0 +1,188 @@
+"""What the clients do without Blender, Maya or Houdini: stand-ins take the hosts' place."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+from unittest.mock import MagicMock
+
+import numpy as np
+import pytest
+
+ADDONS = Path(__file__).resolve().parents[3] / "ssdr" / "addons"
+_INHERITED = {"PYTHONPATH": "/host/modules", "PYTHONHOME": "/host", "VIRTUAL_ENV": "/host/env"}
+
+
+@pytest.fixture
+def extension(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
+    """The modules of the Blender extension, with a Blender that only has what they import."""
+    bpy = MagicMock()
+    bpy.types = SimpleNamespace(
+        **dict.fromkeys(
+            ("AddonPreferences", "PropertyGroup", "Operator", "Panel", "Object"), object
+        )
+    )
+    bpy.app = SimpleNamespace(tempdir=str(tmp_path), online_access=False)
+    package = ModuleType("blender_extension")
+    package.__path__ = [str(ADDONS / "blender")]
+    stubs = {"bpy": bpy, "bpy.props": bpy.props, "mathutils": MagicMock()}
+    for name, module in {**stubs, package.__name__: package}.items():
+        monkeypatch.setitem(sys.modules, name, module)
+    found = {}
+    for name in ("process", "sample", "rig", "job", "ui"):
+        full = f"{package.__name__}.{name}"
+        monkeypatch.delitem(sys.modules, full, raising=False)
+        found[name] = importlib.import_module(full)
+        monkeypatch.delitem(sys.modules, full)
+        monkeypatch.setitem(sys.modules, full, found[name])
+    return SimpleNamespace(bpy=bpy, **found)
+
+
+def test_nothing_is_installed_from_an_index_without_leave(extension: Any, tmp_path: Path) -> None:
+    Problem, installation = extension.process.Problem, extension.process.installation
+    wheel = tmp_path / "ssdr-0.1.0-py3-none-any.whl"
+    wheel.touch()
+    for online in (False, True):
+        with pytest.raises(Problem, match="Choose what to install from"):
+            installation(tmp_path / "environment", "", online)
+        pip = installation(tmp_path / "environment", str(tmp_path), online)[1]
+        assert "--no-index" in pip
+        pip = installation(tmp_path / "environment", str(wheel), online)[1]
+        assert ("--no-index" in pip) is not online
+        assert pip[-1] == str(wheel)  # by no name that someone else may hold
+    with pytest.raises(Problem, match="no leave to go online"):
+        extension.job.Install(tmp_path / "environment", str(wheel), True)
+    extension.bpy.app.online_access = True
+    extension.job.Install(tmp_path / "environment", str(wheel), True)
+
+
+def test_a_wheel_alone_says_what_is_missing(extension: Any, tmp_path: Path) -> None:
+    wheel = tmp_path / "ssdr-0.1.0-py3-none-any.whl"
+    wheel.touch()
+    work = extension.job.Install(tmp_path / "environment", str(wheel), False)
+    work.commands = [[sys.executable, "-c", "import sys; sys.exit('No numpy')"]]
+    with pytest.raises(extension.process.Problem, match=r"No numpy \(put the wheels of all"):
+        list(iter(work.step, False))
+
+
+def test_other_pythons_do_not_inherit_the_hosts_modules(
+    extension: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in _INHERITED.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.delenv("PYTHONHOME")  # this Python would not start with it
+    code = "import json, os; print(json.dumps(dict(os.environ)))"
+    run = extension.process.follow([sys.executable, "-c", code], tmp_path)
+    try:
+        while True:
+            next(run)
+    except StopIteration as end:
+        seen = json.loads(end.value)
+    assert not _INHERITED.keys() & seen.keys()
+    assert "PATH" in seen
+
+
+def test_an_object_that_is_no_armature_is_refused(
+    extension: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(extension.job, "check", lambda source: None)
+    options = SimpleNamespace(
+        joints="ARMATURE", armature=SimpleNamespace(name="Cube", type="MESH"), clips=False
+    )
+    with pytest.raises(extension.process.Problem, match="Choose an armature: Cube is of type mesh"):
+        extension.job.Decompose(MagicMock(), MagicMock(), options, Path("python"))
+
+
+@pytest.mark.parametrize("error", [ValueError("no number"), KeyError("armature"), OSError("full")])
+def test_any_error_of_a_step_ends_the_operator_in_words(
+    extension: Any, error: Exception, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Failing(extension.job.Job):  # type: ignore[misc, name-defined]
+        def steps(self) -> Any:
+            yield 0.5, "working"
+            raise error
+
+    class Clerk(extension.ui._Stepwise):  # type: ignore[misc, name-defined]
+        def start(self, context: Any) -> Any:
+            return Failing()
+
+        def report(self, kind: set[str], text: str) -> None:
+            told.append((kind, text))
+
+    told: list[tuple[set[str], str]] = []
+    context, event = MagicMock(), SimpleNamespace(type="TIMER", value="NOTHING")
+    clerk = Clerk()
+    assert clerk.invoke(context, None) == {"RUNNING_MODAL"}
+    assert clerk.modal(context, event) == {"RUNNING_MODAL"}
+    assert clerk.modal(context, event) == {"CANCELLED"}
+    assert context.window_manager.event_timer_remove.call_count == 1
+    assert context.window_manager.progress_end.call_count == 1
+    assert Clerk().execute(context) == {"CANCELLED"}
+    kinds, texts = zip(*told, strict=True)
+    assert kinds == ({"ERROR"},) * 2
+    assert all(str(error.args[0]) in text for text in texts)
+    assert ("Traceback" in capsys.readouterr().err) is not isinstance(error, OSError)
+
+
+def _client(name: str, stubs: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A client of one file, and the calls of the command in its process, which do not happen."""
+    for stub, module in stubs.items():
+        monkeypatch.setitem(sys.modules, stub, module)
+    spec = importlib.util.spec_from_file_location(f"{name}_bones", ADDONS / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    calls: list[tuple[list[str], dict[str, str]]] = []
+
+    def run(words: list[str], *, env: dict[str, str], **_: Any) -> Any:
+        calls.append((words, env))
+        return SimpleNamespace(returncode=1, stdout='{"error": "refused"}', stderr="")
+
+    monkeypatch.setattr(subprocess, "run", run)
+    for variable, value in _INHERITED.items():
+        monkeypatch.setenv(variable, value)
+    return module, calls
+
+
+def test_houdini_overwrites_no_file_and_inherits_no_modules(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    hou = MagicMock(NodeError=RuntimeError, fps=lambda: 24.0)
+    hou.playbar.playbackRange.return_value = (1, 2)
+    hou.text.expandString.return_value = "/scene/"
+    node = MagicMock()
+    node.name.return_value = "cloth"
+    node.geometryAtFrame.return_value.pointFloatAttribValues.return_value = np.zeros(9)
+    node.geometryAtFrame.return_value.prims.return_value = []
+    client, calls = _client("houdini", {"hou": hou}, monkeypatch)
+    for options in ((), ("--force",)):
+        with pytest.raises(RuntimeError, match="refused"):
+            client.to_bones(node, "python", "--bones", "4", *options)
+    (first, variables), (second, _) = calls
+    assert "/scene/cloth_bones.usdc" in first
+    assert "--force" not in first
+    assert "--force" in second
+    assert not _INHERITED.keys() & variables.keys()
+
+
+def test_maya_inherits_no_modules(monkeypatch: pytest.MonkeyPatch) -> None:
+    om, cmds = MagicMock(), MagicMock()
+    cmds.ls.return_value = ["|cloth"]
+    cmds.playbackOptions.side_effect = lambda query, **which: 1 if "min" in which else 2
+    mesh = om.MFnMesh.return_value
+    mesh.getPoints.return_value, mesh.getTriangles.return_value = np.zeros((3, 4)), (0, [0, 1, 2])
+    maya = ModuleType("maya")
+    maya.api, maya.cmds = ModuleType("maya.api"), cmds  # type: ignore[attr-defined]
+    maya.api.OpenMaya = om  # type: ignore[attr-defined]
+    names = {"maya": maya, "maya.api": maya.api, "maya.api.OpenMaya": om, "maya.cmds": cmds}  # type: ignore[attr-defined]
+    client, calls = _client("maya", names, monkeypatch)
+    with pytest.raises(RuntimeError, match="refused"):
+        client.to_bones("python", "--bones", "4")
+    assert not _INHERITED.keys() & calls[0][1].keys()
