@@ -165,10 +165,13 @@ def read(job: dict[str, Any]) -> None:
             raise ValueError(f"its {model.what} need {need} bytes, max_bytes is {limit}")
         if len(timelines) == 1:
             model.read_rest(timeline)
-            if items:
-                surfaces.join(items, arrays, job["path"])
+        senses = np.zeros(len(items))
         for k in range(timeline.count):
             model.sample(timeline.go(k))
+            senses += surfaces.senses(items)
+        if items and len(timelines) == 1:
+            timeline.go(0)
+            surfaces.join(items, arrays, job["path"], senses < 0)
     np.savez(
         job["out"],
         frames=np.array([timeline.count for timeline in timelines]),
