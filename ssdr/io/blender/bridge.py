@@ -29,6 +29,7 @@ from ..atomic import atomic_path
 from ..budget import MOST_BYTES
 from ..gltf.writer import write_along_bones
 from ..registry import SaveReport, check_one_rate, pick_clip, reading
+from ..sampling import tell
 from ..scene import Bones, make_skinning
 from ..signatures import describe
 from ..spaces import in_space, transformed, with_space
@@ -102,6 +103,7 @@ def read(
             surface=surface_from(arrays),
             space=_BLENDER,
         )
+        _tell_missed(arrays, [Clip(name, 0, len(sequence), sequence.fps)], path, fps)
         turned = in_space(sequence, METRES_Y_UP)
         return turned if fbx else with_space(turned, UNKNOWN)
 
@@ -168,6 +170,7 @@ def read_skinning(
         clips = _clips(arrays, path)
         if len(clips) > 1:
             _log.info("%s: clips %s", path, [clip.name for clip in clips])
+        _tell_missed(arrays, clips, path, fps)
         parents, positions = arrays["parents"], arrays["joint_positions"]
         model = make_skinning(
             arrays["rest"],
@@ -186,6 +189,14 @@ def read_skinning(
 def _clips(arrays: dict[str, NDArray[Any]], path: Path) -> tuple[Clip, ...]:
     rows = zip(_names(arrays, path), arrays["frames"], arrays["fps"], strict=True)
     return in_order(Clip(name, 0, int(count), float(rate)) for name, count, rate in rows)
+
+
+def _tell_missed(
+    arrays: dict[str, NDArray[Any]], clips: Sequence[Clip], path: Path, fps: float | None
+) -> None:
+    """Warn of keys between the frames of clips."""
+    for clip, (count, distance, diagonal) in zip(clips, arrays["missed"], strict=False):
+        tell(path, clip, int(count), distance, diagonal, own=fps is None)
 
 
 def _title(arrays: dict[str, NDArray[Any]], path: Path) -> str:

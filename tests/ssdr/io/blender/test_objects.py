@@ -1,4 +1,4 @@
-"""Objects that mirror their mesh: the triangles that Blender turns round are turned round."""
+"""Objects that mirror their mesh, and keys between frames, in files that Blender has written."""
 
 from __future__ import annotations
 
@@ -28,3 +28,23 @@ def test_a_mirrored_object_keeps_its_outside(tmp_path, read):
     p = points[thing.faces]
     across = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
     assert ((across[:, None] * thing.surface.normals).sum(axis=-1) > 0).all()
+
+
+_KEYS = """
+item = strip("sheet", None)
+for frame, x in ((0, 0), (1.3, 1), (4.7, -1), (9.6, 2)):
+    item.location = (x, 0, 0)
+    item.keyframe_insert("location", frame=frame)
+scene.frame_end = 10
+save(bake_anim=True, bake_anim_step=0.013)
+"""
+
+
+@needs_blender
+@pytest.mark.slow
+@pytest.mark.parametrize("read", [ssdr.load, ssdr.load_skinning])
+def test_keys_between_frames_are_said(tmp_path, read):
+    path = export(tmp_path / "a.fbx", _KEYS)
+    with pytest.warns(ssdr.SsdrWarning, match=r"keys of the clip .* lie between .* % of the"):
+        read(path)
+    read(path, fps=24)
