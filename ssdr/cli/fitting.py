@@ -130,18 +130,16 @@ def fit(
 
 def _check_files(options: FitOptions) -> None:
     """Raise an InputError before the work if an output could not be written after it."""
-    check_outputs(options.outputs, options.write, force=options.force, sources=options.inputs)
+    check_outputs(options.outputs, options.write, sources=options.inputs)
     others = [*options.inputs, *options.outputs]
     for path in options.drawn:
-        check_file(path, "--output", force=options.force, others=others)
+        check_file(path, "--output", others=others)
         others.append(path)
     checkpoint = options.checkpoint
     if checkpoint is not None:
         if checkpoint.suffix.lower() != ".npz":
             raise InputError("--checkpoint", "a file ending in .npz", str(checkpoint))
-        # A run may go on from its own checkpoint.
-        mine = options.start is not None and Path(options.start).resolve() == checkpoint.resolve()
-        check_file(checkpoint, "--checkpoint", force=options.force or mine, others=others)
+        check_file(checkpoint, "--checkpoint", others=others)
 
 
 def _read(options: FitOptions, output: Output) -> tuple[Shots, Any, dict[Path, dict[str, Any]]]:
@@ -183,9 +181,8 @@ def _start(text: str | None, space: Space) -> Any:
     if text is None:
         return None
     if text.isdecimal() and not Path(text).exists():
-        return ssdr.Start(rest_frame=int(text))
-    thing = ssdr.io.in_space(read_any(Path(text)), space)
-    return ssdr.Start(rest=thing.vertices[0]) if isinstance(thing, MeshSequence) else thing
+        return int(text)
+    return ssdr.io.in_space(read_any(Path(text)), space)
 
 
 def _place(own: dict[str, Any], space: Space) -> None:

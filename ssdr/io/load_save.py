@@ -14,6 +14,7 @@ from ..clips import Clip, pick
 from ..errors import FormatError, InputError, SsdrWarning, is_real
 from ..sequence import MeshSequence
 from ..space import Space, Up
+from .atomic import check_beside
 from .registry import (
     FORMATS,
     Format,
@@ -235,7 +236,8 @@ def save(
     It is converted to metres with y up for glTF and FBX, and to the space of a template. The note
     of the report says what was done and what is not known.
 
-    If writing stops with an error, no incomplete file is left. If the format cannot hold a
+    A file that exists is overwritten. If writing stops with an error, the old file stays, and no
+    incomplete one is left. If the format cannot hold a
     skinning, its skinned vertices are written, with the frames of all clips one after the other.
 
     Parameters
@@ -259,7 +261,8 @@ def save(
     Raises
     ------
     InputError
-        If `thing` cannot be written in that format, or the format does not have an option.
+        If `thing` cannot be written in that format, the format does not have an option, or a file
+        that another one needs would be overwritten, as the ``.bin`` of a ``.gltf``.
     MissingDependencyError
         If the format needs an optional package that is not installed.
 
@@ -280,6 +283,7 @@ def save(
         suffix, format_ = format_of(target)
     except FormatError as error:
         raise InputError("path", f"a suffix of {', '.join(_writable())}", str(target)) from error
+    check_beside(target)
     if not isinstance(thing, (MeshSequence, Skinning)):
         thing = getattr(thing, "skinning", thing)
     if not isinstance(thing, (MeshSequence, Skinning)):
