@@ -21,7 +21,7 @@ from ..space import Space
 from .format_options import read_options, write_weights
 from .options import PAGES, FitOptions
 from .output import Output, in_words, saved_line
-from .reading import clips_document, clips_text, join, read_any, read_clips
+from .reading import clips_document, clips_text, join, meshes_text, read_any, read_clips
 from .saving import check_file, check_outputs, save_model, try_format
 from .template import options_with_template
 
@@ -285,6 +285,8 @@ def _print(
         rows.insert(-1, ("normals", f"{result.normals}, as engines draw them"))
     if len(clips) > 1:
         rows.insert(1, ("clips", clips_text(clips)))
+    if not any("meshes" in pair for pair in options.read or ()):
+        rows.insert(1, ("meshes", meshes_text(options.inputs[0])))
     rows += said
     parsimony = getattr(result, "parsimony", None)
     if parsimony is not None:
