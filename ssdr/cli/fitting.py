@@ -41,7 +41,7 @@ _ROWS = {
     "input": "{input}: {frames:,} frames, {vertices:,} vertices, {triangles:,} triangles, "
     "diagonal {diagonal:.4g}",
     "model": "{bones} bones, {influences} influences",
-    "RMSE": "{rmse:.4g} in the mesh's units, {rmse_percent:.3g} % of the diagonal",
+    "RMSE": "{rmse:.4g} in the mesh's units, {rmse_percent:.3g} % of the diagonal{of_motion}",
     "largest": "{max_error:.4g}, {max_error_percent:.3g} % of the diagonal, of any vertex",
     "E": "{E:.4g} = 1000 RMSE / sqrt(3)",
     "time": "{total_seconds:.1f} s: loading {load_seconds:.1f}, compiling {compile_seconds:.1f}, "
@@ -250,9 +250,11 @@ def _print(
     """Print the result as a table, which includes the rows `said`, or as JSON, with `about`."""
     from .. import __version__
     from ..frames.error import largest_error
+    from ..frames.motion import motion_rms, share_of
 
     diagonal, clips = max(shot.diagonal() for shot in shots), names_of(shots)["clips"]
     model = result.skinning
+    motion = motion_rms(shots)
     largest = largest_error(shots, model.rest, model.indices, model.weights, model.transforms)
     document = {
         **about,
@@ -269,6 +271,8 @@ def _print(
         "seed": options.seed,
         "rmse": result.rmse,
         "rmse_percent": 100 * result.rmse / diagonal if diagonal > 0 else math.nan,
+        "motion": motion,
+        "percent_of_motion": 100 * share_of(result.rmse, motion),
         "max_error": largest,
         "max_error_percent": 100 * largest / diagonal if diagonal > 0 else math.nan,
         "E": 1000 * result.rmse / math.sqrt(3),
@@ -279,7 +283,8 @@ def _print(
         "outputs": [dataclasses.asdict(report) for report in reports],
         "checkpoint": options.checkpoint,
     }
-    rows = in_words(document | {"input": options.inputs}, _ROWS)
+    of_motion = f", {document['percent_of_motion']:.3g} % of the motion" if motion > 0 else ""
+    rows = in_words(document | {"input": options.inputs, "of_motion": of_motion}, _ROWS)
     if result.normals is not None:
         document["normals"] = result.normals.as_dict()
         rows.insert(-1, ("normals", f"{result.normals}, as engines draw them"))

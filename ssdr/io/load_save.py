@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 
 _log = logging.getLogger(__name__)
+_SHOWN = (".glb", ".gltf", ".usd", ".usda", ".usdc", ".fbx", ".obj", ".ply")
+_BARE = "has no triangles: programs show points or nothing (faces= of what was fitted adds them)"
 
 
 def load(
@@ -368,7 +370,8 @@ def save(
     report = dataclasses.replace(report, **{n: x and x * back for n, x in lengths.items()})
     if report.lost:
         warnings.warn(f"{target}: not kept: {', '.join(report.lost)}", SsdrWarning, stacklevel=2)
-    notes = [note for note in (said, report.note, joined) if note]
+    bare = _BARE if suffix in _SHOWN and not len(thing.faces) else ""
+    notes = [note for note in (bare, said, report.note, joined) if note]
     return dataclasses.replace(report, note="; ".join(notes))
 
 

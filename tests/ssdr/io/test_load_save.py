@@ -81,3 +81,13 @@ def test_a_path_that_no_file_can_have_is_refused(wave):
         for path in ("a\0.npz", b"a.npz", 3):
             with pytest.raises(InputError, match="path: expected a path"):
                 act(path)
+
+
+def test_a_mesh_without_triangles_is_no_mesh_to_other_programs(tmp_path, wave):
+    points = ssdr.MeshSequence(wave.vertices)
+    model = ssdr.initialize(points, bones=2)
+    for name, thing in (("a.glb", model), ("a_%d.obj", points), ("a_%d.ply", points)):
+        assert "has no triangles: programs show points" in ssdr.save(thing, tmp_path / name).note
+    for name, thing in (("b.npz", model), ("b.npz", points)):
+        assert "triangles" not in ssdr.save(thing, tmp_path / name).note
+    assert "triangles" not in ssdr.save(ssdr.initialize(wave, bones=2), tmp_path / "b.glb").note
