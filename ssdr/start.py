@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
+from .checks import check_whole
 from .errors import is_whole
 from .sequence import MeshSequence
 from .skinning import Skinning
@@ -57,10 +58,10 @@ class Start:
     locked_bones: Any = None
 
 
-def as_start(start: Any) -> Any:
-    """A `Start` of the number of a rest frame, or of a mesh; anything else as it is."""
+def as_start(start: Any, n_frames: int) -> Any:
+    """A `Start` of the number of one of the frames, or of a mesh; anything else as it is."""
     if is_whole(start):
-        return Start(rest_frame=start)
+        return Start(rest_frame=check_whole(start, "start", 0, n_frames - 1))
     return Start(rest=start.frames(0)) if isinstance(start, MeshSequence) else start
 
 

@@ -181,7 +181,7 @@ def check_problem(
     bone_model = check_bone_model(bone_model)
     check_choice(effort, "effort", Effort)
     check_choice(rest_pose, "rest_pose", RestPose)
-    start = as_start(start)
+    start = as_start(start, n_frames)
     if not (start is None or isinstance(start, (Skinning, Start))):
         expected = "None, a Skinning, a MeshSequence, a Start or the number of a frame"
         raise InputError("start", expected, type(start).__name__)

@@ -212,7 +212,7 @@ ON = {"sequence": trees.six_bones().frames, "rig": ssdr.Skeleton(skeleton())}
 FLAT = dataclasses.replace(skeleton(), parents=None, joint_positions=None)
 RESULT = ssdr.Decomposition(still(), 0.0, "converged", (), np.zeros(2, int), 0.0)
 REFUSED: dict[str, tuple[str, dict[str, Any]]] = {
-    "a frame that is not there": ("start.rest_frame", {"start": 15, "bones": 2}),
+    "a frame that is not there": ("start", {"start": 15, "bones": 2}),
     "a file's name": ("start", {"start": "model.npz"}),
     "a result": ("start", {"start": RESULT}),
     "another mesh": ("start", {"start": still(83)}),
