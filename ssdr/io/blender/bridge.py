@@ -28,7 +28,8 @@ from ..arrays.npz import surface_from
 from ..atomic import atomic_path
 from ..budget import MOST_BYTES
 from ..gltf.writer import write_along_bones
-from ..registry import SaveReport, check_one_rate, pick_clip, reading
+from ..registry import SaveReport, check_one_rate, choose, mesh_names, pick_clip, reading
+from ..sampling import tell
 from ..scene import Bones, make_skinning
 from ..signatures import describe
 from ..spaces import in_space, transformed, with_space
@@ -41,6 +42,7 @@ _IMPORT_FPS = 24.0
 _LONGEST_NAME = 63  # bytes in the name of anything in Blender
 _SCRIPT = Path(__file__).with_name("script.py")
 _TOO_OLD = "Blender 4.2 or newer is needed"  # part of an error of script.py
+_listed: dict[Any, dict[str, NDArray[Any]]] = {}
 _MAGIC = {".fbx": (b"Kaydara FBX", b"; FBX"), ".abc": (b"Ogawa", b"\x89HDF")}
 
 
@@ -79,9 +81,9 @@ def read(
     Raises
     ------
     FormatError
-        If Blender cannot read the file, or it has none of `meshes`.
+        If Blender cannot read the file.
     InputError
-        If the file has no such take.
+        If the file has no such take or mesh.
     MissingDependencyError
         If Blender is not found or is older than 4.2.
     """
@@ -102,6 +104,7 @@ def read(
             surface=surface_from(arrays),
             space=_BLENDER,
         )
+        _tell_missed(arrays, [Clip(name, 0, len(sequence), sequence.fps)], path, fps)
         turned = in_space(sequence, METRES_Y_UP)
         return turned if fbx else with_space(turned, UNKNOWN)
 
@@ -110,14 +113,38 @@ def list_clips(
     path: Path, *, fps: float | None = None, time_limit: float = 600.0
 ) -> tuple[Clip, ...]:
     """Clips of a file (takes of an FBX file), with frames numbered as in :func:`read_skinning`."""
-    arrays = _ask_blender("list", path, fps, time_limit)
+    arrays = _list(path, fps, time_limit)
     with reading(path):
         return _clips(arrays, path)
 
 
-def left_out(path: Path, *, time_limit: float = 600.0) -> tuple[str, ...]:
+def list_meshes(path: Path, *, time_limit: float = 600.0) -> tuple[str, ...]:
+    """Names of the objects that hold meshes."""
+    arrays = _list(path, None, time_limit)
+    return tuple(names[0] for names in json.loads(str(arrays["meshes"])))
+
+
+def left_out(
+    path: Path, *, meshes: str | Sequence[str] | None = None, time_limit: float = 600.0
+) -> tuple[str, ...]:
     """Contents of a file that are lost when it is read as a sequence or skinning."""
-    return tuple(json.loads(str(_ask_blender("list", path, None, time_limit)["left_out"])))
+    arrays = _list(path, None, time_limit)
+    found = json.loads(str(arrays["left_out"]))
+    names = json.loads(str(arrays["meshes"]))
+    if len(choose(meshes, names)) < len(names):
+        found.append("meshes that were not chosen")
+    return tuple(found)
+
+
+def _list(path: Path, fps: float | None, time_limit: float) -> dict[str, NDArray[Any]]:
+    """Arrays of the action "list", kept for the next question about the same file."""
+    state = path.stat()
+    key = str(path.resolve()), state.st_mtime_ns, state.st_size, fps
+    if key not in _listed:
+        arrays = _ask_blender("list", path, fps, time_limit)
+        _listed.clear()
+        _listed[key] = arrays
+    return _listed[key]
 
 
 def read_skinning(
@@ -168,6 +195,7 @@ def read_skinning(
         clips = _clips(arrays, path)
         if len(clips) > 1:
             _log.info("%s: clips %s", path, [clip.name for clip in clips])
+        _tell_missed(arrays, clips, path, fps)
         parents, positions = arrays["parents"], arrays["joint_positions"]
         model = make_skinning(
             arrays["rest"],
@@ -186,6 +214,14 @@ def read_skinning(
 def _clips(arrays: dict[str, NDArray[Any]], path: Path) -> tuple[Clip, ...]:
     rows = zip(_names(arrays, path), arrays["frames"], arrays["fps"], strict=True)
     return in_order(Clip(name, 0, int(count), float(rate)) for name, count, rate in rows)
+
+
+def _tell_missed(
+    arrays: dict[str, NDArray[Any]], clips: Sequence[Clip], path: Path, fps: float | None
+) -> None:
+    """Warn of keys between the frames of clips."""
+    for clip, (count, distance, diagonal) in zip(clips, arrays["missed"], strict=False):
+        tell(path, clip, int(count), distance, diagonal, own=fps is None)
 
 
 def _title(arrays: dict[str, NDArray[Any]], path: Path) -> str:
@@ -207,7 +243,8 @@ def _ask_blender(
 ) -> dict[str, NDArray[Any]]:
     """Run an action of ``script.py`` that reads a file, and return the arrays that it writes.
 
-    `job` holds further settings of the action. An error in the script becomes a FormatError.
+    `job` holds further settings of the action. An error in the script becomes a FormatError, and a
+    name of a mesh that there is not an InputError.
     """
     _check_limit(time_limit)
     command(_SCRIPT)  # a missing Blender is reported before a damaged file
@@ -216,8 +253,9 @@ def _ask_blender(
         head = stream.read(64)
     if not head.startswith(_MAGIC[suffix]):
         raise FormatError(f"{path}: not an {suffix} file: {describe(head)}")
-    if isinstance(job.get("meshes"), str):
-        job["meshes"] = [job["meshes"]]
+    meshes = job.get("meshes")
+    if meshes is not None:
+        job["meshes"] = mesh_names(meshes)
     job |= {"action": action, "path": str(path.resolve()), "fps": fps or 24.0}
     job |= {"resample": fps is not None, "max_bytes": max_bytes or MOST_BYTES}
     try:
@@ -226,6 +264,7 @@ def _ask_blender(
         raise
     except SsdrError as error:
         raise FormatError(f"{path}: {error}") from error
+    choose(meshes, json.loads(str(arrays["meshes"])))
     for name in arrays.get("outside", ()):
         _log.warning("%s: texture %s lies outside its folder and is left out", path, name)
     return arrays
@@ -368,12 +407,15 @@ def run(job: dict[str, Any], *, time_limit: float = 600.0) -> dict[str, NDArray[
             raise SsdrError(f"Blender needed more than {time_limit:g} s") from error
         except OSError as error:
             raise MissingDependencyError(f"{words[0]} could not be started: {error}") from error
-        _log.debug("blender: %s", done.stdout)
+        _log.debug("blender: %s%s", done.stdout, done.stderr)
         if done.returncode != 0 or not out.is_file():
-            lines = [line for line in done.stderr.splitlines() if line.strip()]
-            reason = " | ".join(lines[-3:])[-600:]
+            lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
+            reason = (lines or ["it said nothing"])[-1][-600:]  # of a traceback, what it ends in
             if _TOO_OLD in reason or "No module named 'bpy'" in reason:
-                raise MissingDependencyError(f"{words[0]}: {lines[-1]}")
+                raise MissingDependencyError(f"{words[0]}: {reason}")
             raise SsdrError(f"Blender failed ({done.returncode}): {reason}")
         with np.load(out, allow_pickle=False) as archive:
-            return {key: archive[key] for key in archive.files}
+            arrays = {key: archive[key] for key in archive.files}
+        if "error" in arrays:
+            raise SsdrError(readable(arrays["error"]))
+        return arrays

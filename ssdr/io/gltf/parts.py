@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...clips import readable
 from ...errors import FormatError
 from ...normals import unit
 from ...surface import Material
 from ..registry import check, choose
-from ..scene import Bones, Shape, file_weights
+from ..scene import Bones, Shape, facing, file_weights
 from ..signatures import picture_type
 from .animation import Animation, Nodes, descendants
 from .compression import DRACO, decode_mesh
@@ -43,6 +44,8 @@ class PrimitiveGroup:
         For each vertex of the file, its index in `positions`, where copies at seams are merged.
     skin : int or None
         Index of the node's skin.
+    mirrored : bool
+        Whether the node mirrors its mesh, which has no skin, so that `faces` are turned round.
     corners : (T, 3) int
         Vertex of the file at each corner.
     material : (T,) int
@@ -50,6 +53,8 @@ class PrimitiveGroup:
     skeleton, indices, weights, faces, uv, normals
         As in `ScenePart`.
     """
+
+    mirrored = False
 
     def __init__(
         self,
@@ -84,11 +89,12 @@ class PrimitiveGroup:
         uv = self._attribute(_uv_name(document, group), "VEC2")
         normals = self._attribute("NORMAL", "VEC3")
         if self.skin is None:
-            linear = nodes.matrices(node)[0, :3, :3]
-            if np.linalg.det(linear) < 0:
+            linear = nodes.matrices(node)[:, :3, :3]
+            frame, self.mirrored = facing(linear)
+            if self.mirrored:
                 faces = faces[:, ::-1]  # a mirrored node turns triangles inside out
             if normals is not None:
-                normals = normals @ np.linalg.pinv(linear)
+                normals = normals @ np.linalg.pinv(linear[frame])
         self.uv = self.normals = None
         if uv is not None:
             self.uv = (np.array([0, 1]) + uv * [1, -1])[faces].astype(np.float32)
@@ -215,10 +221,15 @@ class PrimitiveGroup:
         return bool(np.abs(self._inverse[:, :3, :3] - np.eye(3)).max() > 1e-6)
 
 
-def _names_of(document: Document, node: dict[str, Any]) -> set[str]:
-    """Names by which the mesh of a node can be chosen: its own and that of the node."""
-    mesh = document.items("meshes")[node["mesh"]]
-    return {str(item["name"]) for item in (mesh, node) if item.get("name")}
+def names_of(document: Document, number: int) -> list[str]:
+    """Names by which the mesh of a node can be chosen: that of the node, then its own.
+
+    If neither has one, the node's number makes one.
+    """
+    node = document.items("nodes")[number]
+    items = node, document.items("meshes")[node["mesh"]]
+    found = [readable(item["name"]) for item in items if item.get("name")]
+    return found or [f"node_{number}"]
 
 
 def read_parts(
@@ -239,7 +250,7 @@ def read_parts(
         coarser = (nodes.items[n].get("extensions", {}).get("MSFT_lod", {}) for n in numbers)
         numbers += [n for some in coarser for n in some.get("ids", ()) if n in nodes.order]
     numbers = [number for number in numbers if "mesh" in nodes.items[number]]
-    names = [_names_of(document, nodes.items[number]) for number in numbers]
+    names = [names_of(document, number) for number in numbers]
     numbers = [numbers[k] for k in choose(meshes, names)]
     skins = {node["skin"] for node in (nodes.items[number] for number in numbers) if "skin" in node}
     nodes.reserve(joint for skin in skins for joint in document.items("skins")[skin]["joints"])

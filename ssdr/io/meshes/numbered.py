@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import logging
 import re
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from ...errors import FormatError, InputError
+from ...errors import FormatError, InputError, SsdrWarning
 from ...sequence import MeshSequence
 from ...space import METRES_Y_UP, UNKNOWN
 from ..registry import SaveReport, check, natural_key, reading
@@ -78,7 +79,8 @@ def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> Sav
     sequence : MeshSequence
     path : Path
         A pattern such as ``folder/frame_%04d.obj``; the folder is made if it is missing. A sequence
-        of one frame may have a plain name.
+        of one frame may have a plain name. Files of these names are overwritten; of others that
+        match the pattern a warning tells.
     start : int
         Number of the first file.
 
@@ -98,6 +100,7 @@ def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> Sav
         path.parent.mkdir(parents=True, exist_ok=True)
     stem = _PRINTF.sub("", path.stem) if several else path.stem
     size, note = 0, ""
+    written: set[str] = set()
     writer = None
     if path.suffix.lower() == ".obj":
         writer = ObjWriter(sequence.faces, sequence.surface, path.parent, stem)
@@ -107,11 +110,23 @@ def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> Sav
         for t, vertices in enumerate(block, k):
             name = _PRINTF.sub(lambda m, t=t: m.group() % (start + t), path.name)  # type: ignore[misc]
             file = path.with_name(name)
+            written.add(name)
             if writer is None:
                 size += write_ply(file, vertices, sequence.faces)
             else:
                 writer.write(file, vertices, first=t == 0)
+    older = sorted({file.name for file in _matching(path)} - written) if several else []
+    if older:
+        text = f"{path}: beside the new files lie {len(older)} older ones of such names"
+        said = f"{text}, as {older[0]}, which readers take for frames"
+        warnings.warn(said, SsdrWarning, stacklevel=2)
     return SaveReport(path=path, bytes=size if writer is None else writer.bytes, note=note)
+
+
+def _matching(path: Path) -> list[Path]:
+    """Files whose names a printf pattern makes of some number."""
+    name = _PRINTF.sub(lambda m: f"[0-9]{{{int(m[1] or 1)},}}", re.escape(path.name))
+    return [f for f in path.parent.glob("*") if re.fullmatch(name, f.name)]
 
 
 def _files(path: Path) -> list[Path]:
@@ -120,8 +135,7 @@ def _files(path: Path) -> list[Path]:
     elif path.exists():
         return [path]
     elif _PRINTF.search(path.name):
-        name = _PRINTF.sub(lambda m: f"[0-9]{{{int(m[1] or 1)},}}", re.escape(path.name))
-        found = [f for f in path.parent.glob("*") if re.fullmatch(name, f.name)]
+        found = _matching(path)
     else:
         found = list(path.parent.glob(path.name))
     found = sorted((f for f in found if not f.is_dir()), key=lambda f: natural_key(f.name))
@@ -136,7 +150,7 @@ def _files(path: Path) -> list[Path]:
 
 
 def _report_gaps(path: Path, files: list[Path]) -> None:
-    """Log a warning if frames are missing, or names differ in more than a number.
+    """Warn if frames are missing, or names differ in more than a number.
 
     Two files with the same number are an error.
     """
@@ -145,7 +159,8 @@ def _report_gaps(path: Path, files: list[Path]) -> None:
     parts = [re.fullmatch(r"(.*?)([0-9]+)([^0-9]*)", f.stem) for f in files]
     if len({m and (m[1], m[3]) for m in parts}) > 1 or parts[0] is None:
         first, last = files[0].name, files[-1].name
-        _log.warning("%s: names differ in more than a number: %s, %s", path, first, last)
+        text = f"{path}: names differ in more than a number: {first}, {last}"
+        warnings.warn(text, SsdrWarning, stacklevel=3)
         return
     numbers = [int(m[2]) for m in parts if m]
     steps = np.diff(numbers)
@@ -153,7 +168,12 @@ def _report_gaps(path: Path, files: list[Path]) -> None:
     check(steps[k] > 0, f"{path}: {files[k].name} and {files[k + 1].name} have the same number")
     gaps = [str(numbers[k]) for k in np.flatnonzero(steps > steps.min())]
     if gaps:
-        _log.warning("%s: frames are missing after %s", path, ", ".join(gaps[:8]))
+        count = (numbers[-1] - numbers[0]) // int(steps.min()) + 1 - len(numbers)
+        text = (
+            f"{path}: {count} frames are missing, after {', '.join(gaps[:8])}: those after them "
+            "are read as the next, and play too early"
+        )
+        warnings.warn(text, SsdrWarning, stacklevel=3)
 
 
 def _name(path: Path) -> str:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import collections
 import dataclasses
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,10 @@ from ...skinning import Skinning
 from ...space import Space
 from ..registry import check, choose, pick_clip, reading
 from ..rig import frame_rate
-from ..scene import Sample, SceneBudget, join_sequence, join_skinning
+from ..sampling import Missed, Sample, off_frames
+from ..scene import SceneBudget, join_sequence, join_skinning
 from .materials import read_materials
+from .package import unpacked
 from .parts import JointPoints, MeshPrim
 from .stage import open_stage
 
@@ -62,6 +65,8 @@ class StageReader:
 
     Attributes
     ----------
+    file : Path
+        The root layer; for a package, where it is unpacked while the reader lives.
     name : str
         Name of the default prim or, if there is none, of the file.
     clips : list of StageClip
@@ -83,7 +88,8 @@ class StageReader:
     ) -> None:
         self.path = path
         self._wanted = meshes
-        self.stage = open_stage(path)
+        self.file = unpacked(path, self) if path.suffix.lower() == ".usdz" else path
+        self.stage = open_stage(self.file)
         root = self.stage.GetDefaultPrim()
         self.name = str(root.GetName()) if root else path.stem
         self.clips = self._find_clips()
@@ -173,16 +179,24 @@ class StageReader:
                 skeleton = cache.GetSkelQuery(binding.GetSkeleton())
                 for query in binding.GetSkinningTargets():
                     bound.setdefault(str(query.GetPrim().GetPath()), (skeleton, query))
-        shown = [prim for prim in prims if prim.IsA(UsdGeom.Mesh) and self._is_shown(prim)]
-        names = [str(prim.GetPath()).split("/")[1:] for prim in shown]
+        shown = self._shown(prims)
+        above = [str(prim.GetPath()).split("/")[1:] for prim in shown]
+        names = [{own, *some} for own, some in zip(_names(shown), above, strict=True)]
         places = [shown[k] for k in choose(self._wanted, names)]
         self._spend(places)
         meshes = [MeshPrim(self.path, p, *bound.get(str(p.GetPath()), ())) for p in places]
         if not meshes and joints_alone:
             meshes = [JointPoints(self.path, skeleton) for skeleton in skeletons]
         check(meshes, "no visible mesh")
-        rate, codes = self._clock(meshes, clip, fps)
-        return Sample(Clip(clip.name, 0, len(codes), rate), meshes, codes)
+        rate, codes, missed = self._clock(meshes, clip, fps)
+        return Sample(Clip(clip.name, 0, len(codes), rate), meshes, codes, missed)
+
+    def mesh_names(self) -> tuple[str, ...]:
+        """Names of the visible meshes; where two are equal, their paths."""
+        return _names(self._shown(Usd.PrimRange(self.stage.GetPseudoRoot(), _ALL)))
+
+    def _shown(self, prims: Iterable[Any]) -> list[Any]:
+        return [prim for prim in prims if prim.IsA(UsdGeom.Mesh) and self._is_shown(prim)]
 
     def _spend(self, prims: Sequence[Any]) -> None:
         """Spend what the arrays of meshes take, before they are made: many may share a few points.
@@ -208,31 +222,52 @@ class StageReader:
 
     def _clock(
         self, meshes: list[MeshPrim], clip: StageClip, fps: float | None
-    ) -> tuple[float, NDArray[np.float64]]:
-        """Frames per second of a clip, and the time code (F,) of each frame."""
+    ) -> tuple[float, NDArray[np.float64], Missed]:
+        """Frames per second of a clip, the time code (F,) of each frame, and samples between."""
         stage = self.stage
         tempo = float(stage.GetTimeCodesPerSecond())
         check(0 < tempo < math.inf, f"timeCodesPerSecond is {tempo}")
         stamps = np.unique(np.concatenate([np.zeros(0), *(mesh.stamps() for mesh in meshes)]))
         if clip.clock is not None and fps in (None, clip.clock[0]):
             rate, first, count = clip.clock
+            stamps = stamps[(stamps >= first) & (stamps <= first + count * tempo / rate)]
         else:
             first, last = (float(stamps[0]), float(stamps[-1])) if len(stamps) else (0.0, 0.0)
             if clip.bound and stage.HasAuthoredTimeCodeRange():
                 first, last = float(stage.GetStartTimeCode()), float(stage.GetEndTimeCode())
             usable = -math.inf < first <= last < math.inf
             check(usable, f"the time codes run from {first} to {last}")
-            ticks = stamps - first
-            on_codes = not len(stamps) or np.abs(ticks - np.rint(ticks)).max() < 0.01
+            stamps = stamps[(stamps >= first) & (stamps <= last)]
+            on_codes = not len(off_frames(stamps, first, 1.0))
             rate = fps or (None if on_codes else frame_rate(stamps / tempo)) or tempo
-            count = math.floor(min((last - first) / tempo * rate, 1e15) + 1e-3) + 1
+            ticks = min((last - first) / tempo * rate, 1e15)
+            count = math.floor(ticks + 1e-3) + 1
+            if fps is None and len(off_frames(stamps, first, rate / tempo)):
+                count = math.ceil(ticks - 0.01) + 1  # the last frame holds the last sample
         n_vertices = sum(mesh.n_points for mesh in meshes)
         n_bones = sum(mesh.n_bones for mesh in meshes)
         self.budget.spend(
             count * (12.0 * n_vertices + 96.0 * n_bones),
             f"{count} frames of {n_vertices} vertices and {n_bones} bones",
         )
-        return rate, np.asarray(first + np.arange(count) * (tempo / rate), dtype=np.float64)
+        codes = np.asarray(first + np.arange(count) * (tempo / rate), dtype=np.float64)
+        missed = Missed(
+            path=self.path,
+            times=off_frames(stamps, first, rate / tempo, count),
+            first=first,
+            rate=rate / tempo,
+            own=fps is None,
+            at=np.asarray,
+        )
+        return rate, codes, missed
+
+
+def _names(prims: Sequence[Any]) -> tuple[str, ...]:
+    """Name of each prim; its path if another has the same name."""
+    count = collections.Counter(str(prim.GetName()) for prim in prims)
+    return tuple(
+        str(prim.GetName() if count[str(prim.GetName())] == 1 else prim.GetPath()) for prim in prims
+    )
 
 
 def read(
@@ -277,7 +312,7 @@ def read(
         reader = StageReader(path, max_bytes, meshes)
         index = pick_clip([one.name for one in reader.clips], clip, path)
         sample = reader.sample(reader.clips[index], fps)
-        materials = read_materials(path, sample.parts)
+        materials = read_materials(reader.file, sample.parts)
         return join_sequence(sample, materials, reader.name, reader.space)
 
 
@@ -286,6 +321,12 @@ def list_clips(path: Path, *, fps: float | None = None) -> tuple[Clip, ...]:
     with reading(path):
         reader = StageReader(path)
         return in_order(reader.sample(clip, fps).clip for clip in reader.clips)
+
+
+def list_meshes(path: Path) -> tuple[str, ...]:
+    """Names of the visible meshes."""
+    with reading(path):
+        return StageReader(path).mesh_names()
 
 
 def read_skinning(
@@ -319,5 +360,5 @@ def read_skinning(
     with reading(path, "meshes"):
         reader = StageReader(path, max_bytes, meshes)
         samples = [reader.sample(clip, fps, joints_alone) for clip in reader.clips]
-        materials = read_materials(path, samples[0].parts)
+        materials = read_materials(reader.file, samples[0].parts)
         return join_skinning(samples, materials, reader.name, reader.space)

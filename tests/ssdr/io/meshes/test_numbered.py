@@ -30,13 +30,12 @@ def test_numbered_meshes_go_round(tmp_path, wave, rng, suffix, dtype):
         ssdr.save(sequence, tmp_path / f"all.{suffix}")
 
 
-def test_files_come_in_natural_order_and_gaps_are_told(tmp_path, caplog):
+def test_files_come_in_natural_order_and_gaps_are_told(tmp_path):
     for number in (1, 2, 10, 11, 9):
         (tmp_path / f"m{number}.obj").write_text(f"v {number} 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    with caplog.at_level(logging.WARNING, "ssdr"):
+    with pytest.warns(ssdr.SsdrWarning, match="6 frames are missing, after 2: those after"):
         sequence = ssdr.load(tmp_path)
     assert sequence.vertices[:, 0, 0].tolist() == [1, 2, 9, 10, 11]
-    assert "frames are missing after 2" in caplog.text
     assert ssdr.load(tmp_path / "m%02d.obj").n_frames == 2
     (tmp_path / "m01.obj").write_text("v 1 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     with pytest.raises(FormatError, match="have the same number"):
@@ -44,6 +43,16 @@ def test_files_come_in_natural_order_and_gaps_are_told(tmp_path, caplog):
     (tmp_path / "m3.stl").write_text("")
     with pytest.raises(FormatError, match=r"files of \.obj, \.stl"):
         ssdr.load(tmp_path)
+
+
+@pytest.mark.parametrize("suffix", ["obj", "ply"])
+def test_frames_of_a_longer_animation_that_are_left_are_told(tmp_path, wave, suffix):
+    path = tmp_path / f"f_%03d.{suffix}"
+    ssdr.save(wave, path)
+    ssdr.save(wave, path)  # all of them overwritten
+    shorter = MeshSequence(wave.vertices[:2], wave.faces)
+    with pytest.warns(ssdr.SsdrWarning, match=f"lie 2 older ones of such names, as f_002.{suffix}"):
+        ssdr.save(shorter, path)
 
 
 def test_topology_must_agree(tmp_path):

@@ -9,6 +9,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 import ssdr
 from helpers.rig_model import baked_by_usd, largest_distance, tube
 from helpers.rig_tree import creature
+from ssdr import cli
 
 pytest.importorskip("pxr.UsdSkel", reason="usd-core is not installed")
 
@@ -18,6 +19,28 @@ def test_sampling_and_fps(tmp_path):
     twice = ssdr.load(tmp_path / "a.usdc", fps=48)
     assert (twice.n_frames, twice.fps) == (21, 48)
     assert largest_distance(twice.vertices[::2], tube(frames=11).skin()) < 1e-6
+
+
+@pytest.mark.parametrize("read", [ssdr.load, ssdr.load_skinning])
+def test_irregular_samples_are_sampled_and_what_that_loses_is_said(tmp_path, read):
+    codes = [0, 0.31, 1.2, 1.94, 4.8, 7.92, 9.65, 12.24, 18.4, 22.41]
+    stage = Usd.Stage.CreateNew(str(tmp_path / "a.usda"))
+    stage.SetTimeCodesPerSecond(24)
+    mesh = UsdGeom.Mesh.Define(stage, "/m")
+    mesh.CreatePointsAttr([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
+    mesh.CreateFaceVertexCountsAttr([3])
+    mesh.CreateFaceVertexIndicesAttr([0, 1, 2])
+    x = np.sin(np.array(codes) * 0.4)
+    moved = mesh.AddTranslateOp()
+    for code, value in zip(codes, x.tolist(), strict=True):
+        moved.Set(Gf.Vec3d(value, 0, 0), code)
+    stage.GetRootLayer().Save()
+    frames = np.arange(24)
+    worst = np.abs(np.interp(codes, frames, np.interp(frames, codes, x)) - x).max()
+    with pytest.warns(ssdr.SsdrWarning, match=rf"9 keys .* are up to {worst:.3g} \("):
+        thing = read(tmp_path / "a.usda")
+    assert (thing.fps, thing.n_frames) == (24, 24)
+    read(tmp_path / "a.usda", fps=24)
 
 
 def test_polygons_transforms_and_primvars(tmp_path):
@@ -203,6 +226,38 @@ def test_meshes_are_chosen_by_name(tmp_path):
     assert ssdr.load_skinning(path, meshes="body").rest[:, 0].tolist() == [1, 1, 1]
     with pytest.raises(ssdr.InputError, match=r"meshes: .*SkirtShape.*'trousers'"):
         ssdr.load(path, meshes="trousers")
+    assert ssdr.io.list_meshes(path) == ("SkirtShape", "Shape")
+    stage = Usd.Stage.Open(str(path))
+    Sdf.CopySpec(stage.GetRootLayer(), "/body/Shape", stage.GetRootLayer(), "/skirt/Shape")
+    stage.GetRootLayer().Save()
+    assert ssdr.io.list_meshes(path) == ("SkirtShape", "/skirt/Shape", "/body/Shape")
+    assert ssdr.load(path, meshes="Shape").n_vertices == 6
+    assert ssdr.load(path, meshes="/skirt/Shape").n_vertices == 3
+
+
+@pytest.mark.parametrize("target", ["b.usda", "b.glb"])
+def test_a_chosen_mesh_becomes_a_model_and_the_rest_is_said(tmp_path, target, capsys):
+    stage = Usd.Stage.CreateNew(str(tmp_path / "a.usda"))
+    UsdGeom.Xform.Define(stage, "/top")
+    for name in ("hat", "coat"):
+        mesh = UsdGeom.Mesh.Define(stage, f"/top/{name}")
+        mesh.CreatePointsAttr([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
+        mesh.CreateFaceVertexCountsAttr([3])
+        mesh.CreateFaceVertexIndicesAttr([0, 1, 2])
+        moved = mesh.AddTranslateOp()
+        for code in range(3):
+            moved.Set(Gf.Vec3d(code, 0, 0), code)
+    stage.GetRootLayer().Save()
+    line = ["decompose", str(tmp_path / "a.usda"), "-b", "1", "-e", "fast"]
+    line += ["-o", str(tmp_path / target)]
+    assert cli.main([*line, "--read", "meshes=hat"]) == 0
+    model = ssdr.load_skinning(tmp_path / target, meshes="hat" if target == "b.usda" else None)
+    assert model.n_vertices == 3
+    capsys.readouterr()
+    assert cli.main([*line, "--read", "meshes=shoe"]) == 2
+    assert "meshes: expected one of ['coat', 'hat', 'top'], got 'shoe'" in capsys.readouterr().err
+    assert cli.main(["info", str(tmp_path / "a.usda")]) == 0
+    assert "meshes=NAME takes one): hat, coat" in capsys.readouterr().out
 
 
 def _many_of_one(path):
