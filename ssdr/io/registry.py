@@ -151,7 +151,7 @@ FORMATS: dict[str, Format] = {
     ".usd": _USD,
     ".usda": _USD,
     ".usdc": _USD,
-    ".abc": _format("Alembic", "blender", blender__bridge="read"),
+    ".abc": _format("Alembic", "alembic", alembic__reader="read", alembic__writer="write_sequence"),
     ".fbx": _format(
         "FBX", "blender", METRES_Y_UP, blender__bridge=f"{_READS} write_skinning left_out"
     ),

@@ -159,6 +159,16 @@ def file_weights(
     return used, weights / total
 
 
+def facing(linear: NDArray[np.floating]) -> tuple[int, bool]:
+    """First frame in which matrices (F, 3, 3) turn a mesh as in most frames; whether they mirror.
+
+    A mesh that grows from size 0 has no side to see in its first frame.
+    """
+    signs = np.sign(np.linalg.det(linear))
+    mirrored = bool(signs.sum() < 0)
+    return int(np.argmax(signs == (-1 if mirrored else 1))), mirrored
+
+
 def part_starts(parts: Sequence[ScenePart]) -> NDArray[np.int64]:
     """Index of each part's first vertex in the joined vertices; the last entry is their number."""
     return np.cumsum([0, *(len(part.indices) for part in parts)])

@@ -1,0 +1,192 @@
+"""Reading of Alembic: by alembic3d in a process of its own or, without it, by Blender."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import logging
+import os
+import sys
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...clips import Clip, readable
+from ...errors import FormatError, InputError, MissingDependencyError, SsdrError, SsdrWarning
+from ...sequence import MeshSequence
+from ...space import UNKNOWN
+from ...surface import Material
+from ..process import run_script
+from ..registry import check, choose, reading
+from ..scene import Sample, SceneBudget, join_sequence
+from ..spaces import with_space
+from .clock import Frames, archive_clocks, check_kind, choose_frames
+from .parts import CacheMesh, Transforms
+
+_log = logging.getLogger(__name__)
+_SCRIPT = Path(__file__).with_name("archive.py")
+_REFUSED = "Refused: "  # precedes the text of an error of archive.py itself
+
+
+def read(
+    path: Path,
+    *,
+    fps: float | None = None,
+    meshes: str | Sequence[str] | None = None,
+    time_limit: float = 600.0,
+    max_bytes: int | None = None,
+) -> MeshSequence:
+    """Read all meshes that are shown, in world space, at the times that the file states.
+
+    Without alembic3d, Blender reads the file. Between two samples, vertices and transforms move on
+    straight lines.
+
+    Parameters
+    ----------
+    path : Path
+    fps : float, optional
+        Frames per second at which to sample. By default each sample is a frame; if the samples
+        have no common rate, there are frames at about that of most of them, at 24 a second at
+        least, and a warning states the largest distance that this makes.
+    meshes : str or several of them, optional
+        Names of the meshes to read, or of objects above them; all by default.
+    time_limit : float
+        Seconds after which reading is stopped.
+    max_bytes : int, optional
+        Most memory that reading may take; by default 1000 times the size of the file, but at
+        least 1 GiB and at most 16 GiB. For Blender, the vertices of all frames, and 16 GiB.
+
+    Returns
+    -------
+    MeshSequence
+        Vertices in float32, as in the file, which states neither unit nor up axis; meshes are
+        sorted by the names of the objects above them. Each polygon is cut into a fan of triangles.
+        Materials are the file's sets of faces, of which it states the names alone.
+
+    Raises
+    ------
+    FormatError
+        If the file is damaged or holds no mesh that is shown, or the topology of a mesh changes.
+    InputError
+        If there is no such mesh.
+    MissingDependencyError
+        If there is neither alembic3d nor Blender.
+    """
+    with reading(path, "meshes", "time_limit"):
+        with path.open("rb") as stream:
+            check_kind(stream.read(16))
+        if not _installed():
+            return _through_blender(path, fps, meshes, time_limit, max_bytes)
+        budget = SceneBudget(path, path.stat().st_size, max_bytes)
+        found, arrays = _read_archive(path, meshes, time_limit, budget.most)
+        names = [[readable(name) for name in one] for one in found["names"]]
+        check(names, "no mesh that is shown")
+        choose(meshes, names)
+        for hidden in found["hidden"]:
+            _log.info("%s: %s is not shown and left out", path, readable(hidden))
+        materials: list[str] = []
+        nodes = Transforms(found["transforms"], arrays)
+        parts = [CacheMesh(one, arrays, nodes, materials) for one in found["meshes"]]
+        # as Blender names and sorts objects
+        parts = sorted((p for p in parts if p.n_points), key=lambda part: part.names[-2:][0])
+        check(parts, "no mesh with vertices")
+        frames = choose_frames([times for part in parts for times in part.clocks], fps)
+        n_vertices = sum(part.n_points for part in parts)
+        budget.spend(
+            frames.count * (12.0 * n_vertices + 256.0 * len(parts)),
+            f"{frames.count} frames of {n_vertices} vertices",
+        )
+        budget.spend(12.0 * len(frames.between) * n_vertices, "the samples between frames")
+        name = parts[0].names[-2:][0] if len(parts) == 1 else path.stem
+        surfaces = [Material(name=one) for one in materials]
+        sample = Sample(Clip(path.stem, 0, frames.count, frames.rate), parts, frames.times)
+        sequence = join_sequence(sample, surfaces, name, UNKNOWN)
+        if len(frames.between):
+            error = _error(sequence, sample, frames)
+            share = 100 * error / (sequence.diagonal() or 1.0)
+            _report(
+                path, frames, fps, f", missed by up to {error:.3g} ({share:.2g} % of the diagonal)"
+            )
+        return sequence
+
+
+def _installed() -> bool:
+    return importlib.util.find_spec("alembic3d") is not None
+
+
+def _read_archive(
+    path: Path, meshes: str | Sequence[str] | None, time_limit: float, max_bytes: int
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Records and arrays that ``archive.py`` finds in a file."""
+    wanted = [meshes] if isinstance(meshes, str) else meshes and list(meshes)
+    job = {"path": str(path.resolve()), "meshes": wanted, "max_bytes": max_bytes}
+    # what can be imported here can be imported there
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+
+    def words(order: str) -> list[str]:
+        return [sys.executable, "-P", str(_SCRIPT), order]
+
+    try:
+        arrays = run_script(
+            words, job, who="alembic3d", environment=environment, time_limit=time_limit
+        )
+    except (InputError, MissingDependencyError):
+        raise
+    except SsdrError as error:
+        text = str(error)
+        if " failed (" in text and _REFUSED not in text:
+            raise ValueError(text.split(" | ")[-1]) from error  # what the library says
+        raise FormatError(text.split(_REFUSED)[-1]) from error
+    return json.loads(str(arrays.pop("found"))), arrays
+
+
+def _error(sequence: MeshSequence, sample: Sample, frames: Frames) -> float:
+    """Largest distance of a vertex at the samples between frames from the line between these."""
+    clip = Clip("", 0, len(frames.between))
+    truth = join_sequence(Sample(clip, sample.parts, frames.between), [], "", UNKNOWN).vertices
+    place = (frames.between - frames.first) * frames.rate
+    largest = 0.0
+    for own, at in zip(truth, np.minimum(place, frames.count - 1), strict=True):
+        left = min(int(at), max(0, frames.count - 2))
+        before, after = sequence.vertices[[left, min(left + 1, frames.count - 1)]]
+        line = before + np.float32(at - left) * (after - before)
+        largest = max(largest, float(np.linalg.norm(own - line, axis=1).max()))
+    return largest
+
+
+def _report(path: Path, frames: Frames, fps: float | None, off: str = "") -> None:
+    """Say how many samples lie between frames: a warning, or the log if the caller chose `fps`."""
+    text = (
+        f"{path}: sampled at {frames.rate:g} frames per second; {len(frames.between)} of its "
+        f"{frames.samples} samples lie between these{off}"
+    )
+    if fps is None:
+        warnings.warn(f"{text}; fps= samples otherwise", SsdrWarning, stacklevel=2)
+    else:
+        _log.info("%s", text)
+
+
+def _through_blender(
+    path: Path,
+    fps: float | None,
+    meshes: str | Sequence[str] | None,
+    time_limit: float,
+    max_bytes: int | None,
+) -> MeshSequence:
+    from ..blender.bridge import ask_blender, sequence_of
+
+    frames = choose_frames(archive_clocks(path), fps)
+    clock = (frames.first, frames.rate, frames.count)
+    job: dict[str, Any] = {"meshes": meshes, "clock": clock}
+    try:
+        arrays = ask_blender("read", path, frames.rate, time_limit, max_bytes, **job)
+    except MissingDependencyError as error:
+        raise MissingDependencyError(
+            f'Alembic needs the package alembic3d: pip install "ssdr[alembic]". Without it, {error}'
+        ) from error
+    if len(frames.between):
+        _report(path, frames, fps)
+    return with_space(sequence_of(arrays, path, path.stem), UNKNOWN)
