@@ -8,21 +8,22 @@ points, the float32 time of each sample, then the points of each sample as float
 
 from __future__ import annotations
 
-import logging
+import dataclasses
+import math
 import struct
+import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ..errors import SsdrWarning
 from ..sequence import MeshSequence
 from .atomic import atomic_path
 from .companion import over_mesh
 from .registry import SaveReport, check, reading, seconds, written_vertices
 from .signatures import describe
 from .storage import StorageError
-
-_log = logging.getLogger(__name__)
 
 _PC2 = struct.Struct("<12siiffi")
 _MDD = struct.Struct(">ii")
@@ -37,8 +38,9 @@ def read(
     ----------
     path : Path
     fps : float, optional
-        Frames per second. By default those that the times in an MDD cache imply. A PC2 cache has no
-        times; for it the default is the rate of the mesh, or 24 if that states none.
+        Samples per second. By default those that the times in an MDD cache imply. A PC2 cache has
+        no times, only frames per sample; for it the default is the rate of the mesh, or 24 if that
+        states none, divided by these.
     mesh : path, MeshSequence, (T, 3) int array or "none", optional
         Mesh that the cache deforms, or its faces; by default the mesh file of the same stem in the
         same folder. "none" makes a point cloud.
@@ -54,10 +56,11 @@ def read(
     layout = _PC2 if path.suffix.lower() == ".pc2" else _MDD
     with reading(path), path.open("rb") as stream:
         head = stream.read(layout.size)
-        known = layout is _MDD or head.startswith(b"POINTCACHE2\0")
+        step, known = 1.0, layout is _MDD or head.startswith(b"POINTCACHE2\0")
         check(known and len(head) == layout.size, f"not such a cache: {describe(head)}")
         if layout is _PC2:
-            _, version, points, _, _, samples = layout.unpack(head)
+            _, version, points, _, step, samples = layout.unpack(head)
+            step = step if 0 < step < math.inf else 1.0
             start, kind = layout.size, "<f4"
             check(version == 1, f"PC2 of version {version}; 1 is known")
         else:
@@ -75,7 +78,10 @@ def read(
         else:
             flat = np.fromfile(path, dtype=kind, offset=start)
             vertices = flat.reshape(shape).astype(np.float32, copy=False)
-    return over_mesh(vertices, path, mesh, "mesh", fps)
+    sequence = over_mesh(vertices, path, mesh, "mesh", fps)
+    if fps or step == 1:
+        return sequence
+    return dataclasses.replace(sequence, fps=sequence.fps / step, validate=False)
 
 
 def write_sequence(sequence: MeshSequence, path: Path, *, unweld: bool = False) -> SaveReport:
@@ -119,5 +125,11 @@ def _rate(path: Path, times: np.ndarray[Any, Any]) -> float | None:
     check(increasing, "its times are not increasing numbers")
     mean, least, most = float(steps.mean()), float(steps.min()), float(steps.max())
     if max(mean - least, most - mean) > 0.01 * mean:
-        _log.warning("%s: uneven times, %g to %g s apart, are taken as even", path, least, most)
+        off = np.abs(times - times[0] - mean * np.arange(len(times))).max()
+        warnings.warn(
+            f"{path}: uneven times, {least:g} to {most:g} s apart, are taken as even: "
+            f"frames play up to {off:.2g} s from their times",
+            SsdrWarning,
+            stacklevel=3,
+        )
     return round(1 / mean, 3) or 1 / mean  # the times are float32, in which 1/24 s gives 23.9999996

@@ -30,6 +30,7 @@ from ..quantisation import WeightStorage, quantise, weight_values
 from ..rigid import matrix_from_quaternion, quaternion_from_matrix, slerp, unflip_quaternions
 from ..skinning import Skinning, skin
 from .registry import SaveReport
+from .sampling import off_frames
 from .storage import StorageError, frame_blocks
 from .tables import weight_rows
 
@@ -311,7 +312,9 @@ def frame_rate(stamps: NDArray[np.float64]) -> float | None:
     alike = np.abs(gaps / np.median(gaps) - 1) < 0.01
     common = _near_whole(1 / float(gaps[alike].mean())) if alike.mean() > 0.75 else None
     for rate in (closest, common, *_RATES):
-        if rate and 10 <= rate <= 1000 and (rate == common or not off_frames(stamps, rate)):
+        if not rate or not 10 <= rate <= 1000:
+            continue
+        if rate == common or not len(off_frames(stamps, float(stamps[0]), rate)):
             return rate
     return None
 
@@ -319,9 +322,3 @@ def frame_rate(stamps: NDArray[np.float64]) -> float | None:
 def _near_whole(rate: float) -> float:
     nearest = float(round(rate))
     return nearest if nearest and abs(rate - nearest) < 1e-4 * nearest else rate
-
-
-def off_frames(stamps: NDArray[np.float64], fps: float) -> int:
-    """Number of ascending times (in seconds) that lie between frames, counted from the first."""
-    ticks = (stamps - stamps[0]) * fps
-    return int((np.abs(ticks - np.rint(ticks)) >= 0.01).sum())

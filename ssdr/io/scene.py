@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..clips import Clip, in_order, unique_names
+from ..clips import in_order, unique_names
 from ..errors import InputError
 from ..lbs import skin
 from ..normals import corner_normals
@@ -21,6 +21,7 @@ from ..space import Space
 from ..surface import Material, Surface
 from .budget import MOST_BYTES, afford
 from .registry import check
+from .sampling import Sample
 from .storage import frame_blocks
 
 _log = logging.getLogger(__name__)
@@ -103,24 +104,6 @@ class ScenePart(Protocol):
     def shape(self, time: Any, /) -> Shape: ...
     def transforms(self, time: Any, /) -> NDArray[np.float64]: ...
     def bones(self, transforms: NDArray[np.float64], /) -> Bones: ...
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Sample:
-    """One clip of a scene, with the parts to show in it.
-
-    Attributes
-    ----------
-    clip : Clip
-    parts : sequence of ScenePart
-        The same parts in every clip of a file.
-    time : object
-        Frames of the clip, in the form that the parts of this file format take.
-    """
-
-    clip: Clip
-    parts: Sequence[Any]
-    time: Any
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -219,21 +202,29 @@ def join_sequence(
 ) -> MeshSequence:
     """Sequence called `name` of the skinned vertices of all parts in the frames of one clip."""
     clip, parts = sample.clip, sample.parts
-    starts = part_starts(parts)
-    frames = np.empty((clip.n_frames, starts[-1], 3), dtype=np.float32)
+    frames = vertices_of(parts, sample.time, clip.n_frames)
     shapes = [part.shape(sample.time) for part in parts]
-    for part, start, shape in zip(parts, starts[:-1], shapes, strict=True):
-        out, moved = frames[:, start : start + len(part.indices)], part.transforms(sample.time)
-        blocks = frame_blocks(0, clip.n_frames, out.shape[1])
-        if callable(shape):
-            blocks = (slice(k, k + 1) for k in range(clip.n_frames))
-        for block in blocks:
-            rest = shape(block.start) if callable(shape) else shape
-            out[block] = skin(rest, part.indices, part.weights, moved[block], dtype=np.float64)
     rest_poses = [shape(0) if callable(shape) else shape for shape in shapes]
     surface = _join_surface(parts, rest_poses, materials)
     named: dict[str, Any] = {"name": name, "clip": clip.name, "surface": surface, "space": space}
+    sample.tell_missed(vertices_of)
     return MeshSequence(frames, join_faces(parts), clip.fps, **named)
+
+
+def vertices_of(parts: Sequence[ScenePart], time: Any, n_frames: int) -> NDArray[np.float32]:
+    """Skinned vertices (F, V, 3) of all parts at the `n_frames` frames of `time`."""
+    starts = part_starts(parts)
+    frames = np.empty((n_frames, starts[-1], 3), dtype=np.float32)
+    for part, start in zip(parts, starts[:-1], strict=True):
+        shape, moved = part.shape(time), part.transforms(time)
+        out = frames[:, start : start + len(part.indices)]
+        blocks = frame_blocks(0, n_frames, out.shape[1])
+        if callable(shape):
+            blocks = (slice(k, k + 1) for k in range(n_frames))
+        for block in blocks:
+            rest = shape(block.start) if callable(shape) else shape
+            out[block] = skin(rest, part.indices, part.weights, moved[block], dtype=np.float64)
+    return frames
 
 
 def join_skinning(
@@ -275,6 +266,8 @@ def join_skinning(
         np.concatenate([one.joint_positions for one in found]),
         np.concatenate([one.transforms for one in found], axis=1),
     )
+    for one in samples:
+        one.tell_missed(vertices_of)
     return make_skinning(
         np.concatenate(rest),
         np.concatenate([widened(part, part.indices + first[part.skeleton]) for part in parts]),

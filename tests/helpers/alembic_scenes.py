@@ -97,6 +97,7 @@ SCENES = {
     "parents": "fresh(24); e = empty('top'); move(e); f = empty('f', e); f.scale = (1, 2, 0.5); "
     "move(f); grid('low', parent=f); grid('high', parent=e, wave=False)",
     "stretched": "fresh(24); i = grid('a'); i.scale = (3, 1, 2); i.rotation_euler = (0.2, 0.1, 0)",
+    "mirrored": "fresh(24); i = grid('a'); i.scale = (-1, 1, 2); i.rotation_euler = (0.2, 0.1, 0)",
     "flat": "fresh(24); e = empty('top'); move(e); grid('a', parent=e); save(NAME, flatten=True)",
     "subdivision": "fresh(24); i = grid('a'); i.modifiers.new('s', 'SUBSURF'); "
     "save(NAME, subdiv_schema=True)",

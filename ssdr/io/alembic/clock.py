@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import struct
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from ...errors import FormatError
 from ..registry import check
-from ..rig import off_frames
+from ..sampling import off_frames
 from ..signatures import describe
 
 _DEFAULT_RATE = 24.0
@@ -25,14 +26,13 @@ _DATA = 1 << 63  # bit of an address in Ogawa that tells data from a group
 class Frames:
     """Frames at which a cache is read: `count` from the time `first` (s) on, `rate` a second.
 
-    `between` (N,) are the times of samples that lie between frames, out of `samples`.
+    `missed` (N,) are the times of samples that lie on no frame.
     """
 
     first: float
     rate: float
     count: int
-    between: NDArray[np.float64]
-    samples: int
+    missed: NDArray[np.float64]
 
     @property
     def times(self) -> NDArray[np.float64]:
@@ -76,17 +76,16 @@ def choose_frames(clocks: Iterable[NDArray[np.float64]], fps: float | None) -> F
     # equal times of two objects may differ by their rounding
     stamps = stamps[np.diff(stamps, prepend=-np.inf) > 1e-6]
     if len(stamps) < 2:
-        return Frames(float(stamps[0]), fps or _DEFAULT_RATE, 1, stamps[:0], 1)
-    span, gaps = float(stamps[-1] - stamps[0]), np.diff(stamps)
+        return Frames(float(stamps[0]), fps or _DEFAULT_RATE, 1, stamps[:0])
+    first, span, gaps = float(stamps[0]), float(np.ptp(stamps)), np.diff(stamps)
     ticks = round(span / float(gaps.min()))
     rate = fps or usual_rate(ticks / span)
-    if fps is None and (ticks >= 4 * len(stamps) or off_frames(stamps, rate)):
+    if fps is None and (ticks >= 4 * len(stamps) or len(off_frames(stamps, first, rate))):
         rate = max(_DEFAULT_RATE, usual_rate(1 / float(np.median(gaps))))
-    steps = (stamps - stamps[0]) * rate
-    between = stamps[np.abs(steps - np.rint(steps)) >= 0.01]
+    last = span * rate
     # without fps=, the last frame holds the last sample
-    last = steps[-1] + 1e-3 if fps else np.ceil(steps[-1] - 0.01)
-    return Frames(float(stamps[0]), rate, int(min(last, 1e15)) + 1, between, len(stamps))
+    count = int(min(last + 1e-3 if fps else math.ceil(last - 0.01), 1e15)) + 1
+    return Frames(first, rate, count, off_frames(stamps, first, rate, count))
 
 
 def usual_rate(rate: float) -> float:

@@ -7,23 +7,21 @@ import json
 import logging
 import os
 import sys
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ...clips import Clip, readable
-from ...errors import FormatError, InputError, MissingDependencyError, SsdrError, SsdrWarning
+from ...errors import FormatError, InputError, MissingDependencyError, SsdrError
 from ...sequence import MeshSequence
 from ...space import UNKNOWN
 from ...surface import Material
 from ..process import run_script
 from ..registry import check, choose, reading
-from ..scene import Sample, SceneBudget, join_sequence
+from ..sampling import Missed, Sample
+from ..scene import SceneBudget, join_sequence
 from ..spaces import with_space
-from .clock import Frames, archive_clocks, check_kind, choose_frames
+from .clock import archive_clocks, check_kind, choose_frames
 from .parts import CacheMesh, Transforms
 
 _log = logging.getLogger(__name__)
@@ -99,18 +97,19 @@ def read(
             frames.count * (12.0 * n_vertices + 256.0 * len(parts)),
             f"{frames.count} frames of {n_vertices} vertices",
         )
-        budget.spend(12.0 * len(frames.between) * n_vertices, "the samples between frames")
         name = parts[0].names[-2:][0] if len(parts) == 1 else path.stem
         surfaces = [Material(name=one) for one in materials]
-        sample = Sample(Clip(path.stem, 0, frames.count, frames.rate), parts, frames.times)
-        sequence = join_sequence(sample, surfaces, name, UNKNOWN)
-        if len(frames.between):
-            error = _error(sequence, sample, frames)
-            share = 100 * error / (sequence.diagonal() or 1.0)
-            _report(
-                path, frames, fps, f", missed by up to {error:.3g} ({share:.2g} % of the diagonal)"
-            )
-        return sequence
+        missed = Missed(
+            path=path,
+            times=frames.missed,
+            first=frames.first,
+            rate=frames.rate,
+            own=fps is None,
+            at=lambda times: times,
+        )
+        clip = Clip(path.stem, 0, frames.count, frames.rate)
+        sample = Sample(clip, parts, frames.times, missed)
+        return join_sequence(sample, surfaces, name, UNKNOWN)
 
 
 def _installed() -> bool:
@@ -143,32 +142,6 @@ def _read_archive(
     return json.loads(str(arrays.pop("found"))), arrays
 
 
-def _error(sequence: MeshSequence, sample: Sample, frames: Frames) -> float:
-    """Largest distance of a vertex at the samples between frames from the line between these."""
-    clip = Clip("", 0, len(frames.between))
-    truth = join_sequence(Sample(clip, sample.parts, frames.between), [], "", UNKNOWN).vertices
-    place = (frames.between - frames.first) * frames.rate
-    largest = 0.0
-    for own, at in zip(truth, np.minimum(place, frames.count - 1), strict=True):
-        left = min(int(at), max(0, frames.count - 2))
-        before, after = sequence.vertices[[left, min(left + 1, frames.count - 1)]]
-        line = before + np.float32(at - left) * (after - before)
-        largest = max(largest, float(np.linalg.norm(own - line, axis=1).max()))
-    return largest
-
-
-def _report(path: Path, frames: Frames, fps: float | None, off: str = "") -> None:
-    """Say how many samples lie between frames: a warning, or the log if the caller chose `fps`."""
-    text = (
-        f"{path}: sampled at {frames.rate:g} frames per second; {len(frames.between)} of its "
-        f"{frames.samples} samples lie between these{off}"
-    )
-    if fps is None:
-        warnings.warn(f"{text}; fps= samples otherwise", SsdrWarning, stacklevel=2)
-    else:
-        _log.info("%s", text)
-
-
 def _through_blender(
     path: Path,
     fps: float | None,
@@ -179,7 +152,7 @@ def _through_blender(
     from ..blender.bridge import ask_blender, sequence_of
 
     frames = choose_frames(archive_clocks(path), fps)
-    clock = (frames.first, frames.rate, frames.count)
+    clock = (frames.first, frames.rate, frames.count, frames.missed.tolist())
     job: dict[str, Any] = {"meshes": meshes, "clock": clock}
     try:
         arrays = ask_blender("read", path, frames.rate, time_limit, max_bytes, **job)
@@ -187,6 +160,4 @@ def _through_blender(
         raise MissingDependencyError(
             f'Alembic needs the package alembic3d: pip install "ssdr[alembic]". Without it, {error}'
         ) from error
-    if len(frames.between):
-        _report(path, frames, fps)
-    return with_space(sequence_of(arrays, path, path.stem), UNKNOWN)
+    return with_space(sequence_of(arrays, path, path.stem, fps), UNKNOWN)

@@ -29,6 +29,7 @@ from ..budget import MOST_BYTES
 from ..gltf.writer import write_along_bones
 from ..process import run_script
 from ..registry import SaveReport, check_one_rate, pick_clip, reading
+from ..sampling import tell
 from ..scene import Bones, make_skinning
 from ..signatures import describe
 from ..spaces import in_space, transformed
@@ -88,11 +89,16 @@ def read(
     arrays = ask_blender("read", path, fps, time_limit, max_bytes, **job)
     with reading(path, "clip"):
         names = _names(arrays, path)
-        return sequence_of(arrays, path, names[pick_clip(names, clip, path)])
+        return sequence_of(arrays, path, names[pick_clip(names, clip, path)], fps)
 
 
-def sequence_of(arrays: dict[str, NDArray[Any]], path: Path, clip: str = "") -> MeshSequence:
-    """Sequence of what ``script.py`` has read, turned to y up."""
+def sequence_of(
+    arrays: dict[str, NDArray[Any]], path: Path, clip: str, fps: float | None
+) -> MeshSequence:
+    """Sequence of what ``script.py`` has read, turned to y up; `fps` is what the caller asks for.
+
+    Keys between its frames are told.
+    """
     sequence = MeshSequence(
         arrays["vertices"],
         arrays["faces"],
@@ -102,6 +108,7 @@ def sequence_of(arrays: dict[str, NDArray[Any]], path: Path, clip: str = "") -> 
         surface=surface_from(arrays),
         space=_BLENDER,
     )
+    _tell_missed(arrays, [Clip(clip, 0, len(sequence), sequence.fps)], path, fps)
     return in_space(sequence, METRES_Y_UP)
 
 
@@ -167,6 +174,7 @@ def read_skinning(
         clips = _clips(arrays, path)
         if len(clips) > 1:
             _log.info("%s: clips %s", path, [clip.name for clip in clips])
+        _tell_missed(arrays, clips, path, fps)
         parents, positions = arrays["parents"], arrays["joint_positions"]
         model = make_skinning(
             arrays["rest"],
@@ -185,6 +193,14 @@ def read_skinning(
 def _clips(arrays: dict[str, NDArray[Any]], path: Path) -> tuple[Clip, ...]:
     rows = zip(_names(arrays, path), arrays["frames"], arrays["fps"], strict=True)
     return in_order(Clip(name, 0, int(count), float(rate)) for name, count, rate in rows)
+
+
+def _tell_missed(
+    arrays: dict[str, NDArray[Any]], clips: Sequence[Clip], path: Path, fps: float | None
+) -> None:
+    """Warn of keys between the frames of clips."""
+    for clip, (count, distance, diagonal) in zip(clips, arrays["missed"], strict=False):
+        tell(path, clip, int(count), distance, diagonal, own=fps is None)
 
 
 def _title(arrays: dict[str, NDArray[Any]], path: Path) -> str:

@@ -153,7 +153,7 @@ def read(job: dict[str, Any]) -> None:
         model = skins.JointPoints(armatures)
     else:
         model = skins.SkinnedMeshes(items, takes.skin_bone_names(job["path"]))
-    pose, timelines, need = takes.pose(), [], 0
+    pose, timelines, missed, need = takes.pose(), [], [], 0
     for _, actions in found or [("", None)]:
         takes.restore(pose)
         timeline = takes.play(job, actions)
@@ -166,14 +166,20 @@ def read(job: dict[str, Any]) -> None:
             raise ValueError(f"its {model.what} need {need} bytes, max_bytes is {limit}")
         if len(timelines) == 1:
             model.read_rest(timeline)
-            if items:
-                surfaces.join(items, arrays, job["path"])
+        senses = np.zeros(len(items))
         for k in range(timeline.count):
             model.sample(timeline.go(k))
+            senses += surfaces.senses(items)
+        if items and len(timelines) == 1:
+            timeline.go(0)
+            surfaces.join(items, arrays, job["path"], senses < 0)
+        if items:
+            missed.append((len(timeline.missed), *skins.lost_between(items, timeline)))
     np.savez(
         job["out"],
         frames=np.array([timeline.count for timeline in timelines]),
         fps=np.array([timeline.fps for timeline in timelines]),
+        missed=np.array(missed, dtype=float).reshape(-1, 3),
         **arrays,
         **({} if model is None else model.arrays()),
     )

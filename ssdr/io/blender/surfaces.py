@@ -22,19 +22,27 @@ def values(data: Any, name: str, dtype: Any, width: int = 1) -> Any:
     return flat if width == 1 else flat.reshape(-1, width)
 
 
-def join(items: list[Any], arrays: dict[str, Any], path: str) -> None:
+def senses(items: list[Any]) -> Any:
+    """Sign of the determinant of each object's matrix: -1 where the object mirrors its mesh."""
+    return np.sign([np.linalg.det(np.array(item.matrix_world)[:3, :3]) for item in items])
+
+
+def join(items: list[Any], arrays: dict[str, Any], path: str, mirrored: Any) -> None:
     """Add the faces, UVs, normals and materials of all meshes, one after another, to `arrays`.
 
-    `path` is the file that Blender has loaded; textures are read only from its folder.
+    `path` is the file that Blender has loaded; textures are read only from its folder. Triangles
+    of the objects that are `mirrored` are turned round, as their normals are not.
     """
     names = ("faces", "surface_uv", "surface_normals", "surface_material_index")
     found: dict[str, list[Any]] = {name: [] for name in names}
     materials: list[Any] = []
     start = 0
-    for item in items:
+    for item, turned in zip(items, mirrored, strict=True):
         mesh = item.data
         mesh.calc_loop_triangles()
         loops = values(mesh.loop_triangles, "loops", np.int32)
+        if turned:
+            loops = loops.reshape(-1, 3)[:, ::-1].ravel()
         corner = values(mesh.loops, "vertex_index", np.int32)
         found["faces"].append(corner[loops].reshape(-1, 3) + start)
         start += len(mesh.vertices)

@@ -14,21 +14,26 @@ import numpy as np
 _LONGEST_NAME = 255 if bpy.app.version >= (5, 0, 0) else 63  # bytes, of an object or action
 _LONGEST_BONE = 63
 _LARGEST_RATE = 32767  # of Blender's integer for the frame rate
+_ON = 0.01  # of a frame: keys so near to one lie on it
 _USUAL = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 100.0, 120.0)
 Pairs = list[tuple[Any, Any]]  # objects or shape keys, each with the action that moves it
 
 
 @dataclasses.dataclass(frozen=True)
 class Timeline:
-    """The `count` frames of a take, from `first` on Blender's timeline in steps of `step`."""
+    """The `count` frames of a take, from `first` on Blender's timeline in steps of `step`.
+
+    `missed` (N,) are the keys that lie on none of them, counted in frames.
+    """
 
     first: float
     step: float
     count: int
     fps: float
+    missed: Any
 
-    def go(self, frame: int) -> Any:
-        """Show frame number `frame` of the take and return Blender's evaluated scene."""
+    def go(self, frame: float) -> Any:
+        """Show a frame of the take, counted from 0, and return Blender's evaluated scene."""
         time = self.first + frame * self.step
         whole = math.floor(time + 1e-6)
         part = min(max(time - whole, 0.0), 0.999999)
@@ -59,15 +64,17 @@ def play(job: dict[str, Any], pairs: Pairs | None) -> Timeline:
     """Assign the actions of a take to its objects, and return the frames at which to sample it.
 
     `pairs` are the objects and actions; None if the file has no takes. The job's `clock`, if there
-    is one, states the time of the first frame in seconds, the frame rate and the number of frames.
+    is one, states the time of the first frame in seconds, the frame rate, the number of frames and
+    the times of keys between frames.
     """
     for item, action in pairs or []:
         item.animation_data.action = action
     scene, rate = bpy.context.scene, stated_rate()
     tempo = rate  # frames of Blender's timeline per second
     if "clock" in job:
-        first, rate, count = job["clock"]
-        return Timeline(first * tempo, tempo / rate, count, rate)
+        first, rate, count, missed = job["clock"]
+        ticks = (np.array(missed) - first) * rate
+        return Timeline(first * tempo, tempo / rate, count, rate, ticks)
     stamps = np.zeros(0)
     if job["path"].lower().endswith(".fbx"):
         tempo = float(scene.render.fps)  # its importer ignores fps_base when it places keys
@@ -85,7 +92,16 @@ def play(job: dict[str, Any], pairs: Pairs | None) -> Timeline:
     elif len(stamps):
         rate = rate_of((stamps - first) / tempo, rate)
     step = tempo / rate
-    return Timeline(float(first), step, math.floor((last - first) / step + 1e-3) + 1, rate)
+    ticks = (stamps - first) / step
+    count = math.floor((last - first) / step + 1e-3) + 1
+    if not job["resample"] and off_frames(ticks, count).any():
+        count = math.ceil((last - first) / step - _ON) + 1  # the last frame holds the last key
+    return Timeline(float(first), step, count, rate, ticks[off_frames(ticks, count)])
+
+
+def off_frames(ticks: Any, count: float = np.inf) -> Any:
+    """Mask of the times, in frames, that lie on none of `count` frames."""
+    return np.abs(ticks - np.clip(np.rint(ticks), 0, count - 1)) >= _ON
 
 
 def rate_of(seconds: Any, stated: float) -> float:
@@ -97,8 +113,7 @@ def rate_of(seconds: Any, stated: float) -> float:
     gaps = np.diff(seconds)
     closest = [round(1 / float(gaps.min()), 3)] if len(gaps) else []
     for rate in (stated, *closest, *_USUAL):
-        ticks = seconds * rate
-        if rate <= 1000 and np.abs(ticks - np.rint(ticks)).max() < 0.01:
+        if rate <= 1000 and not off_frames(seconds * rate).any():
             return float(rate)
     return stated
 

@@ -14,7 +14,8 @@ from ...clips import Clip, readable, unique_names
 from ...errors import FormatError
 from ...rigid import matrix_from_quaternion
 from ..registry import check
-from ..rig import frame_rate, interpolate_quaternions, off_frames
+from ..rig import frame_rate, interpolate_quaternions
+from ..sampling import off_frames
 from .document import Document
 
 _KINDS = {"translation": "VEC3", "rotation": "VEC4", "scale": "VEC3", "weights": "SCALAR"}
@@ -40,15 +41,15 @@ class Animation:
     channels : dict
         Key times, values and interpolation of each channel, by the index of its node and its path
         ("translation", "rotation", "scale" or "weights").
-    between : int
-        Number of key times that lie between frames, if most of them lie on frames.
+    missed : (N,) float64
+        Key times that lie between frames.
     """
 
     name: str
     fps: float
     times: NDArray[np.float64]
     channels: dict[tuple[int, str], _Channel]
-    between: int = 0
+    missed: NDArray[np.float64] = dataclasses.field(default_factory=lambda: np.zeros(0))
 
     @property
     def clip(self) -> Clip:
@@ -92,9 +93,7 @@ def read_animation(document: Document, index: int, fps: float | None = None) -> 
     stamps = np.unique(np.concatenate([np.zeros(0), *(keys for keys, _, _ in channels.values())]))
     first, last = (float(stamps[0]), float(stamps[-1])) if len(stamps) else (0.0, 0.0)
     stated = item.get("extras", {}).get("ssdr", {})
-    found = None if fps else frame_rate(stamps)
-    rate = fps or found or 24.0
-    between = off_frames(stamps, found) if found else 0
+    rate = fps or frame_rate(stamps) or 24.0
     count = math.floor(min((last - first) * rate, 1e15) + 1e-3) + 1
     if "fps" in stated and "frames" in stated:
         own = document.number(stated["fps"], "fps")
@@ -102,10 +101,11 @@ def read_animation(document: Document, index: int, fps: float | None = None) -> 
         if fps in (None, own):
             rate, count = own, document.integer(stated, "frames", f"the clip {name}")
             first = document.number(stated.get("start", 0.0), "start")
-    elif between:
+    elif fps is None and len(off_frames(stamps, first, rate)):
         count = math.ceil((last - first) * rate - 0.01) + 1  # the last frame holds the last key
     document.budget.spend(8 * count, f"{count} frames at {rate:g} per second")
-    return Animation(name, rate, first + np.arange(count) / rate, channels, between)
+    missed = off_frames(stamps, first, rate, count)
+    return Animation(name, rate, first + np.arange(count) / rate, channels, missed)
 
 
 def _channels(document: Document, item: dict[str, Any]) -> dict[tuple[int, str], _Channel]:

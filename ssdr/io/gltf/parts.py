@@ -13,7 +13,7 @@ from ...errors import FormatError
 from ...normals import unit
 from ...surface import Material
 from ..registry import check, choose
-from ..scene import Bones, Shape, file_weights
+from ..scene import Bones, Shape, facing, file_weights
 from ..signatures import picture_type
 from .animation import Animation, Nodes, descendants
 from .compression import DRACO, decode_mesh
@@ -43,6 +43,8 @@ class PrimitiveGroup:
         For each vertex of the file, its index in `positions`, where copies at seams are merged.
     skin : int or None
         Index of the node's skin.
+    mirrored : bool
+        Whether the node mirrors its mesh, which has no skin, so that `faces` are turned round.
     corners : (T, 3) int
         Vertex of the file at each corner.
     material : (T,) int
@@ -50,6 +52,8 @@ class PrimitiveGroup:
     skeleton, indices, weights, faces, uv, normals
         As in `ScenePart`.
     """
+
+    mirrored = False
 
     def __init__(
         self,
@@ -84,11 +88,12 @@ class PrimitiveGroup:
         uv = self._attribute(_uv_name(document, group), "VEC2")
         normals = self._attribute("NORMAL", "VEC3")
         if self.skin is None:
-            linear = nodes.matrices(node)[0, :3, :3]
-            if np.linalg.det(linear) < 0:
+            linear = nodes.matrices(node)[:, :3, :3]
+            frame, self.mirrored = facing(linear)
+            if self.mirrored:
                 faces = faces[:, ::-1]  # a mirrored node turns triangles inside out
             if normals is not None:
-                normals = normals @ np.linalg.pinv(linear)
+                normals = normals @ np.linalg.pinv(linear[frame])
         self.uv = self.normals = None
         if uv is not None:
             self.uv = (np.array([0, 1]) + uv * [1, -1])[faces].astype(np.float32)

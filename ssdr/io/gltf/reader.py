@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-import warnings
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ...clips import Clip, in_order
-from ...errors import SsdrWarning
 from ...sequence import MeshSequence
 from ...skinning import Skinning
 from ...space import METRES_Y_UP
 from ..registry import pick_clip, reading
-from ..scene import Sample, join_sequence, join_skinning, part_starts
+from ..sampling import Missed, Sample
+from ..scene import join_sequence, join_skinning, part_starts
 from .animation import Nodes, animation_names, mesh_name, read_animation, read_animations
 from .document import Document
 from .parts import JointPoints, PrimitiveGroup, read_materials, read_parts
@@ -58,27 +61,33 @@ def read(
     """
     with reading(path, "clip", "meshes"):
         document = Document(path, max_bytes)
-        nodes = _play(document, pick_clip(animation_names(document), clip, path), fps)
+        index = pick_clip(animation_names(document), clip, path)
+        nodes = Nodes(document, read_animation(document, index, fps))
         parts = read_parts(document, nodes, meshes)
         n_frames, n_vertices = len(nodes.animation.times), part_starts(parts)[-1]
         document.budget.spend(
             12.0 * n_frames * n_vertices, f"{n_frames} frames of {n_vertices} vertices"
         )
-        sample = Sample(nodes.animation.clip, parts, nodes)
+        sample = _sample(parts, nodes, fps)
         return join_sequence(sample, read_materials(document), mesh_name(document), METRES_Y_UP)
 
 
-def _play(document: Document, index: int, fps: float | None) -> Nodes:
-    """Nodes in the frames of an animation, with a warning if keys lie between these."""
-    one = read_animation(document, index, fps)
-    if one.between:
-        warnings.warn(
-            f"{document.path}: {one.between} keys of the clip {one.name} lie between its frames, "
-            f"which are {one.fps:g} a second, as most keys are; fps= samples otherwise",
-            SsdrWarning,
-            stacklevel=2,
-        )
-    return Nodes(document, one)
+def _sample(parts: Sequence[PrimitiveGroup], nodes: Nodes, fps: float | None) -> Sample:
+    """Clip that `nodes` play, with the keys that lie between its frames."""
+    one, document = nodes.animation, nodes.document
+
+    def at(times: NDArray[np.float64]) -> Nodes:
+        return Nodes(document, dataclasses.replace(one, times=times))
+
+    missed = Missed(
+        path=document.path,
+        times=one.missed,
+        first=float(one.times[0]),
+        rate=one.fps,
+        own=fps is None,
+        at=at,
+    )
+    return Sample(one.clip, parts, nodes, missed)
 
 
 def list_clips(path: Path, *, fps: float | None = None) -> tuple[Clip, ...]:
@@ -119,10 +128,10 @@ def read_skinning(
     """
     with reading(path, "meshes"):
         document = Document(path, max_bytes)
-        clips = [_play(document, k, fps) for k in range(len(animation_names(document)))]
+        clips = [Nodes(document, one) for one in read_animations(document, fps)]
         if joints_alone and not any("mesh" in clips[0].items[k] for k in clips[0].shown):
             parts: list[PrimitiveGroup] = [JointPoints(document, clips)]
         else:
             parts = read_parts(document, clips[0], meshes)
-        samples = [Sample(nodes.animation.clip, parts, nodes) for nodes in clips]
+        samples = [_sample(parts, nodes, fps) for nodes in clips]
         return join_skinning(samples, read_materials(document), mesh_name(document), METRES_Y_UP)

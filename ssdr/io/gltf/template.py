@@ -69,7 +69,8 @@ class Template:
             check(not packed, "is compressed with Draco and cannot be a template")
             animations = read_animations(document)
             # The model's first clip decides whether a node mirrors its mesh.
-            named = [one for one in animations if one.name == model.clips[0].name]
+            first = model.clips[0].name
+            named = [one for one in animations if clip_names.get(one.name, one.name) == first]
             self.world = Nodes(document, (named or animations)[0])
             self.parts = read_parts(document, self.world, meshes)
             self.builder = Builder(document)
@@ -116,7 +117,7 @@ class Template:
                 primitive = meshes[nodes[part.node]["mesh"]]["primitives"][place]
                 primitive["attributes"] = dict(attributes)
                 primitive.pop("targets", None)
-                if self._mirrors(part) and primitive.get("mode", 4) != 0:
+                if part.mirrored and primitive.get("mode", 4) != 0:
                     # The node mirrored the mesh and joints do not, so triangles are turned round.
                     faces = triangles(self.document, old, len(part.label))[:, ::-1]
                     flat = faces.reshape(-1).astype(np.uint16 if faces.max() < 65535 else np.uint32)
@@ -124,12 +125,6 @@ class Template:
                     primitive |= {"indices": number, "mode": 4}
         for node in sorted(self.replaced):
             self._remove_morphs(node, meshes[nodes[node]["mesh"]])
-
-    def _mirrors(self, part: PrimitiveGroup) -> bool:
-        return part.skin is None and self._determinant(part.node) < 0
-
-    def _determinant(self, node: int) -> float:
-        return float(np.linalg.det(self.world.matrices(node)[0, :3, :3]))
 
     def _new_attributes(
         self, part: PrimitiveGroup, rest: NDArray[np.float32], normals: NDArray[np.float32]
@@ -149,7 +144,7 @@ class Template:
             if "TANGENT" in old:
                 source = document.accessor(old["POSITION"], "VEC3", "POSITION")
                 tangents = document.accessor(old["TANGENT"], "VEC4", "TANGENT")
-                if self._mirrors(part):
+                if part.mirrored:
                     tangents[:, 3] *= -1
                 poses = source, rest.astype(np.float64)
                 tangents = carry_tangents(tangents, new, part.corners, *poses)
@@ -184,13 +179,13 @@ class Template:
         for scene in self.json.get("scenes", []):
             if self.replaced.intersection(descendants(nodes, scene.get("nodes", []))):
                 scene["nodes"].append(first)
-        bare = {part.node for part in self.parts if part.skin is None}
+        turned = {part.node for part in self.parts if part.mirrored}
         for node in sorted(self.replaced):
             nodes[node]["skin"] = len(skins) - 1
-            mirrored = node in bare and self._determinant(node) <= 0
-            if mirrored or list(self.world.ancestors(node)):
+            size = np.linalg.det(self.world.matrices(node)[0, :3, :3])
+            if node in turned or size <= 0 or list(self.world.ancestors(node)):
                 self._move_to_top(node)
-            if mirrored:
+            if node in turned:
                 self.builder.notes.append(
                     f"the mesh of node {node} left a transform that mirrors it"
                 )

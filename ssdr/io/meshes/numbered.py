@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import logging
 import re
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from ...errors import FormatError, InputError
+from ...errors import FormatError, InputError, SsdrWarning
 from ...sequence import MeshSequence
 from ...space import METRES_Y_UP, UNKNOWN
 from ..registry import SaveReport, check, natural_key, reading
@@ -136,7 +137,7 @@ def _files(path: Path) -> list[Path]:
 
 
 def _report_gaps(path: Path, files: list[Path]) -> None:
-    """Log a warning if frames are missing, or names differ in more than a number.
+    """Warn if frames are missing, or names differ in more than a number.
 
     Two files with the same number are an error.
     """
@@ -145,7 +146,8 @@ def _report_gaps(path: Path, files: list[Path]) -> None:
     parts = [re.fullmatch(r"(.*?)([0-9]+)([^0-9]*)", f.stem) for f in files]
     if len({m and (m[1], m[3]) for m in parts}) > 1 or parts[0] is None:
         first, last = files[0].name, files[-1].name
-        _log.warning("%s: names differ in more than a number: %s, %s", path, first, last)
+        text = f"{path}: names differ in more than a number: {first}, {last}"
+        warnings.warn(text, SsdrWarning, stacklevel=3)
         return
     numbers = [int(m[2]) for m in parts if m]
     steps = np.diff(numbers)
@@ -153,7 +155,12 @@ def _report_gaps(path: Path, files: list[Path]) -> None:
     check(steps[k] > 0, f"{path}: {files[k].name} and {files[k + 1].name} have the same number")
     gaps = [str(numbers[k]) for k in np.flatnonzero(steps > steps.min())]
     if gaps:
-        _log.warning("%s: frames are missing after %s", path, ", ".join(gaps[:8]))
+        count = (numbers[-1] - numbers[0]) // int(steps.min()) + 1 - len(numbers)
+        text = (
+            f"{path}: {count} frames are missing, after {', '.join(gaps[:8])}: those after them "
+            "are read as the next, and play too early"
+        )
+        warnings.warn(text, SsdrWarning, stacklevel=3)
 
 
 def _name(path: Path) -> str:

@@ -13,10 +13,11 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from ...normals import unit
 from ..meshes.polygons import fan, value_index
 from ..registry import check
-from ..scene import Bones, Shape, file_weights
+from ..scene import Bones, Shape, facing, file_weights
 
 _log = logging.getLogger(__name__)
 _FIRST = Usd.TimeCode.EarliestTime()
+_MOST_LOOKS = 64  # times at which a mesh is looked at to see whether it is mirrored
 
 
 class MeshPrim:
@@ -42,6 +43,8 @@ class MeshPrim:
         Corners of each triangle, as indices into the corners of all polygons.
     polygon : (T,) int array
         Index of the polygon that each triangle is a piece of.
+    seen : Usd.TimeCode or float or None
+        Without a skin: a time code at which the mesh shows the side that it shows most.
     material : (T,) int array
         As in `ScenePart`, once :func:`~ssdr.io.usd.materials.read_materials` has set it.
     """
@@ -49,6 +52,7 @@ class MeshPrim:
     faces: NDArray[np.int64]
     corners: NDArray[np.int64]
     material: NDArray[np.int64]
+    seen: Any = None
 
     def __init__(self, path: Path, prim: Any, skeleton: Any = None, query: Any = None) -> None:
         self.path, self.prim = path, prim
@@ -67,9 +71,18 @@ class MeshPrim:
         self.weights = np.ones((self.n_points, 1))
         if self.joints is not None:
             self._read_influences()
-        elif np.linalg.det(self._transforms_at(_FIRST)[0, :, :3]) < 0:
+        elif self._is_mirrored():
             # a mirroring transform turns triangles inside out
             self.corners, self.faces = self.corners[:, ::-1], self.faces[:, ::-1]
+
+    def _is_mirrored(self) -> bool:
+        """Whether the mesh's own transform mirrors it; sets the time code at which that is seen."""
+        codes = np.unique(self._moves())
+        chosen = np.linspace(0, len(codes) - 1, min(len(codes), _MOST_LOOKS)).astype(int)
+        times = codes[chosen].tolist() or [_FIRST]
+        frame, mirrored = facing(np.stack([self._transforms_at(t)[0, :, :3] for t in times]))
+        self.seen = times[frame]
+        return mirrored
 
     def _check(self, valid: Any, problem: str) -> None:
         """Raise a FormatError with the text `problem` unless `valid` is true."""
@@ -205,12 +218,17 @@ class MeshPrim:
             found += self.joints.GetAnimQuery().GetJointTransformTimeSamples()
         if self._shapes is not None:
             found += self._shaper.GetBlendShapeWeightTimeSamples()
+        return np.array(found + self._moves(), dtype=np.float64)
+
+    def _moves(self) -> list[float]:
+        """Time codes of all samples of the transforms of the mesh or its skeleton."""
+        found: list[float] = []
         prim = self.prim if self.joints is None else self.joints.GetPrim()
         while prim and not prim.IsPseudoRoot():
             if prim.IsA(UsdGeom.Xformable):
                 found += UsdGeom.Xformable(prim).GetTimeSamples()
             prim = prim.GetParent()
-        return np.array(found, dtype=np.float64)
+        return found
 
     def raw_points(self, code: Any) -> NDArray[np.float64]:
         """Points ``(V, 3)`` at the time `code`, without blend shapes."""

@@ -20,7 +20,8 @@ from ...skinning import Skinning
 from ...space import Space
 from ..registry import check, choose, pick_clip, reading
 from ..rig import frame_rate
-from ..scene import Sample, SceneBudget, join_sequence, join_skinning
+from ..sampling import Missed, Sample, off_frames
+from ..scene import SceneBudget, join_sequence, join_skinning
 from .materials import read_materials
 from .parts import JointPoints, MeshPrim
 from .stage import open_stage
@@ -178,8 +179,8 @@ class StageReader:
         if not meshes and joints_alone:
             meshes = [JointPoints(self.path, skeleton) for skeleton in skeletons]
         check(meshes, "no visible mesh")
-        rate, codes = self._clock(meshes, clip, fps)
-        return Sample(Clip(clip.name, 0, len(codes), rate), meshes, codes)
+        rate, codes, missed = self._clock(meshes, clip, fps)
+        return Sample(Clip(clip.name, 0, len(codes), rate), meshes, codes, missed)
 
     def _is_shown(self, prim: Any) -> bool:
         shown = UsdGeom.Imageable(prim)
@@ -191,31 +192,44 @@ class StageReader:
 
     def _clock(
         self, meshes: list[MeshPrim], clip: StageClip, fps: float | None
-    ) -> tuple[float, NDArray[np.float64]]:
-        """Frames per second of a clip, and the time code (F,) of each frame."""
+    ) -> tuple[float, NDArray[np.float64], Missed]:
+        """Frames per second of a clip, the time code (F,) of each frame, and samples between."""
         stage = self.stage
         tempo = float(stage.GetTimeCodesPerSecond())
         check(0 < tempo < math.inf, f"timeCodesPerSecond is {tempo}")
         stamps = np.unique(np.concatenate([np.zeros(0), *(mesh.stamps() for mesh in meshes)]))
         if clip.clock is not None and fps in (None, clip.clock[0]):
             rate, first, count = clip.clock
+            stamps = stamps[(stamps >= first) & (stamps <= first + count * tempo / rate)]
         else:
             first, last = (float(stamps[0]), float(stamps[-1])) if len(stamps) else (0.0, 0.0)
             if clip.bound and stage.HasAuthoredTimeCodeRange():
                 first, last = float(stage.GetStartTimeCode()), float(stage.GetEndTimeCode())
             usable = -math.inf < first <= last < math.inf
             check(usable, f"the time codes run from {first} to {last}")
-            ticks = stamps - first
-            on_codes = not len(stamps) or np.abs(ticks - np.rint(ticks)).max() < 0.01
+            stamps = stamps[(stamps >= first) & (stamps <= last)]
+            on_codes = not len(off_frames(stamps, first, 1.0))
             rate = fps or (None if on_codes else frame_rate(stamps / tempo)) or tempo
-            count = math.floor(min((last - first) / tempo * rate, 1e15) + 1e-3) + 1
+            ticks = min((last - first) / tempo * rate, 1e15)
+            count = math.floor(ticks + 1e-3) + 1
+            if fps is None and len(off_frames(stamps, first, rate / tempo)):
+                count = math.ceil(ticks - 0.01) + 1  # the last frame holds the last sample
         n_vertices = sum(mesh.n_points for mesh in meshes)
         n_bones = sum(mesh.n_bones for mesh in meshes)
         self.budget.spend(
             count * (12.0 * n_vertices + 96.0 * n_bones),
             f"{count} frames of {n_vertices} vertices and {n_bones} bones",
         )
-        return rate, np.asarray(first + np.arange(count) * (tempo / rate), dtype=np.float64)
+        codes = np.asarray(first + np.arange(count) * (tempo / rate), dtype=np.float64)
+        missed = Missed(
+            path=self.path,
+            times=off_frames(stamps, first, rate / tempo, count),
+            first=first,
+            rate=rate / tempo,
+            own=fps is None,
+            at=np.asarray,
+        )
+        return rate, codes, missed
 
 
 def read(

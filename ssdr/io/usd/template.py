@@ -175,10 +175,12 @@ def _put_points(
     """Put a mesh into the rest pose `rest` (in world space), and return the mesh's matrix.
 
     Points and normals are replaced, and blend shapes are removed. The matrix takes the new points
-    to world space; it is that at the time code `first`, or the identity if that is not invertible.
+    to world space; it is that at the time code at which the mesh is `seen`, or at `first` for one
+    with a skin, or the identity if that is not invertible.
     `normals` (T, 3, 3) are those at triangle corners, in world space.
     """
-    world = UsdGeom.XformCache(first).GetLocalToWorldTransform(mesh.prim)
+    code = first if mesh.seen is None else mesh.seen
+    world = UsdGeom.XformCache(code).GetLocalToWorldTransform(mesh.prim)
     if abs(world.GetDeterminant()) <= 1e-12:
         world = Gf.Matrix4d(1.0)
     inverse = np.array(world.GetInverse()).T

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import logging
 import struct
 
 import numpy as np
@@ -54,14 +53,24 @@ def test_mdd_times_carry_the_rate(tmp_path, fps):
     assert ssdr.load(tmp_path / "a.mdd", mesh="none", fps=7).fps == 7
 
 
-def test_uneven_mdd_times_are_told(tmp_path, caplog):
+def test_uneven_mdd_times_are_told(tmp_path):
     for times in ((0.0, 0.04, 0.2), (0.0, 0.2, 0.1)):
         (tmp_path / f"{times[2]}.mdd").write_bytes(struct.pack(">ii3f", 3, 1, *times) + bytes(36))
-    with caplog.at_level(logging.WARNING, "ssdr"):
+    said = "uneven times, 0.04 to 0.16 s apart, are taken as even: .* up to 0.06 s from"
+    with pytest.warns(ssdr.SsdrWarning, match=said):
         assert ssdr.load(tmp_path / "0.2.mdd", mesh="none").fps == 10
-    assert "uneven times, 0.04 to 0.16 s apart" in caplog.text
     with pytest.raises(FormatError, match="not increasing"):
         ssdr.load(tmp_path / "0.1.mdd", mesh="none")
+
+
+def test_frames_per_sample_of_a_pc2(tmp_path, wave):
+    ssdr.save(wave, tmp_path / "a.pc2")
+    data = bytearray((tmp_path / "a.pc2").read_bytes())
+    for step, fps in ((0.5, 50), (2.0, 12.5), (0.0, 25), (float("nan"), 25)):
+        data[24:28] = struct.pack("<f", step)
+        (tmp_path / "b.pc2").write_bytes(data)
+        assert ssdr.load(tmp_path / "b.pc2", mesh=wave).fps == fps
+        assert ssdr.load(tmp_path / "b.pc2", mesh=wave, fps=7).fps == 7
 
 
 def test_point_caches_of_a_skinning_state_their_error(tmp_path, skinned):

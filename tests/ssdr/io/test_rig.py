@@ -13,7 +13,8 @@ from helpers.rig_model import tube
 from helpers.rig_tree import PARENTS, creature, flat
 from ssdr.clips import unique_names
 from ssdr.hierarchy.transforms import joint_gaps
-from ssdr.io.rig import build_rig, frame_rate, off_frames
+from ssdr.io.rig import build_rig, frame_rate
+from ssdr.io.sampling import off_frames
 from ssdr.quantisation import quantise, weight_values
 
 
@@ -65,7 +66,7 @@ def test_frame_rate():
     # one odd gap among keys a frame apart: a rate that hits every key would be five times theirs
     fox = np.r_[np.arange(17), 20.8 + np.arange(8)] / 24
     assert frame_rate(fox) == 24
-    assert off_frames(fox, 24) == 8
+    assert len(off_frames(fox, 0.0, 24)) == 8
     # no such rate where keys follow each other at two
     assert frame_rate(np.unique(np.r_[np.arange(25) / 24, np.arange(31) / 30])) == 120
     assert unique_names(["a", "a", "", "a_1", "a"]) == ("a", "a_1", "bone", "a_1_1", "a_2")

@@ -65,10 +65,11 @@ def test_a_changing_topology_is_refused_both_ways(caches, blender):
 def test_blender_resamples_with_a_word(tmp_path, blender):
     points = moving(4)
     path = one_mesh(tmp_path / "a.abc", points, (None, [0.3, 0.37, 0.5, 0.77]))
-    with pytest.warns(ssdr.SsdrWarning, match="24 frames per second; 3 of its 4 samples lie"):
+    with pytest.warns(ssdr.SsdrWarning, match="3 keys of the clip a lie between") as said:
         theirs = blender(path)
-    with pytest.warns(ssdr.SsdrWarning, match="missed by up to"):
+    with pytest.warns(ssdr.SsdrWarning) as own:
         ours = ssdr.load(path)
+    assert str(own[0].message) == str(said[0].message)
     assert (len(ours), ours.fps) == (len(theirs), theirs.fps)
     np.testing.assert_allclose(ours.vertices, theirs.vertices, atol=1e-5)
 

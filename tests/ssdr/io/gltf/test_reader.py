@@ -38,7 +38,7 @@ def hand_made(tmp_path, document, *arrays):
 TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], dtype=np.float32)
 
 
-def channel_file(tmp_path, how, values, path="translation", **node):
+def channel_file(tmp_path, how, values, path="translation", times=(0, 0.5, 1), **node):
     document = {
         "scene": 0,
         "scenes": [{"nodes": [0]}],
@@ -52,7 +52,7 @@ def channel_file(tmp_path, how, values, path="translation", **node):
             }
         ],
     }
-    times = np.array([0, 0.5, 1], dtype=np.float32)
+    times = np.array(times, dtype=np.float32)
     return hand_made(tmp_path, document, TRIANGLE, times, np.asarray(values, dtype=np.float32))
 
 
@@ -72,6 +72,30 @@ def test_interpolations(tmp_path):
     sequence = ssdr.load(channel_file(tmp_path, "CUBICSPLINE", cubic), fps=8)
     np.testing.assert_allclose(sequence.vertices[:, 0, 0], (np.arange(9) / 8) ** 3, atol=1e-6)
     assert ssdr.load(channel_file(tmp_path, "LINEAR", keys)).fps == 24
+
+
+TIMES = np.array([0, 0.013, 0.05, 0.081, 0.2, 0.33, 0.402, 0.51, 0.77, 0.934])
+
+
+@pytest.mark.parametrize("read", [ssdr.load, ssdr.load_skinning])
+def test_irregular_keys_are_sampled_and_what_that_loses_is_said(tmp_path, read):
+    x = np.sin(9 * TIMES)
+    path = channel_file(tmp_path, "LINEAR", np.stack([x, 0 * x, 0 * x], axis=1), times=TIMES)
+    ticks = np.arange(24) / 24  # the last lies after the last key
+    shown = np.interp(TIMES, ticks, np.interp(ticks, TIMES, x))
+    worst = np.abs(shown - x).max()
+    percent = f"{100 * worst / np.sqrt(2):.2g}"
+    said = rf"9 keys .* are 24 a second: .* up to {worst:.3g} \({percent} % of the diagonal\)"
+    with pytest.warns(ssdr.SsdrWarning, match=said):
+        thing = read(path)
+    assert (thing.fps, thing.n_frames) == (24, 24)
+    read(path, fps=24)  # asked for
+
+
+def test_irregular_keys_that_nothing_is_lost_between_are_no_news(tmp_path):
+    times = np.r_[TIMES[:-1], 23 / 24]
+    x = 3 * times
+    ssdr.load(channel_file(tmp_path, "LINEAR", np.stack([x, x, x], axis=1), times=times))
 
 
 def test_rotation_takes_the_short_way(tmp_path):
@@ -371,7 +395,7 @@ def test_keys_with_one_odd_gap_are_sampled_at_their_own_rate(tmp_path):
     item["max"] = [float(times[-1])]
     (tmp_path / "run.bin").write_bytes(blob)
     (tmp_path / "run.gltf").write_text(json.dumps(document))
-    said = "8 keys of the clip .* lie between its frames, which are 24 a second"
+    said = r"8 keys of the clip .* lie between its frames, which are 24 a second: .* \(2.5 %"
     with pytest.warns(ssdr.SsdrWarning, match=said):
         found = ssdr.load(tmp_path / "run.gltf")
     assert (found.fps, len(found)) == (24, 29)

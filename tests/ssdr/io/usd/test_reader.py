@@ -20,6 +20,28 @@ def test_sampling_and_fps(tmp_path):
     assert largest_distance(twice.vertices[::2], tube(frames=11).skin()) < 1e-6
 
 
+@pytest.mark.parametrize("read", [ssdr.load, ssdr.load_skinning])
+def test_irregular_samples_are_sampled_and_what_that_loses_is_said(tmp_path, read):
+    codes = [0, 0.31, 1.2, 1.94, 4.8, 7.92, 9.65, 12.24, 18.4, 22.41]
+    stage = Usd.Stage.CreateNew(str(tmp_path / "a.usda"))
+    stage.SetTimeCodesPerSecond(24)
+    mesh = UsdGeom.Mesh.Define(stage, "/m")
+    mesh.CreatePointsAttr([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
+    mesh.CreateFaceVertexCountsAttr([3])
+    mesh.CreateFaceVertexIndicesAttr([0, 1, 2])
+    x = np.sin(np.array(codes) * 0.4)
+    moved = mesh.AddTranslateOp()
+    for code, value in zip(codes, x.tolist(), strict=True):
+        moved.Set(Gf.Vec3d(value, 0, 0), code)
+    stage.GetRootLayer().Save()
+    frames = np.arange(24)
+    worst = np.abs(np.interp(codes, frames, np.interp(frames, codes, x)) - x).max()
+    with pytest.warns(ssdr.SsdrWarning, match=rf"9 keys .* are up to {worst:.3g} \("):
+        thing = read(tmp_path / "a.usda")
+    assert (thing.fps, thing.n_frames) == (24, 24)
+    read(tmp_path / "a.usda", fps=24)
+
+
 def test_polygons_transforms_and_primvars(tmp_path):
     path = tmp_path / "a.usda"
     stage = Usd.Stage.CreateNew(str(path))
