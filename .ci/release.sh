@@ -56,7 +56,7 @@ for one in ${PYTHONS:-$python}; do
         without_compiler "$env" ssdr info "$sample" >/dev/null
         for round in first second; do
             start=$SECONDS
-            without_compiler "$env" ssdr decompose "$sample" --bones 24 --influences 4 --force -q -o dance.glb
+            without_compiler "$env" ssdr decompose "$sample" --bones 24 --influences 4 -q -o dance.glb
             say "decompose of the sample, $round run: $((SECONDS - start)) s"
         done
         without_compiler "$env" ssdr compare "$sample" dance.glb

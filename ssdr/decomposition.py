@@ -34,7 +34,7 @@ def decompose(
     effort: Effort = "balanced",
     bone_model: BoneModel = "rigid",
     rig: str | Skeleton | None = None,
-    start: Skinning | Start | None = None,
+    start: Skinning | Start | MeshSequence | int | None = None,
     vertex_importance: Any = None,
     frame_importance: Any = None,
     smoothness: float = 0.0,
@@ -79,10 +79,12 @@ def decompose(
         be posed; only roots translate freely.  "loose": bones are found without a hierarchy and
         then connected by the tree with the smallest gaps, so that joints may come apart.  The
         bones, parents and names of a :class:`Skeleton` are kept.
-    start : Skinning or Start, optional
+    start : Skinning, Start, MeshSequence or int, optional
         A model to continue from, such as a checkpoint: the error of the result is never above
         that of this model.  If it has other frames, bones for the given frames are fitted to
-        its weights.  A :class:`Start` holds parts of a model, some of which are kept.
+        its weights.  A :class:`Start` holds parts of a model, some of which are kept.  The first
+        frame of a mesh is a rest pose that is kept; a number is the frame that the rest pose
+        resembles.
     vertex_importance : (V,) array, optional
         Non-negative; scales each vertex's squared error in the objective.
     frame_importance : (F,) array, optional

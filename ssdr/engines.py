@@ -6,6 +6,7 @@ The page on engines quotes the source of each number.
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 from collections.abc import Iterator
 from typing import Literal
@@ -13,9 +14,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from .frames.motion import motion_rms, share_of
 from .hierarchy.transforms import rest_diagonal
 from .lbs import skin
 from .quantisation import WeightStorage, quantise, weight_values
+from .sequence import MeshSequence
 from .skinning import Skinning
 from .space import METRES_Y_UP, Space
 
@@ -222,10 +225,14 @@ def n_roots(model: Skinning) -> int:
 
 def _moved(model: Skinning, indices: NDArray[np.integer], weights: NDArray[np.floating]) -> str:
     """Text that says how far vertices move at most if they get other weights."""
-    far = 0.0
+    far, squares = 0.0, 0.0
     for frame in range(model.n_frames):
         other = skin(model.rest, indices, weights, model.transforms[frame], dtype=float)
         apart = model.skin([frame], dtype=float)[0] - other
         far = max(far, float(np.linalg.norm(apart, axis=-1).max()))
+        squares += float((apart**2).sum())
     share = 100 * far / (rest_diagonal(model.rest) or 1.0)
-    return f"a vertex moves by {far:.3g}, {share:.2g} % of the diagonal, or less"
+    motion = motion_rms([MeshSequence(model.skin(), validate=False)])
+    lost = share_of(math.sqrt(squares / (model.n_frames * model.n_vertices)), motion)
+    of_motion = "" if math.isnan(lost) else f"; RMSE {100 * lost:.2g} % of the motion"
+    return f"a vertex moves by {far:.3g}, {share:.2g} % of the diagonal, or less{of_motion}"

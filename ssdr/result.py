@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .frames.motion import share_of
 from .metrics.normal_angles import NormalErrors
 from .search.progress import Record
 from .skinning import Skinning
@@ -41,6 +43,10 @@ class Decomposition:
         Time that loading or compiling the kernels took in this call.
     warnings : tuple of str
         Messages of the warnings (:class:`SsdrWarning`) of the call.
+    motion : float
+        Root mean square distance of the input's vertices from their mean pose once the rigid motion
+        of the whole mesh is removed, in the mesh's units, over about 500 frames at most; NaN if it
+        is not known.
     normals : NormalErrors or None
         Angles, over about 500 frames at most, between the normals of the input's surface and those
         that engines draw of `skinning`; None without triangles.
@@ -63,11 +69,20 @@ class Decomposition:
     compile_seconds: float = 0.0
     warnings: tuple[str, ...] = ()
     normals: NormalErrors | None = None
+    motion: float = math.nan
 
     @property
     def converged(self) -> bool:
         """True if the last stage ended by its stopping test, or the tolerance is held."""
         return self.stop_reason in ("converged", "tolerance held")
+
+    @property
+    def motion_lost(self) -> float:
+        """Share rmse / motion of the motion that the model lacks; NaN where nothing deforms.
+
+        An error that is small beside the mesh can be all of a small motion.
+        """
+        return share_of(self.rmse, self.motion)
 
     def reconstruct(self, frames: Any = None) -> NDArray[np.floating]:
         """Vertex positions ``(f, V, 3)`` of the model in the given frames, by default in all."""

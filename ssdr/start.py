@@ -6,6 +6,8 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
+from .errors import is_whole
+from .sequence import MeshSequence
 from .skinning import Skinning
 
 __all__ = ["JointKind", "Skeleton", "Start"]
@@ -53,6 +55,13 @@ class Start:
     locked_vertices: Any = None
     transforms: Any = None
     locked_bones: Any = None
+
+
+def as_start(start: Any) -> Any:
+    """A `Start` of the number of a rest frame, or of a mesh; anything else as it is."""
+    if is_whole(start):
+        return Start(rest_frame=start)
+    return Start(rest=start.frames(0)) if isinstance(start, MeshSequence) else start
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

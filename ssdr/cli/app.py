@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from .. import errors
+from ..io.references import trusting
 from ..parallel import set_threads
 from ..signals import interrupt_on_signals
 from .check import check
@@ -88,7 +89,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         shown.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
-    with safe_streams(), interrupt_on_signals(), warnings.catch_warnings():
+    with safe_streams(), interrupt_on_signals(), warnings.catch_warnings(), trusting(None):
         output = Output.current = Output(Options(json="--json" in given))
         warnings.showwarning = output.warn
         try:

@@ -57,7 +57,7 @@ def compare(options: CompareOptions) -> None:
 
     files = options.reference, options.other
     if options.target is not None:
-        check_page(options.target, "--output", force=options.force, others=list(files))
+        check_page(options.target, "--output", others=list(files))
     read = read_options(files, options, roles=("A", "B"))
     with output.waiting(f"loading {files[0]}, {files[1]}"):
         found = read_pairs(files, options.clip, read)

@@ -42,7 +42,7 @@ def convert(options: ConvertOptions) -> None:
 
     source, target = options.source, options.target
     (read,) = read_options([source], options)
-    check_outputs([target], options.write, force=options.force, sources=[source])
+    check_outputs([target], options.write, sources=[source])
     thing: MeshSequence | Skinning
     if shared_format(source, target) and not (options.bake or read or options.write):
         names = None if options.clip is None or "all" in options.clip else options.clip

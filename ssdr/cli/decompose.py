@@ -97,8 +97,8 @@ def _arguments(options: DecomposeOptions) -> dict[str, Any]:
             if getattr(options, name):
                 option = "--" + name.replace("_", "-")
                 raise InputError(option, "the file of a rig beside it (--rig FILE)", options.rig)
-        if options.bones is None:
-            raise InputError("--bones", "a number of bones, or --rig FILE", "neither")
+        if options.bones is None and (options.start is None or options.start.isdecimal()):
+            raise InputError("--bones", "a number of bones, --rig FILE or --start MODEL", "none")
         return {"rig": options.rig, **fitted}
     file = options.rig.removeprefix("loose=")
     model = ssdr.load_skinning(file)

@@ -21,7 +21,7 @@ from ..space import Space
 from .format_options import read_options, write_weights
 from .options import PAGES, FitOptions
 from .output import Output, in_words, saved_line
-from .reading import clips_document, clips_text, join, read_any, read_clips
+from .reading import clips_document, clips_text, join, meshes_text, read_any, read_clips
 from .saving import check_file, check_outputs, save_model, try_format
 from .template import options_with_template
 
@@ -41,7 +41,7 @@ _ROWS = {
     "input": "{input}: {frames:,} frames, {vertices:,} vertices, {triangles:,} triangles, "
     "diagonal {diagonal:.4g}",
     "model": "{bones} bones, {influences} influences",
-    "RMSE": "{rmse:.4g} in the mesh's units, {rmse_percent:.3g} % of the diagonal",
+    "RMSE": "{rmse:.4g} in the mesh's units, {rmse_percent:.3g} % of the diagonal{of_motion}",
     "largest": "{max_error:.4g}, {max_error_percent:.3g} % of the diagonal, of any vertex",
     "E": "{E:.4g} = 1000 RMSE / sqrt(3)",
     "time": "{total_seconds:.1f} s: loading {load_seconds:.1f}, compiling {compile_seconds:.1f}, "
@@ -130,18 +130,16 @@ def fit(
 
 def _check_files(options: FitOptions) -> None:
     """Raise an InputError before the work if an output could not be written after it."""
-    check_outputs(options.outputs, options.write, force=options.force, sources=options.inputs)
+    check_outputs(options.outputs, options.write, sources=options.inputs)
     others = [*options.inputs, *options.outputs]
     for path in options.drawn:
-        check_file(path, "--output", force=options.force, others=others)
+        check_file(path, "--output", others=others)
         others.append(path)
     checkpoint = options.checkpoint
     if checkpoint is not None:
         if checkpoint.suffix.lower() != ".npz":
             raise InputError("--checkpoint", "a file ending in .npz", str(checkpoint))
-        # A run may go on from its own checkpoint.
-        mine = options.start is not None and Path(options.start).resolve() == checkpoint.resolve()
-        check_file(checkpoint, "--checkpoint", force=options.force or mine, others=others)
+        check_file(checkpoint, "--checkpoint", others=others)
 
 
 def _read(options: FitOptions, output: Output) -> tuple[Shots, Any, dict[Path, dict[str, Any]]]:
@@ -183,9 +181,8 @@ def _start(text: str | None, space: Space) -> Any:
     if text is None:
         return None
     if text.isdecimal() and not Path(text).exists():
-        return ssdr.Start(rest_frame=int(text))
-    thing = ssdr.io.in_space(read_any(Path(text)), space)
-    return ssdr.Start(rest=thing.vertices[0]) if isinstance(thing, MeshSequence) else thing
+        return int(text)
+    return ssdr.io.in_space(read_any(Path(text)), space)
 
 
 def _place(own: dict[str, Any], space: Space) -> None:
@@ -253,9 +250,11 @@ def _print(
     """Print the result as a table, which includes the rows `said`, or as JSON, with `about`."""
     from .. import __version__
     from ..frames.error import largest_error
+    from ..frames.motion import motion_rms, share_of
 
     diagonal, clips = max(shot.diagonal() for shot in shots), names_of(shots)["clips"]
     model = result.skinning
+    motion = motion_rms(shots)
     largest = largest_error(shots, model.rest, model.indices, model.weights, model.transforms)
     document = {
         **about,
@@ -272,6 +271,8 @@ def _print(
         "seed": options.seed,
         "rmse": result.rmse,
         "rmse_percent": 100 * result.rmse / diagonal if diagonal > 0 else math.nan,
+        "motion": motion,
+        "percent_of_motion": 100 * share_of(result.rmse, motion),
         "max_error": largest,
         "max_error_percent": 100 * largest / diagonal if diagonal > 0 else math.nan,
         "E": 1000 * result.rmse / math.sqrt(3),
@@ -282,12 +283,15 @@ def _print(
         "outputs": [dataclasses.asdict(report) for report in reports],
         "checkpoint": options.checkpoint,
     }
-    rows = in_words(document | {"input": options.inputs}, _ROWS)
+    of_motion = f", {document['percent_of_motion']:.3g} % of the motion" if motion > 0 else ""
+    rows = in_words(document | {"input": options.inputs, "of_motion": of_motion}, _ROWS)
     if result.normals is not None:
         document["normals"] = result.normals.as_dict()
         rows.insert(-1, ("normals", f"{result.normals}, as engines draw them"))
     if len(clips) > 1:
         rows.insert(1, ("clips", clips_text(clips)))
+    if not any("meshes" in pair for pair in options.read or ()):
+        rows.insert(1, ("meshes", meshes_text(options.inputs[0])))
     rows += said
     parsimony = getattr(result, "parsimony", None)
     if parsimony is not None:

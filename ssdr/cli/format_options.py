@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import FormatError, InputError, check_flag
+from ..io.references import trust
 from ..io.registry import FORMATS, Format, format_to_read, function_of
 from ..quantisation import WeightStorage
 from .options import FitOptions, Options, SpaceOptions
@@ -53,6 +54,9 @@ def read_options(
         takers = [k for k in meant if key in known[k]]
         if key == "weld":
             check_flag(value, "weld")
+        if key == "folder":
+            trust(value)
+            continue
         if not takers:
             wanted = ", ".join(sorted(set().union(*known.values())))
             files = ", ".join(str(paths[k]) for k in meant)
@@ -114,7 +118,7 @@ def _known(path: Path) -> set[str]:
     """Names of the keyword arguments with which a file can be read."""
     format_ = readable_format(path)
     of_format = keywords(format_, "read") | keywords(format_, "read_skinning")
-    return (of_format | {"weld"} | PLACED | {"fps"}) - {"clip"}
+    return (of_format | {"weld", "fps", "folder"} | PLACED) - {"clip"}
 
 
 def _metres(text: str | None) -> float | None:

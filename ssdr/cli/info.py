@@ -19,7 +19,7 @@ from ..skinning import Skinning
 from .format_options import read_options
 from .options import SpaceOptions, argument, takes
 from .output import Output, in_words
-from .reading import clips_document, clips_in, clips_text, read_any, read_model
+from .reading import clips_document, clips_in, clips_text, meshes_text, read_any, read_model
 
 _BONES = {
     "bones": "{bones} ({bone_model}), {bones_without_vertices} move nothing",
@@ -64,6 +64,8 @@ def info(options: InfoOptions) -> None:
 
     If a file without a skin has several clips, all of them are listed and the first is examined.
     """
+    from ..io import list_meshes
+
     output = Output.start(options)
     source, clip = options.source, options.clip
     (read,) = read_options([source], options)
@@ -77,7 +79,7 @@ def info(options: InfoOptions) -> None:
         kind, about, table = "sequence", _about_sequence(thing), {}
     about |= _about_mesh(thing)
     rows = [("file", f"{source}: a {kind}"), ("clips", clips_text(clips))]
-    rows.append(("space", str(thing.space)))
+    rows += [("meshes", meshes_text(source)), ("space", str(thing.space))]
     rows += in_words(about, _MESH | table)
     tree = about.get("hierarchy")
     if tree is not None:
@@ -85,6 +87,7 @@ def info(options: InfoOptions) -> None:
         none = [("mirror", "the rest pose is not its own mirror image")]
         rows += in_words(tree["mirror"], _MIRROR) if tree["mirror"] is not None else none
     document = {"command": "info", "input": source, "kind": kind, **about}
+    document["meshes"] = list_meshes(source)
     output.result({**document, "clips": clips_document(clips)}, rows)
 
 

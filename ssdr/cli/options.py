@@ -84,7 +84,8 @@ class SpaceOptions(Options):
     ] = None
 
 
-Force = Annotated[bool, option(FILES, "Overwrite outputs that exist.", "--force", "-f")]
+# What exists is overwritten; scripts for earlier versions ask for that.
+Force = Annotated[bool, option(FILES, "No effect.", "--force", "-f", hidden=True)]
 Write = Annotated[
     list[str] | None,
     option(FILES, "Option of ssdr.save, as glb:weights=uint16; repeatable.", metavar=_PAIR),

@@ -16,6 +16,8 @@ from ..skinning import Skinning
 from .format_options import PLACED, keywords, readable_format
 from .output import Output
 
+_MOST_NAMES = 20  # in a line of the table
+
 
 def read_any(path: Path, **options: Any) -> MeshSequence | Skinning:
     """Skinning of a file if it holds one, else its sequence."""
@@ -43,6 +45,18 @@ def clips_in(path: Path, options: dict[str, Any]) -> tuple[Clip, ...]:
     if not known or not path.exists():
         return ()
     return list_clips(path, **{k: v for k, v in options.items() if k in known})
+
+
+def meshes_text(path: Path) -> str:
+    """Names of the meshes that are read as one; empty if a file has only one."""
+    from ..io import list_meshes
+
+    known = readable_format(path)
+    names = list_meshes(path) if known is not None and known.list_meshes else ()
+    if len(names) < 2:
+        return ""
+    listed = ", ".join(names[:_MOST_NAMES]) + ", ..." * (len(names) > _MOST_NAMES)
+    return f"{len(names)}, read as one (--read meshes=NAME takes one): {listed}"
 
 
 def read_clips(

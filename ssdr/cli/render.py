@@ -61,7 +61,7 @@ def render(options: RenderOptions) -> None:
     film = target.suffix.lower() in (".gif", ".webp") and options.frame is None
     picture_format(target)
     sources = [source] if reference is None else [source, reference]
-    check_file(target, "--output", force=options.force, others=sources)
+    check_file(target, "--output", others=sources)
     frames = _frames(options.frames)
     read = read_options(sources, options)
     with output.waiting(f"loading {source}"):

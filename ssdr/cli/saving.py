@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
 import tempfile
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
@@ -25,13 +24,12 @@ from .output import Output
 
 Settings = Mapping[str, Any]
 _PACKAGES = {"alembic": "alembic3d", "usd": "pxr", "zarr": "zarr"}
-_BESIDE = {".gltf": ".bin", ".npy": ".faces.npy"}  # what a format writes beside a file
 _TRIED_INFLUENCES = 16  # more than any format with a limit takes
 _SHEARED = np.array([[1.0, 0.5, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
 
 
 def check_outputs(
-    paths: Iterable[Path], pairs: list[str] | None, *, force: bool, sources: Sequence[Path]
+    paths: Iterable[Path], pairs: list[str] | None, *, sources: Sequence[Path]
 ) -> None:
     """Raise an error before the work if an output could not be written after it.
 
@@ -39,8 +37,8 @@ def check_outputs(
     ------
     InputError
         If a suffix is unknown, a format can only be read, an option names an unknown suffix, or an
-        output exists (without `force`), is named twice, is an input or lies in a folder that cannot
-        be written to.
+        output is named twice, is an input, lies in a folder that cannot be written to or would
+        replace a file beside it that belongs to another.
     MissingDependencyError
         If a format needs a package that is not installed.
     """
@@ -59,12 +57,12 @@ def check_outputs(
         if format_.extra in _PACKAGES:
             require(_PACKAGES[format_.extra], format_.extra, f"{path}: {format_.title}")
         write_options(pairs, path)
-        check_file(path, "--output", force=force, others=seen)
+        check_file(path, "--output", others=seen)
         seen.append(path)
 
 
-def check_file(path: Path, option: str, *, force: bool, others: Iterable[Path]) -> None:
-    """Raise an InputError if a file exists (without `force`), is in `others` or is not writable."""
+def check_file(path: Path, option: str, *, others: Iterable[Path]) -> None:
+    """Raise an InputError if a file is in `others` or cannot be written."""
     if not (path.suffix.lower() == ".zarr" and path.is_dir()):
         try:
             check_writable(path)
@@ -72,15 +70,6 @@ def check_file(path: Path, option: str, *, force: bool, others: Iterable[Path]) 
             raise InputError(option, error.expected, error.got) from error
     if path.resolve() in [other.resolve() for other in others]:
         raise InputError(option, "a file that is no input and no other output", str(path))
-    taken = [path]
-    if path.suffix.lower() in _BESIDE:
-        taken.append(path.with_suffix(_BESIDE[path.suffix.lower()]))
-    pattern = re.sub(r"%0?\d*d", "*", path.name)
-    if pattern != path.name:
-        taken = sorted(path.parent.glob(pattern))
-    for one in taken:
-        if os.path.lexists(one) and not force:
-            raise InputError(option, "a new file (--force overwrites)", f"{one}, which exists")
 
 
 def try_format(

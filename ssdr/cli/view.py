@@ -56,7 +56,7 @@ def view(options: ViewOptions) -> None:
     source, target, reference = options.source, options.target, options.reference
     sources = [source] if reference is None else [source, reference]
     if target is not None:
-        check_page(target, "--output", force=options.force, others=sources)
+        check_page(target, "--output", others=sources)
     read = read_options(sources, options)
     with output.waiting(f"loading {source}"):
         model = read_model(source, options.clip, read[0])
@@ -81,8 +81,8 @@ def view(options: ViewOptions) -> None:
     output.result({**document, "output": page.path}, [page_row(page)])
 
 
-def check_page(path: Path, option: str, *, force: bool, others: list[Path]) -> None:
+def check_page(path: Path, option: str, *, others: list[Path]) -> None:
     """Raise an InputError before the work if a page could not be written to `path` after it."""
     if path.suffix.lower() not in PAGES:
         raise InputError(option, "a file ending in .html", str(path))
-    check_file(path, option, force=force, others=others)
+    check_file(path, option, others=others)

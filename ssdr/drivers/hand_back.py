@@ -12,6 +12,7 @@ import numpy as np
 from ..clips import names_of
 from ..errors import SsdrWarning
 from ..frames import error as frames_error
+from ..frames.motion import motion_rms
 from ..frames.normals import with_fitted_normals
 from ..joints.mirror import mirror_of, side_names
 from ..joints.placement import refit_joints, spanning_tree
@@ -116,6 +117,7 @@ def outcome_of(
         history=_history(steps, alignment.scale * np.sqrt(np.maximum(values, 0.0) / count), rmse),
         offsets=problem.offsets,
         normals=normals,
+        motion=motion_rms(problem.sequences, executor=problem.executor),
         warnings=(hint,) if idle else (),
     )
 

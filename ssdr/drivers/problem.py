@@ -28,7 +28,7 @@ from ..skinning import Skinning
 from ..solver.model import Locked
 from ..solver.rest_surface import RestPose, RestSurface, central_frame
 from ..solver.trajectories import Array, Trajectories, gather
-from ..start import Skeleton, Start
+from ..start import Skeleton, Start, as_start
 from .checkpoint import Checkpoint
 from .efforts import Effort
 from .given_parts import check_skeleton, check_start, extra_parents, with_skeleton
@@ -181,8 +181,10 @@ def check_problem(
     bone_model = check_bone_model(bone_model)
     check_choice(effort, "effort", Effort)
     check_choice(rest_pose, "rest_pose", RestPose)
+    start = as_start(start)
     if not (start is None or isinstance(start, (Skinning, Start))):
-        raise InputError("start", "None, a Skinning or a Start", type(start).__name__)
+        expected = "None, a Skinning, a MeshSequence, a Start or the number of a frame"
+        raise InputError("start", expected, type(start).__name__)
     if not (rig is None or isinstance(rig, Skeleton) or _is_kind(rig)):
         raise InputError("rig", "None, 'loose', 'rigid' or a Skeleton", repr(rig))
     bones = _count_bones(bones, n, rig, start)

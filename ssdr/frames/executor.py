@@ -31,6 +31,7 @@ _BLOCK = 32 << 20
 _FEWEST = 8  # frames in a block, whatever their size
 # Number of spans: enough for the workers of a cluster, few because each returns sums of (V, 4B).
 _SPANS = 32
+_ROW = 8  # frames in a row, where not all are taken
 _logger = logging.getLogger(__name__)
 
 
@@ -61,8 +62,14 @@ class Frames:
             yield start, read[0] if len(read) == 1 else np.concatenate(read)
 
 
-def spans_of(n_frames: int) -> list[tuple[int, int]]:
-    """Split frames into a few dozen spans: (first frame, the one after the last) of each."""
+def spans_of(n_frames: int, most: int | None = None) -> list[tuple[int, int]]:
+    """Split frames into a few dozen spans: (first frame, the one after the last) of each.
+
+    Of more than `most` frames, rows of a few are taken evenly, which are about as many together.
+    """
+    if most is not None and n_frames > most:
+        starts = np.linspace(0, n_frames - _ROW, most // _ROW).astype(int).tolist()
+        return [(start, start + _ROW) for start in starts]
     return chunk_bounds(n_frames, max(_FEWEST, -(-n_frames // _SPANS)))
 
 

@@ -25,7 +25,6 @@ Array = NDArray[np.float64]
 
 _CHUNK = 512  # normals in a task
 _COMPARED = 6  # frames in which copies of a vertex coincide
-_ROW = 8  # frames measured in a row, where not all are
 _PULL = 1e-9  # towards the rest pose's own normal, relative to the sum of all squares
 _LEAST = 1e-6  # length of a fitted normal: less has no direction
 _BINS = 18001  # of the histogram of angles, each a hundredth of a degree
@@ -123,10 +122,7 @@ def drawn_angles(
         normals = normals_at_corners(skinning.rest, holders)
     rest = np.zeros((len(holders.vertex), 3))
     np.add.at(rest, holders.corner.reshape(-1), normals.reshape(-1, 3))
-    count, spans = skinning.n_frames, spans_of(skinning.n_frames)
-    if most is not None and count > most:
-        starts = np.linspace(0, count - _ROW, most // _ROW).astype(int).tolist()
-        spans = [(start, start + _ROW) for start in starts]
+    spans = spans_of(skinning.n_frames, most)
     shared = (
         *(np.asarray(skinning.rest, dtype=np.float64), rest, *_skin_of(skinning), holders),
         np.asarray(skinning.transforms, dtype=np.float64),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .load_save import copy, left_out, list_clips, load, load_skinning, save
+from .load_save import copy, left_out, list_clips, list_meshes, load, load_skinning, save
 from .registry import FORMATS, SaveReport
 from .spaces import in_space
 from .tables import SkinWeights, read_weights
@@ -15,6 +15,7 @@ __all__ = [
     "in_space",
     "left_out",
     "list_clips",
+    "list_meshes",
     "load",
     "load_skinning",
     "read_weights",

@@ -14,6 +14,7 @@ from pathlib import Path
 from ..errors import InputError
 
 _PREFIX = ".ssdr-"  # of the names of temporary files
+_BESIDE = {".gltf": ".bin", ".npy": ".faces.npy"}  # what a format writes beside a file
 _STALE_SECONDS = 3600.0  # no write goes on for so long without a change of its file
 
 
@@ -79,8 +80,9 @@ def check_writable(path: Path | str) -> None:
     Raises
     ------
     InputError
-        If `path` cannot name a file, or no file can be created in its folder.
+        If `path` cannot name a file, no file can be created in its folder, or as `check_beside`.
     """
+    check_beside(Path(path))
     probe = free_name(_file_behind(path))
     try:
         probe.touch()
@@ -89,6 +91,22 @@ def check_writable(path: Path | str) -> None:
         raise InputError(
             "path", "a file in a folder that can be written to", f"{path} ({error.strerror})"
         ) from error
+
+
+def check_beside(path: Path) -> None:
+    """Raise an InputError if what is written beside `path` would replace another file's.
+
+    A new file overwrites an old one of its name, with what lies beside that. Where there is no such
+    file, what has the name of its companion belongs to something else.
+
+    Raises
+    ------
+    InputError
+        If there is such a file.
+    """
+    beside = path.with_suffix(_BESIDE.get(path.suffix.lower(), path.suffix))
+    if os.path.lexists(beside) and not os.path.lexists(path):
+        raise InputError("path", f"a name whose {beside.name} is not taken", str(path))
 
 
 def write_bytes(path: Path | str, data: bytes, *, flush: bool = True) -> int:

@@ -17,9 +17,7 @@ from .registry import reading
 _SUFFIXES = (".obj", ".ply", ".off", ".npz")
 
 
-def over_mesh(
-    vertices: Any, path: Path, given: Any, argument: str, fps: float | None
-) -> MeshSequence:
+def over_mesh(vertices: Any, path: Path, given: Any, fps: float | None) -> MeshSequence:
     """Sequence of a file's vertices, with faces and surface of the mesh that goes with it.
 
     Parameters
@@ -30,8 +28,6 @@ def over_mesh(
     given : None, "none", path, (T, 3) int array or MeshSequence
         The mesh, its path, or its faces. None looks for ``<stem>.faces.npy`` and for a mesh of the
         same stem in the folder of `path`; "none" makes a point cloud.
-    argument : str
-        Name of the caller's argument for `given`, for messages.
     fps : float, optional
         Frames per second; those of the mesh by default.
 
@@ -44,15 +40,15 @@ def over_mesh(
     """
     n_vertices = vertices.shape[1]
     if given is None:
-        given = _beside(path, argument)
+        given = _beside(path)
     if isinstance(given, MeshSequence):
         mesh = given
     elif isinstance(given, (str, os.PathLike)) and given != "none":
         mesh = _read(Path(given), path, n_vertices)
     else:
-        mesh = _still(None if isinstance(given, str) else given, n_vertices, argument)
+        mesh = _still(None if isinstance(given, str) else given, n_vertices)
     if mesh.n_vertices != n_vertices:
-        raise InputError(argument, f"a mesh of {n_vertices} vertices", mesh.n_vertices)
+        raise InputError("faces", f"a mesh of {n_vertices} vertices", mesh.n_vertices)
     with reading(path):
         return MeshSequence(
             vertices,
@@ -64,12 +60,12 @@ def over_mesh(
         )
 
 
-def _beside(path: Path, argument: str) -> Path:
+def _beside(path: Path) -> Path:
     for suffix in (".faces.npy", *_SUFFIXES):
         if path.with_suffix(suffix).is_file():
             return path.with_suffix(suffix)
     raise InputError(
-        argument,
+        "faces",
         'a mesh, its path, an array of faces or "none" for a point cloud',
         f"nothing, and there is no mesh {path.stem}{_SUFFIXES[0]} beside {path}",
     )
@@ -80,7 +76,7 @@ def _read(file: Path, path: Path, n_vertices: int) -> MeshSequence:
 
     if file.suffix.lower() == ".npy":
         try:
-            return _still(read_array(file), n_vertices, "faces")
+            return _still(read_array(file), n_vertices)
         except InputError as error:
             raise FormatError(f"{file}: {error} (for {path})") from error
     mesh = load(file)
@@ -89,7 +85,7 @@ def _read(file: Path, path: Path, n_vertices: int) -> MeshSequence:
     return mesh
 
 
-def _still(faces: Any, n_vertices: int, argument: str) -> MeshSequence:
+def _still(faces: Any, n_vertices: int) -> MeshSequence:
     """Sequence of one frame with these faces, all of whose vertices are at the origin."""
-    checked = check_faces(faces, n_vertices, argument)
+    checked = check_faces(faces, n_vertices, "faces")
     return MeshSequence(np.zeros((1, n_vertices, 3)), checked, validate=False)

@@ -14,6 +14,8 @@ from ..clips import Clip, pick
 from ..errors import FormatError, InputError, SsdrWarning, is_real
 from ..sequence import MeshSequence
 from ..space import Space, Up
+from .atomic import check_beside
+from .references import trusting
 from .registry import (
     FORMATS,
     Format,
@@ -32,6 +34,8 @@ if TYPE_CHECKING:
 
 
 _log = logging.getLogger(__name__)
+_SHOWN = (".glb", ".gltf", ".usd", ".usda", ".usdc", ".fbx", ".obj", ".ply")
+_BARE = "has no triangles: programs show points or nothing (faces= of what was fitted adds them)"
 
 
 def load(
@@ -43,6 +47,7 @@ def load(
     scale: float = 1.0,
     units: float | None = None,
     up: Up | None = None,
+    folder: str | os.PathLike[str] | None = None,
     **options: Any,
 ) -> MeshSequence:
     """Read an animated mesh; from a file with a skinning, the skinned vertices of every frame.
@@ -70,6 +75,8 @@ def load(
         Metres in a unit of the result, in place of what the file states. Numbers stay as they are.
     up : {"y", "z"}, optional
         Up axis of the result, in place of what the file states. Nothing is turned.
+    folder : path, optional
+        Folder below which files may be read that this one refers to; by default only its own.
     **options
         Options of the format; the page on formats lists them.
 
@@ -100,7 +107,8 @@ def load(
     space = Space(units, up)
     if format_.list_clips is not None and clip is not None:
         options["clip"] = clip
-    sequence: MeshSequence = call(format_, "read", source, fps=fps, **options)
+    with trusting(folder):
+        sequence: MeshSequence = call(format_, "read", source, fps=fps, **options)
     if format_.list_clips is None:
         pick([_only_clip(sequence, source).name], clip)
     sequence = scaled(sequence, scale, space)
@@ -112,7 +120,11 @@ def load(
 
 
 def list_clips(
-    path: str | os.PathLike[str], *, fps: float | None = None, **options: Any
+    path: str | os.PathLike[str],
+    *,
+    fps: float | None = None,
+    folder: str | os.PathLike[str] | None = None,
+    **options: Any,
 ) -> tuple[Clip, ...]:
     """Clips of a file; their frames are numbered as :func:`load_skinning` numbers them.
 
@@ -120,7 +132,7 @@ def list_clips(
 
     Parameters
     ----------
-    path, fps, **options
+    path, fps, folder, **options
         As in :func:`load`.
 
     Raises
@@ -135,9 +147,45 @@ def list_clips(
     """
     source, format_ = _readable(path, fps)
     if format_.list_clips is None:
-        return (_only_clip(load(source, fps=fps, **options), source),)
-    clips: tuple[Clip, ...] = call(format_, "list_clips", source, fps=fps, **options)
+        return (_only_clip(load(source, fps=fps, folder=folder, **options), source),)
+    with trusting(folder):
+        clips: tuple[Clip, ...] = call(format_, "list_clips", source, fps=fps, **options)
     return clips
+
+
+def list_meshes(
+    path: str | os.PathLike[str], *, folder: str | os.PathLike[str] | None = None
+) -> tuple[str, ...]:
+    """Names of the meshes of a file, which become one where it is read.
+
+    The option ``meshes=`` of :func:`load` and :func:`load_skinning` takes one or several of them.
+    Formats that have no named meshes list none.
+
+    Parameters
+    ----------
+    path, folder
+        As in :func:`load`.
+
+    Raises
+    ------
+    FormatError, InputError, MissingDependencyError, FileNotFoundError
+        As in :func:`load`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> start = ssdr.initialize(ssdr.samples.load("dancer_small"), bones=4)
+    >>> with tempfile.TemporaryDirectory() as place:
+    ...     _ = ssdr.save(start, f"{place}/dance.glb")
+    ...     ssdr.io.list_meshes(f"{place}/dance.glb")
+    ('dancer_small',)
+    """
+    source, format_ = _readable(path)
+    if format_.list_meshes is None:
+        return ()
+    with trusting(folder):
+        names: tuple[str, ...] = call(format_, "list_meshes", source)
+    return names
 
 
 def _only_clip(sequence: MeshSequence, source: Path) -> Clip:
@@ -153,6 +201,7 @@ def load_skinning(
     scale: float = 1.0,
     units: float | None = None,
     up: Up | None = None,
+    folder: str | os.PathLike[str] | None = None,
     **options: Any,
 ) -> Skinning:
     """Read a skinning: rest pose, skin weights and bone transforms.
@@ -168,7 +217,7 @@ def load_skinning(
     scale : float
         Factor by which all lengths are multiplied: positions of vertices and joints, and
         translations of the bones.
-    units, up
+    units, up, folder
         As in :func:`load`.
 
     Raises
@@ -190,7 +239,8 @@ def load_skinning(
     """
     source, format_ = _readable(path, fps, scale, "read_skinning")
     space = Space(units, up)
-    skinning: Skinning = call(format_, "read_skinning", source, fps=fps, **options)
+    with trusting(folder):
+        skinning: Skinning = call(format_, "read_skinning", source, fps=fps, **options)
     skinning = scaled(skinning, scale, space)
     if clip is None:
         return skinning
@@ -228,6 +278,7 @@ def save(
     *,
     units: float | None = None,
     up: Up | None = None,
+    folder: str | os.PathLike[str] | None = None,
     **options: Any,
 ) -> SaveReport:
     """Write a sequence or a skinning to a file.
@@ -235,7 +286,8 @@ def save(
     It is converted to metres with y up for glTF and FBX, and to the space of a template. The note
     of the report says what was done and what is not known.
 
-    If writing stops with an error, no incomplete file is left. If the format cannot hold a
+    A file that exists is overwritten. If writing stops with an error, the old file stays, and no
+    incomplete one is left. If the format cannot hold a
     skinning, its skinned vertices are written, with the frames of all clips one after the other.
 
     Parameters
@@ -249,6 +301,8 @@ def save(
         Metres in a unit of `thing`, in place of those that ``thing.space`` states.
     up : {"y", "z"}, optional
         Up axis of `thing`, in place of that of ``thing.space``.
+    folder : path, optional
+        As in :func:`load`, for a template.
     **options
         Options of the format; the page on formats lists them.
 
@@ -259,7 +313,8 @@ def save(
     Raises
     ------
     InputError
-        If `thing` cannot be written in that format, or the format does not have an option.
+        If `thing` cannot be written in that format, the format does not have an option, or a file
+        that another one needs would be overwritten, as the ``.bin`` of a ``.gltf``.
     MissingDependencyError
         If the format needs an optional package that is not installed.
 
@@ -280,6 +335,7 @@ def save(
         suffix, format_ = format_of(target)
     except FormatError as error:
         raise InputError("path", f"a suffix of {', '.join(_writable())}", str(target)) from error
+    check_beside(target)
     if not isinstance(thing, (MeshSequence, Skinning)):
         thing = getattr(thing, "skinning", thing)
     if not isinstance(thing, (MeshSequence, Skinning)):
@@ -301,18 +357,21 @@ def save(
     given = with_space(thing, thing.space.but(Space(units, up)))
     space, template = format_.space, options.get("template")
     if template is not None and format_.template_space is not None:
-        space = call(format_, "template_space", _as_path(template))
+        with trusting(folder):
+            space = call(format_, "template_space", _as_path(template))
     ready, said = ready_to_write(given, format_.title, space)
     if options.get("levels"):
         stated = [with_space(level, given.space) for level in options["levels"]]
         options["levels"] = [ready_to_write(x, format_.title, space)[0] for x in stated]
-    report: SaveReport = call(format_, writer, ready, target, **options)
+    with trusting(folder):
+        report: SaveReport = call(format_, writer, ready, target, **options)
     back = (ready.space.units or 1.0) / (given.space.units or ready.space.units or 1.0)
     lengths = {n: getattr(report, n) for n in ("error", "max_error", "between_frames")}
     report = dataclasses.replace(report, **{n: x and x * back for n, x in lengths.items()})
     if report.lost:
         warnings.warn(f"{target}: not kept: {', '.join(report.lost)}", SsdrWarning, stacklevel=2)
-    notes = [note for note in (said, report.note, joined) if note]
+    bare = _BARE if suffix in _SHOWN and not len(thing.faces) else ""
+    notes = [note for note in (bare, said, report.note, joined) if note]
     return dataclasses.replace(report, note="; ".join(notes))
 
 
@@ -380,7 +439,7 @@ def left_out(path: str | os.PathLike[str], **options: Any) -> tuple[str, ...]:
     ----------
     path : path
     **options
-        Options given to :func:`load`; only `meshes` changes the result.
+        Options given to :func:`load`; only `meshes` and `folder` are used.
 
     Examples
     --------
@@ -396,7 +455,8 @@ def left_out(path: str | os.PathLike[str], **options: Any) -> tuple[str, ...]:
     if format_ is None or format_.left_out is None:
         return ()
     chosen = {k: v for k, v in options.items() if k == "meshes"}
-    found: tuple[str, ...] = call(format_, "left_out", source, **chosen)
+    with trusting(options.get("folder")):
+        found: tuple[str, ...] = call(format_, "left_out", source, **chosen)
     return found
 
 

@@ -30,7 +30,7 @@ _MDD = struct.Struct(">ii")
 
 
 def read(
-    path: Path, *, fps: float | None = None, mesh: Any = None, mmap: bool = False
+    path: Path, *, fps: float | None = None, faces: Any = None, mmap: bool = False
 ) -> MeshSequence:
     """Read a point cache as the motion of a mesh in another file.
 
@@ -41,7 +41,7 @@ def read(
         Samples per second. By default those that the times in an MDD cache imply. A PC2 cache has
         no times, only frames per sample; for it the default is the rate of the mesh, or 24 if that
         states none, divided by these.
-    mesh : path, MeshSequence, (T, 3) int array or "none", optional
+    faces : path, MeshSequence, (T, 3) int array or "none", optional
         Mesh that the cache deforms, or its faces; by default the mesh file of the same stem in the
         same folder. "none" makes a point cloud.
     mmap : bool
@@ -78,7 +78,7 @@ def read(
         else:
             flat = np.fromfile(path, dtype=kind, offset=start)
             vertices = flat.reshape(shape).astype(np.float32, copy=False)
-    sequence = over_mesh(vertices, path, mesh, "mesh", fps)
+    sequence = over_mesh(vertices, path, faces, fps)
     if fps or step == 1:
         return sequence
     return dataclasses.replace(sequence, fps=sequence.fps / step, validate=False)

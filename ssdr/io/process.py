@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..clips import readable
 from ..errors import InputError, MissingDependencyError, SsdrError, is_real
 
 _log = logging.getLogger(__name__)
@@ -48,7 +49,8 @@ def run_script(
     MissingDependencyError
         If the program cannot be started.
     SsdrError
-        If it ends with an error, whose text is passed on, or takes longer than `time_limit`.
+        If it ends with an error, whose text is passed on, writes one as the array ``"error"``, or
+        takes longer than `time_limit`.
     """
     if not (is_real(time_limit) and time_limit > 0):
         raise InputError("time_limit", "seconds > 0", time_limit)
@@ -72,10 +74,13 @@ def run_script(
             raise SsdrError(f"{who} needed more than {time_limit:g} s") from error
         except OSError as error:
             raise MissingDependencyError(f"{words[0]} could not be started: {error}") from error
-        _log.debug("%s: %s", who, done.stdout)
+        _log.debug("%s: %s%s", who, done.stdout, done.stderr)
         if done.returncode != 0 or not out.is_file():
-            lines = [line for line in done.stderr.splitlines() if line.strip()]
-            reason = " | ".join(lines[-3:])[-600:] or "it ended without a word"
+            lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
+            reason = (lines or ["it said nothing"])[-1][-600:]  # of a traceback, what it ends in
             raise SsdrError(f"{who} failed ({done.returncode}): {reason}")
         with np.load(out, allow_pickle=False) as archive:
-            return {key: archive[key] for key in archive.files}
+            arrays = {key: archive[key] for key in archive.files}
+    if "error" in arrays:
+        raise SsdrError(readable(arrays["error"]))
+    return arrays

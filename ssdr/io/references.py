@@ -1,21 +1,56 @@
 """Lookup of files that another file names, limited to the folder of that file.
 
 Without this limit, a model from elsewhere could name any file of the machine that reads it, and the
-contents of that file would go into an output.
+contents of that file would go into an output. The user may name a folder more that may be read.
 """
 
 from __future__ import annotations
 
+import contextlib
 import logging
-from collections.abc import Iterable
+import os
+from collections.abc import Iterable, Iterator
+from contextvars import ContextVar
 from pathlib import Path
+from typing import Any
 
+from ..errors import InputError
+
+OUTSIDE = "lies outside its folder"
+HINT = "folder= names a folder that may be read, too"
+_trusted: ContextVar[tuple[Path, ...]] = ContextVar("trusted", default=())
 _log = logging.getLogger(__name__)
 
 
+@contextlib.contextmanager
+def trusting(folder: Any) -> Iterator[None]:
+    """Context in which files below `folder`, too, may be read for others; None adds nothing."""
+    token = _trusted.set(_trusted.get())
+    try:
+        if folder is not None:
+            trust(folder)
+        yield
+    finally:
+        _trusted.reset(token)
+
+
+def trust(folder: Any) -> None:
+    """Let files below `folder` be read for others, until the end of a :func:`trusting` around.
+
+    Raises
+    ------
+    InputError
+        If there is no such folder.
+    """
+    if not isinstance(folder, (str, os.PathLike)) or not os.path.isdir(folder):
+        raise InputError("folder", "a folder that exists", repr(folder))
+    _trusted.set((*_trusted.get(), Path(folder)))
+
+
 def is_inside(file: Path, folder: Path) -> bool:
-    """Whether a file lies in a folder or below it, once symbolic links are followed."""
-    return file.resolve().is_relative_to(folder.resolve())
+    """Whether a file lies in or below a folder, or a trusted one, once links are followed."""
+    place = file.resolve()
+    return any(place.is_relative_to(one.resolve()) for one in (folder, *_trusted.get()))
 
 
 def locate(path: Path, name: str) -> tuple[Path, str]:
@@ -26,7 +61,7 @@ def locate(path: Path, name: str) -> tuple[Path, str]:
     file = path.parent / name
     try:
         if not is_inside(file, path.parent):
-            return file, "lies outside its folder"
+            return file, OUTSIDE
         return file, "" if file.is_file() else "is missing"
     except (OSError, ValueError, RuntimeError):
         return file, "is missing"

@@ -26,6 +26,13 @@ if TYPE_CHECKING:
 
 
 _log = logging.getLogger(__name__)
+_MOST_NAMES = 20  # in a message
+_BUGS: dict[type[Exception], str] = {
+    KeyError: "it has no {}",
+    IndexError: "it refers to something that is not there",
+    TypeError: "an entry holds another kind of value than the format says",
+    AttributeError: "an entry holds another kind of value than the format says",
+}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -82,6 +89,7 @@ class Format:
     have, whose unknown parts they may choose; None if they cannot state any. Each field after it is
     named after a function, and holds the name of the module with that function, or None. If a
     format has `list_clips`, a file can hold several clips, and `read` takes the option `clip`. If
+    it has `list_meshes`, a file can hold several meshes, and `read` takes the option `meshes`. If
     it has `compact_size`, that counts the bytes of a compact file before there is one. If it has
     `copy`, files can be copied whole and can be templates: `write_skinning` takes the option
     `template`, and `template_problem` returns the reason why a file cannot be a template.
@@ -96,6 +104,7 @@ class Format:
     write_skinning: str | None = None
     compact_size: str | None = None
     list_clips: str | None = None
+    list_meshes: str | None = None
     copy: str | None = None
     left_out: str | None = None
     template_problem: str | None = None
@@ -122,7 +131,7 @@ _GLTF = _format(
     "glTF 2.0",
     None,
     METRES_Y_UP,
-    gltf__reader=_READS,
+    gltf__reader=f"{_READS} list_meshes",
     gltf__writer="write_skinning compact_size",
     gltf__passing=_PASSES,
 )
@@ -130,7 +139,7 @@ _USD = _format(
     "Universal Scene Description",
     "usd",
     UNKNOWN,
-    usd__reader=_READS,
+    usd__reader=f"{_READS} list_meshes",
     usd__writer="write_sequence write_skinning",
     usd__template=f"{_PASSES} template_space",
 )
@@ -151,9 +160,23 @@ FORMATS: dict[str, Format] = {
     ".usd": _USD,
     ".usda": _USD,
     ".usdc": _USD,
-    ".abc": _format("Alembic", "alembic", alembic__reader="read", alembic__writer="write_sequence"),
+    ".usdz": _format(
+        "package of Universal Scene Description",
+        "usd",
+        usd__reader=f"{_READS} list_meshes",
+        usd__template="left_out",
+    ),
+    ".abc": _format(
+        "Alembic",
+        "alembic",
+        alembic__reader="read list_meshes",
+        alembic__writer="write_sequence",
+    ),
     ".fbx": _format(
-        "FBX", "blender", METRES_Y_UP, blender__bridge=f"{_READS} write_skinning left_out"
+        "FBX",
+        "blender",
+        METRES_Y_UP,
+        blender__bridge=f"{_READS} list_meshes write_skinning left_out",
     ),
 }
 
@@ -250,6 +273,23 @@ def pick_clip(names: Sequence[str], clip: Any, path: Path) -> int:
     return index
 
 
+def mesh_names(meshes: Any) -> list[str]:
+    """Names that the option `meshes` gives, one at least.
+
+    Raises
+    ------
+    InputError
+        If it gives none.
+    """
+    listed = [meshes] if isinstance(meshes, str) else meshes
+    if not (isinstance(listed, (list, tuple, set, frozenset)) and listed):
+        raise InputError("meshes", "the name of a mesh, or several", repr(meshes))
+    for name in listed:
+        if not isinstance(name, str):
+            raise InputError("meshes", "the name of a mesh, or several", repr(name))
+    return list(listed)
+
+
 def choose(meshes: str | Sequence[str] | None, names: Sequence[Collection[str]]) -> list[int]:
     """Indices of the meshes that have a name in `meshes`; all if that is None.
 
@@ -262,10 +302,12 @@ def choose(meshes: str | Sequence[str] | None, names: Sequence[Collection[str]])
     """
     if meshes is None:
         return list(range(len(names)))
-    wanted = {meshes} if isinstance(meshes, str) else set(meshes)
+    wanted = set(mesh_names(meshes))
     known = set().union(*names)
     for name in sorted(wanted - known):
-        raise InputError("meshes", f"one of {sorted(known)}", repr(name))
+        more = f" and {len(known) - _MOST_NAMES} more" if len(known) > _MOST_NAMES else ""
+        expected = f"one of {sorted(known, key=natural_key)[:_MOST_NAMES]}{more}"
+        raise InputError("meshes", expected, repr(name))
     return [k for k, own in enumerate(names) if wanted.intersection(own)]
 
 
@@ -351,7 +393,10 @@ def reading(path: Path, *options: str) -> Iterator[None]:
         if isinstance(error, MemoryError):
             what = "needs more memory than there is"
         elif not isinstance(error, (FormatError, InputError, FileNotFoundError)):
-            what = f"truncated or damaged ({what})"  # parsers of hostile bytes raise anything
+            # Parsers of hostile bytes raise anything, also what is said of the parser's own code.
+            _log.debug("%s", path, exc_info=error)
+            said = [text for kind, text in _BUGS.items() if isinstance(error, kind)]
+            what = f"truncated or damaged ({said[0].format(what) if said else what})"
         raise FormatError(f"{path}: {what}") from error
 
 

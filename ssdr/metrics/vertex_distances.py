@@ -8,6 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from ..frames.motion import motion_rms, share_of
 from ..parallel import chunk_bounds
 from .inputs import Frames, as_pair, check_finite, chunk_size, read
 
@@ -29,6 +30,13 @@ class Distances:
         normalised by the size of the mesh).
     percent_of_diagonal : float
         100 · rmse / diagonal.
+    motion : float
+        Root mean square distance √(Σ ‖A_t v_i^t − m_i‖² / (F V)) of the reference's vertices from
+        their mean pose m, with each frame carried onto the first by the rigid motion A_t that fits
+        best (Kabsch 1976); over about 500 frames at most.  0 where only rounding moves.
+    percent_of_motion : float
+        100 · rmse / motion: how much of the deformation is lost, root mean square.  NaN where
+        nothing deforms.
     mean, max : float
         Mean and largest distance.
     max_frame, max_vertex : int
@@ -54,6 +62,8 @@ class Distances:
     coordinate_rmse: float
     E: float
     percent_of_diagonal: float
+    motion: float
+    percent_of_motion: float
     mean: float
     max: float
     max_frame: int
@@ -103,12 +113,15 @@ def distances(reference: Frames, other: Frames) -> Distances:
         diagonal = max(diagonal, float(extent.max()))
     pooled = math.sqrt(per_vertex.sum() / (n_frames * n_vertices))
     diagonal = math.sqrt(diagonal)
+    motion = motion_rms([first])
     share = pooled / diagonal if diagonal > 0 else (0.0 if pooled == 0 else math.inf)
     return Distances(
         rmse=pooled,
         coordinate_rmse=pooled / math.sqrt(3),
         E=1000 * pooled / math.sqrt(3),
         percent_of_diagonal=100 * share,
+        motion=motion,
+        percent_of_motion=100 * share_of(pooled, motion),
         mean=total / (n_frames * n_vertices),
         max=math.sqrt(largest),
         max_frame=where[0],

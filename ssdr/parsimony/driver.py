@@ -11,6 +11,7 @@ from ..drivers.hand_back import with_normals
 from ..drivers.problem import Problem
 from ..drivers.streamed import PASSES, SCANNED
 from ..errors import Cancelled
+from ..frames.motion import motion_rms
 from ..joints.stages import AttachUnattached
 from ..search.progress import Clock, ProgressReport, Record
 from ..search.starts import StartFromModel
@@ -214,6 +215,7 @@ class Driver:
             history=(*ladder.records, last),
             offsets=problem.offsets,
             normals=normals,
+            motion=motion_rms(problem.sequences, executor=problem.executor),
             warnings=() if held else (self._shortfall(skinning, worst, reason),),
             parsimony=Parsimony(
                 tolerance=self.asked,

@@ -45,7 +45,7 @@ def smallest(
     effort: Effort = "balanced",
     bone_model: BoneModel = "rigid",
     rig: str | None = None,
-    start: Skinning | Start | None = None,
+    start: Skinning | Start | MeshSequence | int | None = None,
     vertex_importance: Any = None,
     frame_importance: Any = None,
     rest_pose: RestPose = "surface",
@@ -86,9 +86,10 @@ def smallest(
         As in :func:`decompose`.
     rig : {"loose", "rigid"}, optional
         As in :func:`decompose`; a skeleton cannot be kept.
-    start : Skinning or Start, optional
+    start : Skinning, Start, MeshSequence or int, optional
         A model to begin from, such as a checkpoint, with at most `bones` bones: if it holds the
-        tolerance, the result is no larger.  A :class:`Start` may give a rest pose only.
+        tolerance, the result is no larger.  All else, as in :func:`decompose`, may give a rest pose
+        only.
     vertex_importance : (V,) array, optional
         Guides the solver as in :func:`decompose`.  Each value must be at least 1e-4 of the largest,
         since the tolerance bounds the error without importance.

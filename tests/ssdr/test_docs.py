@@ -173,19 +173,6 @@ def test_snippets_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         assert (tmp_path / f"{shown['name']}.html").exists()
 
 
-@pytest.mark.parametrize("page", [ROOT / "README.md"], ids=_name)
-def test_no_command_stops_on_a_file_that_python_has_just_written(page: Path) -> None:
-    saved, written = set(), set()
-    for language, text in snippets.FENCE.findall(_text(page)):
-        if language == "python":
-            saved |= set(re.findall(r"save\([^\"]*\"([^\"]+)\"", text))
-        else:
-            written |= set(re.findall(r"^ssdr .*-o (\S+)", text, re.MULTILINE))
-    assert saved
-    assert written
-    assert not saved & written
-
-
 MODULES = [render, *(m for n in ssdr.__all__ if inspect.ismodule(m := getattr(ssdr, n)))]
 
 

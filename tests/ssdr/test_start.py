@@ -186,6 +186,16 @@ def test_the_start_is_left_alone() -> None:
         assert np.array_equal(getattr(start, name), array), name
 
 
+def test_a_frame_or_a_mesh_is_a_start_as_on_the_command_line() -> None:
+    mesh = ssdr.MeshSequence(frames())
+    for short, long in ((7, ssdr.Start(rest_frame=7)), (mesh, ssdr.Start(rest=frames()[0]))):
+        one, other = (
+            ssdr.decompose(frames(), bones=3, effort="fast", start=x) for x in (short, long)
+        )
+        assert np.array_equal(one.skinning.rest, other.skinning.rest)
+        assert np.array_equal(one.skinning.transforms, other.skinning.transforms)
+
+
 def still(n: int = 84, bones: int = 4, **parts: Any) -> ssdr.Skinning:
     arrays = {"transforms": np.tile(np.eye(3, 4), (15, bones, 1, 1))} | parts
     return motions.model(np.zeros((n, 3)), **arrays)
@@ -202,6 +212,7 @@ ON = {"sequence": trees.six_bones().frames, "rig": ssdr.Skeleton(skeleton())}
 FLAT = dataclasses.replace(skeleton(), parents=None, joint_positions=None)
 RESULT = ssdr.Decomposition(still(), 0.0, "converged", (), np.zeros(2, int), 0.0)
 REFUSED: dict[str, tuple[str, dict[str, Any]]] = {
+    "a frame that is not there": ("start.rest_frame", {"start": 15, "bones": 2}),
     "a file's name": ("start", {"start": "model.npz"}),
     "a result": ("start", {"start": RESULT}),
     "another mesh": ("start", {"start": still(83)}),

@@ -171,7 +171,7 @@ class Page(Job):
 
     def steps(self) -> Steps:
         files = [str(self.folder / name) for name in ("model.npz", "input.npz")]
-        words = [self.python, "-m", "ssdr", "view", *files, "-o", str(self.page), "--force"]
+        words = [self.python, "-m", "ssdr", "view", *files, "-o", str(self.page)]
         for _ in follow([*words, "--up", "z", "--title", self.name, "--json"], self.folder):
             yield 0.5, "writing the page"
         yield 1.0, f"The page: {self.page}"

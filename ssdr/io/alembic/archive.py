@@ -2,7 +2,7 @@
 
 Run it as ``python archive.py job.json``. It needs only NumPy and alembic3d, not the package. It
 runs in a process of its own because a damaged archive can crash the library. It writes its results
-to an archive of arrays and errors to stderr; the package checks all that it finds.
+to an archive of arrays, which the package checks, and of an archive that is not read the reason.
 """
 
 import contextlib
@@ -223,7 +223,13 @@ def main() -> None:
         most = 3 * int(job["max_bytes"]) + _SPARE
         resource.setrlimit(resource.RLIMIT_AS, (most, most))
     reader = Reader(job)
-    reader.read(Abc.IArchive(job["path"]).getTop())
+    try:
+        reader.read(Abc.IArchive(job["path"]).getTop())
+    except (Refused, RuntimeError) as error:
+        said = str(error).strip().splitlines()[-1]
+        said = said if isinstance(error, Refused) else f"truncated or damaged; Alembic says: {said}"
+        np.savez(job["out"], error=np.array(said))
+        return
     fields = ("names", "hidden", "meshes", "transforms")
     found = json.dumps({name: getattr(reader, name) for name in fields})
     np.savez(job["out"], found=np.array(found), **reader.arrays)

@@ -21,6 +21,14 @@ _log = logging.getLogger(__name__)
 Arrays = Mapping[str, NDArray[Any]]
 
 
+def object_name(names: Sequence[str]) -> str:
+    """Name of an object that holds a mesh, as Blender calls it, from all names in the mesh's path.
+
+    It is that of the transform above the mesh.
+    """
+    return names[-2:][0]
+
+
 class Track:
     """Values (S, ...) of an array over time, which move on straight lines between its samples.
 

@@ -17,16 +17,15 @@ from ...sequence import MeshSequence
 from ...space import UNKNOWN
 from ...surface import Material
 from ..process import run_script
-from ..registry import check, choose, reading
+from ..registry import check, choose, mesh_names, reading
 from ..sampling import Missed, Sample
 from ..scene import SceneBudget, join_sequence
 from ..spaces import with_space
 from .clock import archive_clocks, check_kind, choose_frames
-from .parts import CacheMesh, Transforms
+from .parts import CacheMesh, Transforms, object_name
 
 _log = logging.getLogger(__name__)
 _SCRIPT = Path(__file__).with_name("archive.py")
-_REFUSED = "Refused: "  # precedes the text of an error of archive.py itself
 
 
 def read(
@@ -74,22 +73,20 @@ def read(
         If there is neither alembic3d nor Blender.
     """
     with reading(path, "meshes", "time_limit"):
-        with path.open("rb") as stream:
-            check_kind(stream.read(16))
+        _check_file(path)
         if not _installed():
             return _through_blender(path, fps, meshes, time_limit, max_bytes)
         budget = SceneBudget(path, path.stat().st_size, max_bytes)
-        found, arrays = _read_archive(path, meshes, time_limit, budget.most)
-        names = [[readable(name) for name in one] for one in found["names"]]
-        check(names, "no mesh that is shown")
-        choose(meshes, names)
+        wanted = None if meshes is None else mesh_names(meshes)
+        found, arrays = _read_archive(path, wanted, time_limit, budget.most)
+        choose(meshes, found["names"])
         for hidden in found["hidden"]:
             _log.info("%s: %s is not shown and left out", path, readable(hidden))
         materials: list[str] = []
         nodes = Transforms(found["transforms"], arrays)
         parts = [CacheMesh(one, arrays, nodes, materials) for one in found["meshes"]]
         # as Blender names and sorts objects
-        parts = sorted((p for p in parts if p.n_points), key=lambda part: part.names[-2:][0])
+        parts = sorted((p for p in parts if p.n_points), key=lambda part: object_name(part.names))
         check(parts, "no mesh with vertices")
         frames = choose_frames([times for part in parts for times in part.clocks], fps)
         n_vertices = sum(part.n_points for part in parts)
@@ -97,7 +94,7 @@ def read(
             frames.count * (12.0 * n_vertices + 256.0 * len(parts)),
             f"{frames.count} frames of {n_vertices} vertices",
         )
-        name = parts[0].names[-2:][0] if len(parts) == 1 else path.stem
+        name = object_name(parts[0].names) if len(parts) == 1 else path.stem
         surfaces = [Material(name=one) for one in materials]
         missed = Missed(
             path=path,
@@ -112,15 +109,32 @@ def read(
         return join_sequence(sample, surfaces, name, UNKNOWN)
 
 
+def list_meshes(path: Path, *, time_limit: float = 600.0) -> tuple[str, ...]:
+    """Names of the objects that hold the meshes that are shown, sorted."""
+    with reading(path, "time_limit"):
+        _check_file(path)
+        if not _installed():
+            from ..blender.bridge import list_meshes as list_by_blender
+
+            return list_by_blender(path, time_limit=time_limit)
+        most = SceneBudget(path, path.stat().st_size).most
+        found, _ = _read_archive(path, [], time_limit, most)
+        return tuple(sorted(object_name(names) for names in found["names"]))
+
+
+def _check_file(path: Path) -> None:
+    with path.open("rb") as stream:
+        check_kind(stream.read(16))
+
+
 def _installed() -> bool:
     return importlib.util.find_spec("alembic3d") is not None
 
 
 def _read_archive(
-    path: Path, meshes: str | Sequence[str] | None, time_limit: float, max_bytes: int
+    path: Path, wanted: list[str] | None, time_limit: float, max_bytes: int
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Records and arrays that ``archive.py`` finds in a file."""
-    wanted = [meshes] if isinstance(meshes, str) else meshes and list(meshes)
+    """Records and arrays that ``archive.py`` finds in a file; of the meshes `wanted`, or of all."""
     job = {"path": str(path.resolve()), "meshes": wanted, "max_bytes": max_bytes}
     # what can be imported here can be imported there
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
@@ -135,11 +149,12 @@ def _read_archive(
     except (InputError, MissingDependencyError):
         raise
     except SsdrError as error:
-        text = str(error)
-        if " failed (" in text and _REFUSED not in text:
-            raise ValueError(text.split(" | ")[-1]) from error  # what the library says
-        raise FormatError(text.split(_REFUSED)[-1]) from error
-    return json.loads(str(arrays.pop("found"))), arrays
+        crashed = str(error).startswith("alembic3d failed")
+        raise FormatError(f"{'truncated or damaged: ' * crashed}{error}") from error
+    found = json.loads(str(arrays.pop("found")))
+    check(found["names"], "no mesh that is shown")
+    found["names"] = [[readable(name) for name in one] for one in found["names"]]
+    return found, arrays
 
 
 def _through_blender(

@@ -32,7 +32,7 @@ def read(
     array = read_array(path, mmap=mmap)
     points = array.ndim == 3 and array.shape[2] == 3
     check(points, f"{path}: expected an array of shape (F, V, 3), got {array.shape}")
-    return over_mesh(array, path, faces, "faces", fps)
+    return over_mesh(array, path, faces, fps)
 
 
 def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:

@@ -65,7 +65,7 @@ def read(
             faces = check_faces(group["faces"][:], vertices.shape[1], "faces")
         if fps is None and "fps" in node.attrs:
             fps = float(node.attrs["fps"])
-    return over_mesh(vertices, path, faces, "faces", fps)
+    return over_mesh(vertices, path, faces, fps)
 
 
 def _check_chunks(array: Any, folder: Path, max_bytes: int | None) -> None:

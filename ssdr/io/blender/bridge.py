@@ -28,7 +28,7 @@ from ..atomic import atomic_path
 from ..budget import MOST_BYTES
 from ..gltf.writer import write_along_bones
 from ..process import run_script
-from ..registry import SaveReport, check_one_rate, pick_clip, reading
+from ..registry import SaveReport, check_one_rate, choose, mesh_names, pick_clip, reading
 from ..sampling import tell
 from ..scene import Bones, make_skinning
 from ..signatures import describe
@@ -42,6 +42,7 @@ _IMPORT_FPS = 24.0
 _LONGEST_NAME = 63  # bytes in the name of anything in Blender
 _SCRIPT = Path(__file__).with_name("script.py")
 _TOO_OLD = "Blender 4.2 or newer is needed"  # part of an error of script.py
+_listed: dict[Any, dict[str, NDArray[Any]]] = {}
 _MAGIC = {".fbx": (b"Kaydara FBX", b"; FBX"), ".abc": (b"Ogawa",)}
 
 
@@ -78,9 +79,9 @@ def read(
     Raises
     ------
     FormatError
-        If Blender cannot read the file, or it has none of `meshes`.
+        If Blender cannot read the file.
     InputError
-        If the file has no such take.
+        If the file has no such take or mesh.
     MissingDependencyError
         If Blender is not found or is older than 4.2.
     """
@@ -116,14 +117,38 @@ def list_clips(
     path: Path, *, fps: float | None = None, time_limit: float = 600.0
 ) -> tuple[Clip, ...]:
     """Clips of a file, which are its takes, with frames numbered as in :func:`read_skinning`."""
-    arrays = ask_blender("list", path, fps, time_limit)
+    arrays = _list(path, fps, time_limit)
     with reading(path):
         return _clips(arrays, path)
 
 
-def left_out(path: Path, *, time_limit: float = 600.0) -> tuple[str, ...]:
+def list_meshes(path: Path, *, time_limit: float = 600.0) -> tuple[str, ...]:
+    """Names of the objects that hold meshes."""
+    arrays = _list(path, None, time_limit)
+    return tuple(names[0] for names in json.loads(str(arrays["meshes"])))
+
+
+def left_out(
+    path: Path, *, meshes: str | Sequence[str] | None = None, time_limit: float = 600.0
+) -> tuple[str, ...]:
     """Contents of a file that are lost when it is read as a sequence or skinning."""
-    return tuple(json.loads(str(ask_blender("list", path, None, time_limit)["left_out"])))
+    arrays = _list(path, None, time_limit)
+    found = json.loads(str(arrays["left_out"]))
+    names = json.loads(str(arrays["meshes"]))
+    if len(choose(meshes, names)) < len(names):
+        found.append("meshes that were not chosen")
+    return tuple(found)
+
+
+def _list(path: Path, fps: float | None, time_limit: float) -> dict[str, NDArray[Any]]:
+    """Arrays of the action "list", kept for the next question about the same file."""
+    state = path.stat()
+    key = str(path.resolve()), state.st_mtime_ns, state.st_size, fps
+    if key not in _listed:
+        arrays = ask_blender("list", path, fps, time_limit)
+        _listed.clear()
+        _listed[key] = arrays
+    return _listed[key]
 
 
 def read_skinning(
@@ -222,7 +247,8 @@ def ask_blender(
 ) -> dict[str, NDArray[Any]]:
     """Arrays that an action of ``script.py`` writes when it reads a file.
 
-    `job` holds further settings of the action. An error in the script becomes a FormatError.
+    `job` holds further settings of the action. An error in the script becomes a FormatError, and a
+    name of a mesh that there is not an InputError.
     """
     command(_SCRIPT)  # a missing Blender is reported before a damaged file
     suffix = path.suffix.lower()
@@ -230,8 +256,9 @@ def ask_blender(
         head = stream.read(64)
     if not head.startswith(_MAGIC[suffix]):
         raise FormatError(f"{path}: not an {suffix} file: {describe(head)}")
-    if isinstance(job.get("meshes"), str):
-        job["meshes"] = [job["meshes"]]
+    meshes = job.get("meshes")
+    if meshes is not None:
+        job["meshes"] = mesh_names(meshes)
     job |= {"action": action, "path": str(path.resolve()), "fps": fps or _IMPORT_FPS}
     job |= {"resample": fps is not None, "max_bytes": max_bytes or MOST_BYTES}
     try:
@@ -240,6 +267,7 @@ def ask_blender(
         raise
     except SsdrError as error:
         raise FormatError(f"{path}: {error}") from error
+    choose(meshes, json.loads(str(arrays["meshes"])))
     for name in arrays.get("outside", ()):
         _log.warning("%s: texture %s lies outside its folder and is left out", path, name)
     return arrays
@@ -365,5 +393,6 @@ def run(job: dict[str, Any], *, time_limit: float = 600.0) -> dict[str, NDArray[
     except SsdrError as error:
         reason = str(error)
         if _TOO_OLD in reason or "No module named 'bpy'" in reason:
-            raise MissingDependencyError(f"{words('')[0]}: {reason.split(' | ')[-1]}") from error
+            said = reason.split(": ", 1)[-1]
+            raise MissingDependencyError(f"{words('')[0]}: {said}") from error
         raise

@@ -55,11 +55,10 @@ def edit(item: Any, change: Any) -> None:
     item.hide_viewport = hidden
 
 
-def meshes(wanted: Any = None, needed: bool = True) -> list[Any]:
+def meshes(needed: bool = True) -> list[Any]:
     """Mesh objects that are shown in the scene, sorted by name.
 
-    With `wanted` only objects that have one of these names, or a parent or mesh of such a name. An
-    error is raised if a mesh is `needed` and there is none.
+    An error is raised if a mesh is `needed` and there is none.
     """
     found = [
         o
@@ -69,21 +68,15 @@ def meshes(wanted: Any = None, needed: bool = True) -> list[Any]:
     found = [o for o in found if not is_bone_shape(o)] or found
     if not found and needed:
         raise ValueError("no mesh that is shown, one at least was expected")
-    if wanted is not None:
-        known = sorted({name for item in found for name in names_of(item)})
-        for name in wanted:
-            if name not in known:
-                raise ValueError(f"no mesh {name!r}, only {', '.join(known)}")
-        found = [item for item in found if not names_of(item).isdisjoint(wanted)]
     return sorted(found, key=lambda o: o.name)
 
 
-def names_of(item: Any) -> set[str]:
+def names_of(item: Any) -> list[str]:
     """Names of an object, its mesh and the objects above it."""
-    names = {item.data.name}
-    while item is not None:
-        names.add(item.name)
+    names = [item.name, item.data.name]
+    while item.parent is not None:
         item = item.parent
+        names.append(item.name)
     return names
 
 
@@ -132,10 +125,18 @@ def read(job: dict[str, Any]) -> None:
     """
     load(job["path"], job["fps"])
     armatures = [o for o in bpy.context.scene.objects if o.type == "ARMATURE"]
-    items = meshes(job.get("meshes"), not (job.get("joints_alone") and armatures))
+    items = meshes(not (job.get("joints_alone") and armatures))
+    known, wanted = [names_of(item) for item in items], job.get("meshes")
+    if wanted is not None:
+        pairs = zip(items, known, strict=True)
+        items = [item for item, names in pairs if not set(names).isdisjoint(wanted)]
     found = takes.list_takes(job["path"])
     names = [name for name, _ in found]
     arrays: dict[str, Any] = {"names": np.array(json.dumps(names))}
+    arrays["meshes"] = np.array(json.dumps(known))
+    if not set(wanted or ()).issubset(name for own in known for name in own):
+        np.savez(job["out"], **arrays)  # the caller reports that there is no such mesh
+        return
     if len(items) == 1:
         arrays["title"] = np.array(items[0].name)
     model: Any = None
@@ -309,7 +310,13 @@ def main() -> None:
         raise RuntimeError(f"Blender 4.2 or newer is needed, this is {bpy.app.version_string}")
     with open(sys.argv[-1], encoding="utf-8") as stream:
         job = json.load(stream)
-    (write if job["action"] == "write" else read)(job)
+    try:
+        (write if job["action"] == "write" else read)(job)
+    except (ValueError, RuntimeError) as error:  # what is said of the file, here or by Blender
+        said = str(error).strip()
+        if isinstance(error, RuntimeError):
+            said = f"Blender says: {said.removeprefix('Error: ')}"
+        np.savez(job["out"], error=np.array(" ".join(said.split())))
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import FormatError
-from ..references import locate
+from ..references import HINT, OUTSIDE, locate
 from ..registry import check
 from ..scene import SceneBudget
 from ..signatures import describe
@@ -131,8 +131,9 @@ class Document:
             except binascii.Error as error:
                 raise FormatError(f"the data URI of {what}: {error}") from error
         target, problem = locate(self.path, unquote(uri))
-        problem = "lies outside its folder" if "://" in uri else problem
-        check(not problem, f"{what} {problem}: {uri[:200]!r}")
+        hint = f" ({HINT})" if problem == OUTSIDE else ""
+        problem = OUTSIDE if "://" in uri else problem
+        check(not problem, f"{what} {problem}: {uri[:200]!r}{hint}")
         return target.read_bytes()
 
     def picture(self, image: dict[str, Any]) -> bytes:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...clips import readable
 from ...errors import FormatError
 from ...normals import unit
 from ...surface import Material
@@ -219,10 +220,15 @@ class PrimitiveGroup:
         return bool(np.abs(self._inverse[:, :3, :3] - np.eye(3)).max() > 1e-6)
 
 
-def _names_of(document: Document, node: dict[str, Any]) -> set[str]:
-    """Names by which the mesh of a node can be chosen: its own and that of the node."""
-    mesh = document.items("meshes")[node["mesh"]]
-    return {str(item["name"]) for item in (mesh, node) if item.get("name")}
+def names_of(document: Document, number: int) -> list[str]:
+    """Names by which the mesh of a node can be chosen: that of the node, then its own.
+
+    If neither has one, the node's number makes one.
+    """
+    node = document.items("nodes")[number]
+    items = node, document.items("meshes")[node["mesh"]]
+    found = [readable(item["name"]) for item in items if item.get("name")]
+    return found or [f"node_{number}"]
 
 
 def read_parts(
@@ -243,7 +249,7 @@ def read_parts(
         coarser = (nodes.items[n].get("extensions", {}).get("MSFT_lod", {}) for n in numbers)
         numbers += [n for some in coarser for n in some.get("ids", ()) if n in nodes.order]
     numbers = [number for number in numbers if "mesh" in nodes.items[number]]
-    names = [_names_of(document, nodes.items[number]) for number in numbers]
+    names = [names_of(document, number) for number in numbers]
     for number in [numbers[k] for k in choose(meshes, names)]:
         node = nodes.items[number]
         groups: dict[str, dict[int, dict[str, Any]]] = {}

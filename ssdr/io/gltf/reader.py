@@ -16,9 +16,9 @@ from ...space import METRES_Y_UP
 from ..registry import pick_clip, reading
 from ..sampling import Missed, Sample
 from ..scene import join_sequence, join_skinning, part_starts
-from .animation import Nodes, animation_names, mesh_name, read_animation, read_animations
+from .animation import Animation, Nodes, animation_names, mesh_name, read_animation, read_animations
 from .document import Document
-from .parts import JointPoints, PrimitiveGroup, read_materials, read_parts
+from .parts import JointPoints, PrimitiveGroup, names_of, read_materials, read_parts
 
 
 def read(
@@ -94,6 +94,15 @@ def list_clips(path: Path, *, fps: float | None = None) -> tuple[Clip, ...]:
     """Clips of a file, with frames numbered as in :func:`read_skinning`."""
     with reading(path):
         return in_order(one.clip for one in read_animations(Document(path), fps))
+
+
+def list_meshes(path: Path) -> tuple[str, ...]:
+    """Names of the meshes of the scene: those of their nodes, else their own."""
+    with reading(path):
+        document = Document(path)
+        still = Nodes(document, Animation("", 24.0, np.zeros(1), {}))
+        held = [number for number in still.shown if "mesh" in still.items[number]]
+        return tuple(dict.fromkeys(names_of(document, number)[0] for number in held))
 
 
 def read_skinning(

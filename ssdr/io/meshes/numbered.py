@@ -79,7 +79,8 @@ def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> Sav
     sequence : MeshSequence
     path : Path
         A pattern such as ``folder/frame_%04d.obj``; the folder is made if it is missing. A sequence
-        of one frame may have a plain name.
+        of one frame may have a plain name. Files of these names are overwritten; of others that
+        match the pattern a warning tells.
     start : int
         Number of the first file.
 
@@ -99,6 +100,7 @@ def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> Sav
         path.parent.mkdir(parents=True, exist_ok=True)
     stem = _PRINTF.sub("", path.stem) if several else path.stem
     size, note = 0, ""
+    written: set[str] = set()
     writer = None
     if path.suffix.lower() == ".obj":
         writer = ObjWriter(sequence.faces, sequence.surface, path.parent, stem)
@@ -108,11 +110,23 @@ def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> Sav
         for t, vertices in enumerate(block, k):
             name = _PRINTF.sub(lambda m, t=t: m.group() % (start + t), path.name)  # type: ignore[misc]
             file = path.with_name(name)
+            written.add(name)
             if writer is None:
                 size += write_ply(file, vertices, sequence.faces)
             else:
                 writer.write(file, vertices, first=t == 0)
+    older = sorted({file.name for file in _matching(path)} - written) if several else []
+    if older:
+        text = f"{path}: beside the new files lie {len(older)} older ones of such names"
+        said = f"{text}, as {older[0]}, which readers take for frames"
+        warnings.warn(said, SsdrWarning, stacklevel=2)
     return SaveReport(path=path, bytes=size if writer is None else writer.bytes, note=note)
+
+
+def _matching(path: Path) -> list[Path]:
+    """Files whose names a printf pattern makes of some number."""
+    name = _PRINTF.sub(lambda m: f"[0-9]{{{int(m[1] or 1)},}}", re.escape(path.name))
+    return [f for f in path.parent.glob("*") if re.fullmatch(name, f.name)]
 
 
 def _files(path: Path) -> list[Path]:
@@ -121,8 +135,7 @@ def _files(path: Path) -> list[Path]:
     elif path.exists():
         return [path]
     elif _PRINTF.search(path.name):
-        name = _PRINTF.sub(lambda m: f"[0-9]{{{int(m[1] or 1)},}}", re.escape(path.name))
-        found = [f for f in path.parent.glob("*") if re.fullmatch(name, f.name)]
+        found = _matching(path)
     else:
         found = list(path.parent.glob(path.name))
     found = sorted((f for f in found if not f.is_dir()), key=lambda f: natural_key(f.name))

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import collections
 import dataclasses
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from ..rig import frame_rate
 from ..sampling import Missed, Sample, off_frames
 from ..scene import SceneBudget, join_sequence, join_skinning
 from .materials import read_materials
+from .package import unpacked
 from .parts import JointPoints, MeshPrim
 from .stage import open_stage
 
@@ -62,6 +64,8 @@ class StageReader:
 
     Attributes
     ----------
+    file : Path
+        The root layer; for a package, where it is unpacked while the reader lives.
     name : str
         Name of the default prim or, if there is none, of the file.
     clips : list of StageClip
@@ -83,7 +87,8 @@ class StageReader:
     ) -> None:
         self.path = path
         self._wanted = meshes
-        self.stage = open_stage(path)
+        self.file = unpacked(path, self) if path.suffix.lower() == ".usdz" else path
+        self.stage = open_stage(self.file)
         root = self.stage.GetDefaultPrim()
         self.name = str(root.GetName()) if root else path.stem
         self.clips = self._find_clips()
@@ -172,8 +177,9 @@ class StageReader:
                 skeleton = cache.GetSkelQuery(binding.GetSkeleton())
                 for query in binding.GetSkinningTargets():
                     bound.setdefault(str(query.GetPrim().GetPath()), (skeleton, query))
-        shown = [prim for prim in prims if prim.IsA(UsdGeom.Mesh) and self._is_shown(prim)]
-        names = [str(prim.GetPath()).split("/")[1:] for prim in shown]
+        shown = self._shown(prims)
+        above = [str(prim.GetPath()).split("/")[1:] for prim in shown]
+        names = [{own, *some} for own, some in zip(_names(shown), above, strict=True)]
         places = [shown[k] for k in choose(self._wanted, names)]
         meshes = [MeshPrim(self.path, p, *bound.get(str(p.GetPath()), ())) for p in places]
         if not meshes and joints_alone:
@@ -181,6 +187,13 @@ class StageReader:
         check(meshes, "no visible mesh")
         rate, codes, missed = self._clock(meshes, clip, fps)
         return Sample(Clip(clip.name, 0, len(codes), rate), meshes, codes, missed)
+
+    def mesh_names(self) -> tuple[str, ...]:
+        """Names of the visible meshes; where two are equal, their paths."""
+        return _names(self._shown(Usd.PrimRange(self.stage.GetPseudoRoot(), _ALL)))
+
+    def _shown(self, prims: Iterable[Any]) -> list[Any]:
+        return [prim for prim in prims if prim.IsA(UsdGeom.Mesh) and self._is_shown(prim)]
 
     def _is_shown(self, prim: Any) -> bool:
         shown = UsdGeom.Imageable(prim)
@@ -232,6 +245,14 @@ class StageReader:
         return rate, codes, missed
 
 
+def _names(prims: Sequence[Any]) -> tuple[str, ...]:
+    """Name of each prim; its path if another has the same name."""
+    count = collections.Counter(str(prim.GetName()) for prim in prims)
+    return tuple(
+        str(prim.GetName() if count[str(prim.GetName())] == 1 else prim.GetPath()) for prim in prims
+    )
+
+
 def read(
     path: Path,
     *,
@@ -274,7 +295,7 @@ def read(
         reader = StageReader(path, max_bytes, meshes)
         index = pick_clip([one.name for one in reader.clips], clip, path)
         sample = reader.sample(reader.clips[index], fps)
-        materials = read_materials(path, sample.parts)
+        materials = read_materials(reader.file, sample.parts)
         return join_sequence(sample, materials, reader.name, reader.space)
 
 
@@ -283,6 +304,12 @@ def list_clips(path: Path, *, fps: float | None = None) -> tuple[Clip, ...]:
     with reading(path):
         reader = StageReader(path)
         return in_order(reader.sample(clip, fps).clip for clip in reader.clips)
+
+
+def list_meshes(path: Path) -> tuple[str, ...]:
+    """Names of the visible meshes."""
+    with reading(path):
+        return StageReader(path).mesh_names()
 
 
 def read_skinning(
@@ -316,5 +343,5 @@ def read_skinning(
     with reading(path, "meshes"):
         reader = StageReader(path, max_bytes, meshes)
         samples = [reader.sample(clip, fps, joints_alone) for clip in reader.clips]
-        materials = read_materials(path, samples[0].parts)
+        materials = read_materials(reader.file, samples[0].parts)
         return join_skinning(samples, materials, reader.name, reader.space)

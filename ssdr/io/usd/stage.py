@@ -15,7 +15,7 @@ import numpy as np
 from pxr import Sdf, Tf, Usd, UsdUtils
 
 from ...errors import FormatError
-from ..references import is_inside
+from ..references import HINT, OUTSIDE, is_inside
 from ..registry import check, refuse_device
 
 _DEEPEST = 1000  # levels of nesting; usd-core crashes the process at some tens of thousands
@@ -27,6 +27,8 @@ _QUOTED = re.compile(
     rb"|#[^\n]*|//[^\n]*|/\*.*?(?:\*/|\Z)",
     re.DOTALL,
 )
+# What USD says, without the place in its own code.
+_SAID = re.compile(r"Error in '.*?' at line \d+ in file .*? : '(.*)")
 _STEPS = np.zeros(256, dtype=np.int8)
 _STEPS[list(b"([{")], _STEPS[list(b")]}")] = 1, -1
 
@@ -45,14 +47,15 @@ def open_stage(path: Path) -> Any:
         _check_layers(path)
         stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
-        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-        said = next((line for line in lines if "Error" in line), lines[-1] if lines else "")
-        raise FormatError(f"not a usable USD file ({said[-300:]})") from error
+        said = _SAID.search(str(error))
+        text = said[1].strip().removesuffix("'") if said else " ".join(str(error).split())
+        text = text.removeprefix(f"{path}:")
+        raise FormatError(f"not a usable USD file (USD says: {text[:300]})") from error
     check(stage, "not a usable USD file")
     stage.Reload()  # layers are kept by name; the file may have been written anew
     for layer in stage.GetUsedLayers():
         inside = not layer.realPath or is_inside(Path(layer.realPath), path.parent)
-        check(inside, f"refers to {layer.realPath}, which lies outside its folder")
+        check(inside, f"refers to {layer.realPath}, which {OUTSIDE}; {HINT}")
     return stage
 
 
@@ -72,6 +75,7 @@ def _check_layers(path: Path) -> None:
             continue
         seen.add(file.resolve())
         refuse_device(file)
+        check(file.is_file(), f"refers to {file.name}, which is missing")
         _check_nesting(file)
         layer = Sdf.Layer.FindOrOpen(str(file))
         for asset in itertools.chain(*UsdUtils.ExtractExternalReferences(str(file))):
@@ -79,10 +83,8 @@ def _check_layers(path: Path) -> None:
             name = Path(Sdf.ComputeAssetPathRelativeToLayer(layer, named))
             if not Sdf.FileFormat.FindByExtension(name.suffix[1:] or "none"):
                 continue  # a picture or the like, which USD does not open
-            hint = "open a copy with all that it refers to in one folder"
-            problem = f"refers to {asset}, which lies outside its folder; {hint}"
             inside = is_inside(name, path.parent)
-            check(inside, f"{problem} (usdcat --flatten makes one)")
+            check(inside, f"refers to {asset}, which {OUTSIDE}; {HINT}")
             # the files of value clips can be named by a pattern such as clip.###.usd
             pattern = "*".join(re.split("#+", name.name))
             waiting += name.parent.glob(pattern) if "#" in name.name else [name]
@@ -90,8 +92,6 @@ def _check_layers(path: Path) -> None:
 
 def _check_nesting(file: Path) -> None:
     """Refuse a package, and a text layer nested so deeply that usd-core would crash the process."""
-    if not file.is_file():
-        return
     data = file.read_bytes()
     packed = data.startswith(b"PK")
     check(not packed, f"{file.name} is a package, which must be unpacked first")

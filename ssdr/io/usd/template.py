@@ -53,6 +53,7 @@ def put(
     target: Path,
     model: Skinning,
     rig: Rig,
+    meshes: Any,
     clip_names: Mapping[str, str | None],
     strict: bool,
 ) -> list[str]:
@@ -66,7 +67,7 @@ def put(
     model : Skinning
     rig : Rig
         The rig of `model`.
-    clip_names : mapping of str to str
+    meshes, clip_names
         As for the writer, :func:`~ssdr.io.usd.writer.write_skinning`.
     strict : bool
         Whether to raise an error if contents of the template are lost.
@@ -79,15 +80,15 @@ def put(
         If the model has other triangles or another number of points than the template, or if
         `strict` is true and contents are lost.
     """
-    with reading(template):
-        reader = StageReader(template)
+    with reading(template, "meshes"):
+        reader = StageReader(template, meshes=meshes)
         samples = [reader.sample(clip) for clip in reader.clips]
         names = [clip_names.get(s.clip.name, s.clip.name) for s in samples]
         starts = {n: float(s.time[0]) for n, s in zip(names, samples, strict=True) if n}
-        meshes = samples[0].parts
-        problem = _problem([mesh.prim for mesh in meshes])
+        parts = samples[0].parts
+        problem = _problem([mesh.prim for mesh in parts])
         check(not problem, f"{problem}; it cannot be a template")
-    vertices = match_template(meshes, model, template)
+    vertices = match_template(parts, model, template)
     ours = {None, *(clip.name for clip in rig.clips)}
     lost = [
         f"the clip {clip.name}, which the model does not have"
@@ -96,18 +97,18 @@ def put(
     ]
     check_kept(lost, strict)
     stage = _transfer(reader, temporary, target)
-    scope = _scope([stage.GetPrimAtPath(mesh.prim.GetPath()) for mesh in meshes])
+    scope = _scope([stage.GetPrimAtPath(mesh.prim.GetPath()) for mesh in parts])
     if not scope.IsA("SkelRoot"):
         scope.SetTypeName("SkelRoot")
-    _remove_skeletons(stage, meshes, [clip.animation for clip in reader.clips])
+    _remove_skeletons(stage, parts, [clip.animation for clip in reader.clips])
     place = _free_path(stage, scope, "Skeleton")
     tempo = float(stage.GetTimeCodesPerSecond())
     tokens = put_skeleton(stage, place, rig, "", tempo, starts)
     # The model's bones move the mesh in the world, not relative to the skeleton's parents.
     UsdGeom.Xformable(stage.GetPrimAtPath(place)).SetResetXformStack(True)
     first = float(samples[0].time[0])
-    normals = template_normals(meshes, vertices, model, rig.rest)
-    for mesh, index, own in zip(meshes, vertices, normals, strict=True):
+    normals = template_normals(parts, vertices, model, rig.rest)
+    for mesh, index, own in zip(parts, vertices, normals, strict=True):
         prim = stage.GetPrimAtPath(mesh.prim.GetPath())
         matrix = _put_points(prim, mesh, rig.rest[index], own, first)
         bind(prim, rig.indices[index], rig.weights[index], place, matrix, tokens)
@@ -275,20 +276,22 @@ def _transfer(reader: StageReader, temporary: Path, target: Path) -> Any:
     return Usd.Stage.Open(layer)
 
 
-def left_out(path: Path) -> tuple[str, ...]:
+def left_out(path: Path, *, meshes: str | Sequence[str] | None = None) -> tuple[str, ...]:
     """Contents of a file that are lost when it is read as a sequence or skinning."""
     found: dict[str, None] = {}
-    with reading(path):
-        reader = StageReader(path)
-        meshes = reader.sample(reader.clips[0]).parts
-        for mesh in meshes:
+    with reading(path, "meshes"):
+        reader = StageReader(path, meshes=meshes)
+        parts = reader.sample(reader.clips[0]).parts
+        for mesh in parts:
             for primvar in UsdGeom.PrimvarsAPI(mesh.prim).GetPrimvarsWithValues():
                 name = str(primvar.GetPrimvarName())
                 if name not in ("st", "normals") and not name.startswith("skel:"):
                     found[f"the primvar {name}"] = None
             if mesh.has_axes:
                 found["orientations of the joints"] = None
-        if len(meshes) > 1:
+        if meshes is not None:
+            found["meshes that were not chosen"] = None
+        if len(parts) > 1:
             found["names and number of the meshes"] = None
         for prim in reader.stage.Traverse():
             shader = UsdShade.Shader(prim)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +34,7 @@ def write_skinning(
     influences: int | None = None,
     name: str | None = None,
     template: str | os.PathLike[str] | None = None,
+    meshes: str | Sequence[str] | None = None,
     clip_names: Mapping[str, str | None] | None = None,
     strict: bool = False,
 ) -> SaveReport:
@@ -58,6 +59,9 @@ def write_skinning(
         root layer is written again with the model's skin and clips; all else stays: materials
         and bindings, primvars, other prims. The unit, the up axis and the time codes are the
         template's.
+    meshes : str or several of them, optional
+        Names of the template's meshes that the model replaces, or of prims above them; all by
+        default.
     clip_names : mapping of str to str, optional
         Names of clips in the model, by their names in the template, for clips whose names differ;
         None for a clip that is left out on purpose and not reported as lost.
@@ -96,7 +100,8 @@ def write_skinning(
         notes.append("UsdSkel holds scales in half precision")
     if template is not None:
         with atomic_path(path) as temporary, system_errors(path):
-            lost += put(Path(template), temporary, path, skinning, rig, clip_names or {}, strict)
+            names = clip_names or {}
+            lost += put(Path(template), temporary, path, skinning, rig, meshes, names, strict)
     else:
         with _new_stage(path, first.fps, first.n_frames, skinning.space, notes) as stage:
             top = Sdf.Path("/" + identifier(name or skinning.name or path.stem))

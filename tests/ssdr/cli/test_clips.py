@@ -71,14 +71,14 @@ def test_clips_of_24_and_60_frames_a_second_keep_their_pace(run, refused, rigged
 
 def test_a_clip_is_chosen_by_name(done, refused, rigged, tmp_path):
     out = tmp_path / "a.npz"
-    line = ("decompose", rigged, "-o", out, *FAST, "--force")
+    line = ("decompose", rigged, "-o", out, *FAST)
     (warning,) = done(*line)["warnings"]
     assert "2 clips (walk, jump): walk is taken" in warning
     assert [c.name for c in ssdr.list_clips(out)] == ["walk"]
     assert done(*line, "--clip", "jump", "--clip", "jump")["warnings"] == []
     assert ssdr.list_clips(out) == JUMP
     assert "--clip: expected a clip of" in refused(*line, "--clip", "jmup")
-    done("convert", rigged, out, "--clip", "jump", "--clip", "all", "--force")
+    done("convert", rigged, out, "--clip", "jump", "--clip", "all")
     assert ssdr.list_clips(out) == CLIPS
 
 
@@ -178,13 +178,13 @@ def test_convert_keeps_all_clips(done, rigged, tmp_path, suffix):
     back = ssdr.load_skinning(out)
     assert (back.clips, back.name) == (CLIPS, "horse")
     assert largest_distance(back.skin(), animated().skin()) < 1e-5
-    done("convert", rigged, out, "--clip", "jump", "--force")
+    done("convert", rigged, out, "--clip", "jump")
     assert ssdr.list_clips(out) == JUMP
 
 
 def test_vertices_are_those_of_one_clip(done, refused, rigged, tmp_path):
     out = tmp_path / "a.npz"
-    line = ("convert", rigged, out, "--bake", "--force")
+    line = ("convert", rigged, out, "--bake")
     assert "walk is taken" in done(*line)["warnings"][0]
     assert len(ssdr.load(out)) == 9
     assert done(*line, "--clip", "jump")["warnings"] == []

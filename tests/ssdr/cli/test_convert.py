@@ -15,8 +15,7 @@ def test_a_skinning_is_kept_or_baked(run, done, refused, wave, tmp_path):
     ssdr.save(model, source)
     assert done("convert", source, target)["kind"] == "skinning"
     np.testing.assert_array_equal(ssdr.load_skinning(target).transforms, model.transforms)
-    assert "--force" in refused("convert", source, target)
-    flags = ("--bake", "--force", "--write", "npz:compress=false", "--write", "glb:weights=uint8")
+    flags = ("--bake", "--write", "npz:compress=false", "--write", "glb:weights=uint8")
     assert run("convert", source, target, *flags)[0] == 0
     with pytest.raises(ssdr.FormatError):
         ssdr.load_skinning(target)
@@ -34,5 +33,5 @@ def test_lengths_are_scaled(done, clip, wave, tmp_path, suffix):
     back = ssdr.load_skinning(target)
     assert back.n_bones == ssdr.load_skinning(source).n_bones
     np.testing.assert_allclose(back.skin(), 10 * model.skin(), rtol=1e-5, atol=1e-5)
-    done("convert", clip, target, "--read", "scale=0.01", "--force")
+    done("convert", clip, target, "--read", "scale=0.01")
     np.testing.assert_allclose(ssdr.load(target).vertices, wave.vertices / 100, rtol=1e-6)

@@ -108,24 +108,32 @@ def test_a_run_starts_from_a_model_a_mesh_or_a_frame(faked, done, refused, clip,
     """A model, a mesh whose first frame is the rest pose, or a frame."""
     model, out = tmp_path / "model.npz", tmp_path / "out.npz"
     ssdr.save(model_of(wave), model)
-    line = ("decompose", clip, "-b", 2, "-o", out, "--force", "--start")
+    line = ("decompose", clip, "-b", 2, "-o", out, "--start")
     done(*line, model)
     assert fake_decompose.options["start"].n_bones == 2
     done(*line, clip)
-    np.testing.assert_array_equal(fake_decompose.options["start"].rest, wave.vertices[0])
+    np.testing.assert_array_equal(fake_decompose.options["start"].vertices[0], wave.vertices[0])
     done(*line, 3)
-    assert fake_decompose.options["start"].rest_frame == 3
+    assert fake_decompose.options["start"] == 3
     assert "no such file" in refused(*line, tmp_path / "none.npz")
     # A run that was killed goes on from its checkpoint, and saves to it.
     done(*line, model, "--checkpoint", model)
-    assert "--force overwrites" in refused(
-        "decompose", clip, "-b", 2, "-o", tmp_path / "b.npz", "--checkpoint", model
-    )
+
+
+@pytest.mark.filterwarnings("ignore:.*no loss:ssdr.SsdrWarning")
+def test_a_model_to_start_from_says_how_many_bones(done, refused, clip, wave, tmp_path):
+    model, out = tmp_path / "model.npz", tmp_path / "out.npz"
+    ssdr.save(model_of(wave), model)
+    line = ("decompose", clip, "-o", out, "--effort", "fast")
+    assert done(*line, "--start", model)["bones"] == 2
+    for start in ([], ["--start", 3]):
+        assert "--rig FILE or --start MODEL" in refused(*line, *start)
+    assert "bones: expected an integer" in refused(*line, "--start", clip)
 
 
 def test_normals_are_those_that_the_file_is_drawn_with(run, done, clip, wave, tmp_path):
     file = tmp_path / "a.glb"
-    arguments = ("decompose", clip, "-o", file, "-b", 3, "--effort", "fast", "-f")
+    arguments = ("decompose", clip, "-o", file, "-b", 3, "--effort", "fast")
     found = done(*arguments)["normals"]
     there = ssdr.metrics.normals(wave, ssdr.load_skinning(file)).as_dict()
     assert found == pytest.approx(there, rel=1e-3)

@@ -135,7 +135,7 @@ def test_the_solver_is_interrupted_and_goes_on(tmp_path):
     assert process.returncode == 130, err
     before = json.loads(text)
     assert before["stop_reason"] == "cancelled"
-    more = ("--start", out, "--force", "--time-limit", 2)
+    more = ("--start", out, "--time-limit", 2)
     process = start(["-m", "ssdr", *line, *more])
     text, err = process.communicate(timeout=240)
     assert process.returncode == 0, err

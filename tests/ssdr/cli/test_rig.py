@@ -46,7 +46,7 @@ def test_a_rest_pose_from_a_file_is_kept(files, fitted):
     rest = ("--start", files[0] / "rest.npz")
     model = fitted("--rig", files[0] / "rig.npz", *rest)
     np.testing.assert_allclose(model.rest, files[1].rest, atol=1e-6)
-    model = fitted("--bones", 3, *rest, "--force")
+    model = fitted("--bones", 3, *rest)
     np.testing.assert_allclose(model.rest, files[1].rest, atol=1e-6)
     assert model.parents is None
 
@@ -61,7 +61,7 @@ def test_weights_of_a_rig_are_kept(files, fitted):
 def test_joints_that_come_apart_and_joints_that_are_found(files, fitted):
     model = fitted("--rig", f"loose={files[0] / 'rig.npz'}")
     assert np.array_equal(model.parents, files[1].parents)
-    model = fitted("--rig", "rigid", "--bones", 4, "--force")
+    model = fitted("--rig", "rigid", "--bones", 4)
     assert model.joint_gaps().max() < 1e-6
 
 

@@ -18,22 +18,19 @@ from ssdr.cli.format_options import write_options
 
 def test_bad_outputs_are_found_before_a_file_is_read(refused, never, clip, tmp_path, monkeypatch):
     monkeypatch.setattr("ssdr.io.load", never)
-    taken = tmp_path / "taken.npz"
-    taken.write_bytes(b"precious")
     good, long = tmp_path / "good.npz", "n" * 252
     for arguments, text in (
         (["-o", tmp_path / "a.xyz"], "known suffix"),
         (["-o", tmp_path / "a.stl"], "can be written"),
         (["-o", tmp_path / "a.glb", "--write", "gbl:weights=uint8"], "suffix of a format"),
         (["-o", tmp_path / "no" / "a.npz"], "folder that exists"),
-        (["-o", taken], "--force overwrites"),
-        (["-o", clip, "--force"], "no input"),
+        (["-o", clip], "no input"),
         (["-o", good, "-o", good], "no other output"),
         (["-o", good, "--write", "red"], "KEY=VALUE"),
         (["-o", good, "-o", tmp_path / "a.png", "-o", tmp_path / "a.png"], "no other output"),
         (["-o", tmp_path / "a.png"], "a file for the model, too"),
         (["-o", good, "--checkpoint", tmp_path / "state.txt"], "ending in .npz"),
-        (["-o", good, "--checkpoint", taken], "--force overwrites"),
+        (["-o", good, "--checkpoint", clip], "no input"),
         (["-o", good, "--checkpoint", tmp_path / "." / "good.npz"], "no other output"),
         (["-o", tmp_path / f"{long}.npz"], "File name too long"),
         (["-o", good, "--checkpoint", tmp_path / f"{long}.npz"], "File name too long"),
@@ -42,7 +39,6 @@ def test_bad_outputs_are_found_before_a_file_is_read(refused, never, clip, tmp_p
         err = refused("decompose", clip, "-b", 2, *arguments)
         assert text in err
         assert len(err.strip().splitlines()) == 1
-    assert taken.read_bytes() == b"precious"
     assert not good.exists()
 
 
@@ -78,11 +74,25 @@ def test_a_folder_that_takes_no_file_is_refused(refused, never, clip, tmp_path, 
     assert "(No space left on device)" in err
 
 
-def test_a_file_beside_the_output_is_not_overwritten(refused, clip, tmp_path):
+def test_an_output_is_overwritten_as_in_python(faked, done, clip, wave, tmp_path):
+    """Getting started can be gone through a second time."""
+    out = tmp_path / "a.gltf"
+    for _ in range(2):
+        done("decompose", clip, "-b", 2, "-o", out, "-o", tmp_path / "m_%02d.npz")
+        ssdr.save(wave, tmp_path / "w.npy")
+    done("decompose", clip, "-b", 2, "-o", out, "--force")  # as earlier versions asked for
+    ssdr.load(out)
+    (tmp_path / "m_s.npz").write_bytes(b"")
+    done("decompose", clip, "-b", 2, "-o", tmp_path / "m_%s.npz")
+
+
+def test_a_file_beside_the_output_that_is_another_s_is_not_overwritten(refused, clip, tmp_path):
     for name, beside in (("a.gltf", "a.bin"), ("b.npy", "b.faces.npy")):
         (tmp_path / beside).write_bytes(b"precious")
         err = refused("decompose", clip, "-b", 2, "-o", tmp_path / name)
-        assert f"{tmp_path / beside}, which exists" in err
+        assert f"--output: expected a name whose {beside} is not taken" in err
+        with pytest.raises(ssdr.InputError, match=f"{beside} is not taken"):
+            ssdr.save(ssdr.load(clip), (tmp_path / name).with_suffix(Path(name).suffix))
         assert (tmp_path / beside).read_bytes() == b"precious"
 
 

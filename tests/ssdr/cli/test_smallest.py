@@ -19,7 +19,7 @@ def source(tmp_path):
 @pytest.mark.filterwarnings("default")
 def test_smallest(run, done, source, tmp_path):
     target = tmp_path / "out.npz"
-    line = ("smallest", source, "-o", target, "--effort", "fast", "--force", "--tolerance")
+    line = ("smallest", source, "-o", target, "--effort", "fast", "--tolerance")
     document = done(*line, "0.8%")
     found, model = document["parsimony"], ssdr.load_skinning(target)
     assert found["held"] is True
@@ -39,7 +39,7 @@ def test_smallest(run, done, source, tmp_path):
 
 def test_bytes_of_a_compact_file(run, done, source, tmp_path):
     target, other = tmp_path / "out.glb", tmp_path / "out.npz"
-    line = ["smallest", source, "-o", other, "--effort", "fast", "--tolerance", "0.8%", "--force"]
+    line = ["smallest", source, "-o", other, "--effort", "fast", "--tolerance", "0.8%"]
     compact = ["-o", target, "--write", "glb:compression=quantized", "--write", "glb:tolerance=1%"]
     found = done(*line, *compact)["parsimony"]
     assert found["file"]["bytes"] == len(target.read_bytes())

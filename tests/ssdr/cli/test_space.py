@@ -55,7 +55,7 @@ def test_what_is_said_beats_what_is_stated(done, refused, there, stage, tmp_path
     document = done("convert", stage, out)
     assert "converted from 0.01 m a unit, z up to 1 m a unit, y up" in document["output"]["note"]
     assert largest_distance(ssdr.load(out).vertices, there.skin()) < 1e-6
-    done("convert", stage, out, "--force", "--units", "mm", "--up", "y")
+    done("convert", stage, out, "--units", "mm", "--up", "y")
     size, up = np.ptp(ssdr.load(out).vertices[0], axis=0), np.ptp(there.skin()[0], axis=0)
     np.testing.assert_allclose(size, up[[0, 2, 1]] / 10, rtol=1e-5)
     # not the rest of the file around a model that is elsewhere
@@ -83,7 +83,7 @@ def test_a_rig_and_a_start_come_into_the_space_of_the_input(done, there, stage, 
     rig = dataclasses.replace(there, parents=[-1, 0, 1], joint_positions=there.centroids())
     ssdr.save(rig, tmp_path / "rig.glb")
     for option, bones in (("--rig", ()), ("--start", ("-b", 3))):
-        words = (option, tmp_path / "rig.glb", "--effort", "fast", "--force", *bones)
+        words = (option, tmp_path / "rig.glb", "--effort", "fast", *bones)
         document = done("decompose", stage, "-o", tmp_path / "o.npz", *words)
         assert document["rmse_percent"] < 1, option
 
@@ -95,7 +95,7 @@ def test_a_picture_stands_on_the_axis_of_its_file(run, stage, tmp_path, monkeypa
         lambda *_, up, **__: seen.append(up) or Image.new("RGB", (4, 4)),
     )
     for words in ((), ("--up", "y")):
-        code, _, err = run("render", stage, "-o", tmp_path / "a.png", "--force", *words)
+        code, _, err = run("render", stage, "-o", tmp_path / "a.png", *words)
         assert code == 0, err
-    run("render", "sample:dancer_small", "-o", tmp_path / "a.png", "--force")
+    run("render", "sample:dancer_small", "-o", tmp_path / "a.png")
     assert seen == ["z", "y", "y"]

@@ -22,11 +22,10 @@ def test_view_writes_a_page(done, run, refused, clip, wave, tmp_path):
     rows = {name: note for name, _, note in held["figures"]}
     assert rows["File"] == "m.npz"
     assert "clip.npz" in rows["RMSE"]
-    assert "which exists" in refused("view", model, "-o", page)
-    assert run("view", model, clip, "-o", page, "-f", "--no-input", "--up", "z", "-q")[0] == 0
+    assert run("view", model, clip, "-o", page, "--no-input", "--up", "z", "-q")[0] == 0
     assert document(page)["input"] is None
     assert "ending in .html" in refused("view", model, "-o", tmp_path / "page.png")
-    assert "max_bytes" in refused("view", model, "-o", page, "-f", "--max-mb", "0.01")
+    assert "max_bytes" in refused("view", model, "-o", page, "--max-mb", "0.01")
 
 
 def test_view_without_an_output_opens_the_browser(run, clip, monkeypatch):
@@ -45,5 +44,4 @@ def test_decompose_writes_a_page_beside_its_result(done, faked, refused, clip, t
     assert held["title"] == "clip"
     assert ["File", "m.npz"] in [list(row)[::2] for row in held["figures"]]
     line = ("decompose", clip, "-b", 2, "-o", page)
-    assert "--force overwrites" in refused(*line, "-o", tmp_path / "n.npz")
-    assert "--output: expected a file for the model, too" in refused(*line, "--force")
+    assert "--output: expected a file for the model, too" in refused(*line)

@@ -39,7 +39,7 @@ def make(name, folder, wave, seam, skinned):
         ssdr.save(wave, path)
 
         def read(p):
-            return ssdr.load(p, mesh=wave.faces)
+            return ssdr.load(p, faces=wave.faces)
 
     elif kind == "scene":
         ssdr.save(tube(frames=3, rings=4, sides=4), path)
@@ -133,6 +133,7 @@ def test_truncated_files_are_refused(valid):
             np.testing.assert_allclose(result[key], array, rtol=0, atol=atol)
 
 
+@pytest.mark.filterwarnings("ignore:.*(uneven times|lie between its frames):ssdr.SsdrWarning")
 def test_damaged_bytes_give_finite_arrays_or_an_error(valid, rng):
     path, read = valid
     whole = path.read_bytes()
@@ -172,7 +173,7 @@ def test_mislabelled_files_say_what_they_look_like(tmp_path, wave, suffix):
             continue
         path = tmp_path / f"wrong.{suffix}"
         path.write_bytes(data)
-        option = {"npy": "faces", "pc2": "mesh", "mdd": "mesh"}.get(suffix)
+        option = "faces" if suffix in ("npy", "pc2", "mdd") else None
         with pytest.raises(FormatError, match=rf"wrong\.{suffix}: ") as caught:
             ssdr.load(path, **({option: "none"} if option else {}))
         if suffix != "mdd":  # has no magic number: any bytes are counts that do not fit

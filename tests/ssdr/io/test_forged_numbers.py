@@ -72,7 +72,7 @@ def written(kind: str, folder: Path) -> tuple[list[Path], Callable[[], Any]]:
         parts = [p for p in path.rglob("*") if p.is_file()] if suffix == "zarr" else [path]
         return parts, lambda: ssdr.load(path, faces=rig.faces)
     if suffix in ("pc2", "mdd"):
-        return [path], lambda: ssdr.load(path, mesh=rig.faces)
+        return [path], lambda: ssdr.load(path, faces=rig.faces)
     if "%" in path.name:
         return sorted(folder.iterdir()), lambda: ssdr.load(folder)
     return sorted(folder.iterdir()), lambda: (ssdr.load_skinning if skinned else ssdr.load)(path)

@@ -21,9 +21,9 @@ def test_missing_files_are_missing(tmp_path, name):
 def test_options_are_checked(tmp_path, wave):
     ssdr.save(wave, tmp_path / "a.npz")
     with pytest.raises(
-        InputError, match=r"options: expected clip, fps, mmap, max_bytes .*got mesh"
+        InputError, match=r"options: expected clip, fps, mmap, max_bytes .*got faces"
     ):
-        ssdr.load(tmp_path / "a.npz", mesh="b.obj")
+        ssdr.load(tmp_path / "a.npz", faces="b.obj")
     with pytest.raises(InputError, match=r"options: expected compress .*got level"):
         ssdr.save(wave, tmp_path / "a.npz", level=3)
     for fps in (0, -1, np.nan, "24", True):
@@ -52,7 +52,7 @@ def test_results_go_back_to_the_mesh_before_welding(tmp_path, seam, suffix):
     path = tmp_path / f"a.{suffix}"
     assert "15 welded vertices" in ssdr.save(welded, path).note
     assert ssdr.save(welded, path, unweld=True).note == ""
-    back = ssdr.load(path, mesh=seam)
+    back = ssdr.load(path, faces=seam)
     np.testing.assert_array_equal(back.vertices, seam.vertices, strict=True)
     with pytest.raises(InputError, match=r"^unweld"):
         ssdr.save(seam, path, unweld=True)
@@ -71,7 +71,7 @@ def test_a_point_cloud_goes_round(tmp_path, wave, name):
     if name == "a.zarr":
         pytest.importorskip("zarr")
     ssdr.save(ssdr.MeshSequence(wave.vertices), tmp_path / name)
-    back = ssdr.load(tmp_path / name, **({"mesh": "none"} if name == "a.mdd" else {}))
+    back = ssdr.load(tmp_path / name, **({"faces": "none"} if name == "a.mdd" else {}))
     np.testing.assert_array_equal(back.frames(slice(None)).astype(np.float32), wave.vertices)
     assert len(back.faces) == 0
 
@@ -81,3 +81,13 @@ def test_a_path_that_no_file_can_have_is_refused(wave):
         for path in ("a\0.npz", b"a.npz", 3):
             with pytest.raises(InputError, match="path: expected a path"):
                 act(path)
+
+
+def test_a_mesh_without_triangles_is_no_mesh_to_other_programs(tmp_path, wave):
+    points = ssdr.MeshSequence(wave.vertices)
+    model = ssdr.initialize(points, bones=2)
+    for name, thing in (("a.glb", model), ("a_%d.obj", points), ("a_%d.ply", points)):
+        assert "has no triangles: programs show points" in ssdr.save(thing, tmp_path / name).note
+    for name, thing in (("b.npz", model), ("b.npz", points)):
+        assert "triangles" not in ssdr.save(thing, tmp_path / name).note
+    assert "triangles" not in ssdr.save(ssdr.initialize(wave, bones=2), tmp_path / "b.glb").note

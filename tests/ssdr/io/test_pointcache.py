@@ -20,17 +20,17 @@ def test_point_caches_go_round(tmp_path, wave, suffix, mmap):
     report = ssdr.save(wave, path)
     assert report.error is None
     assert report.bytes == path.stat().st_size
-    with pytest.raises(InputError, match=r"mesh: expected a mesh, .*clip\.obj beside"):
+    with pytest.raises(InputError, match=r"faces: expected a mesh, .*clip\.obj beside"):
         ssdr.load(path)
     ssdr.save(dataclasses.replace(wave, vertices=wave.vertices[:1]), tmp_path / "clip.obj")
     for mesh in (None, wave, wave.faces, tmp_path / "clip.obj"):
-        back = ssdr.load(path, mesh=mesh, mmap=mmap, fps=25 if suffix == "pc2" else None)
+        back = ssdr.load(path, faces=mesh, mmap=mmap, fps=25 if suffix == "pc2" else None)
         same_sequence(back, wave, strict=not mmap)
         assert back.is_lazy == mmap
         np.testing.assert_array_equal(back.frames(2), wave.frames(2), strict=True)
-    assert len(ssdr.load(path, mesh="none").faces) == 0
-    with pytest.raises(InputError, match=r"^mesh: expected a mesh of 12 vertices, got 11"):
-        ssdr.load(path, mesh=MeshSequence(wave.vertices[:, 1:]))
+    assert len(ssdr.load(path, faces="none").faces) == 0
+    with pytest.raises(InputError, match=r"^faces: expected a mesh of 12 vertices, got 11"):
+        ssdr.load(path, faces=MeshSequence(wave.vertices[:, 1:]))
 
 
 def test_point_caches_follow_their_layouts(tmp_path, wave):
@@ -49,8 +49,8 @@ def test_point_caches_follow_their_layouts(tmp_path, wave):
 def test_mdd_times_carry_the_rate(tmp_path, fps):
     sequence = MeshSequence(np.zeros((500, 1, 3)), None, fps)
     ssdr.save(sequence, tmp_path / "a.mdd")
-    assert ssdr.load(tmp_path / "a.mdd", mesh="none").fps == pytest.approx(fps, abs=1e-3)
-    assert ssdr.load(tmp_path / "a.mdd", mesh="none", fps=7).fps == 7
+    assert ssdr.load(tmp_path / "a.mdd", faces="none").fps == pytest.approx(fps, abs=1e-3)
+    assert ssdr.load(tmp_path / "a.mdd", faces="none", fps=7).fps == 7
 
 
 def test_uneven_mdd_times_are_told(tmp_path):
@@ -58,9 +58,9 @@ def test_uneven_mdd_times_are_told(tmp_path):
         (tmp_path / f"{times[2]}.mdd").write_bytes(struct.pack(">ii3f", 3, 1, *times) + bytes(36))
     said = "uneven times, 0.04 to 0.16 s apart, are taken as even: .* up to 0.06 s from"
     with pytest.warns(ssdr.SsdrWarning, match=said):
-        assert ssdr.load(tmp_path / "0.2.mdd", mesh="none").fps == 10
+        assert ssdr.load(tmp_path / "0.2.mdd", faces="none").fps == 10
     with pytest.raises(FormatError, match="not increasing"):
-        ssdr.load(tmp_path / "0.1.mdd", mesh="none")
+        ssdr.load(tmp_path / "0.1.mdd", faces="none")
 
 
 def test_frames_per_sample_of_a_pc2(tmp_path, wave):
@@ -69,15 +69,15 @@ def test_frames_per_sample_of_a_pc2(tmp_path, wave):
     for step, fps in ((0.5, 50), (2.0, 12.5), (0.0, 25), (float("nan"), 25)):
         data[24:28] = struct.pack("<f", step)
         (tmp_path / "b.pc2").write_bytes(data)
-        assert ssdr.load(tmp_path / "b.pc2", mesh=wave).fps == fps
-        assert ssdr.load(tmp_path / "b.pc2", mesh=wave, fps=7).fps == 7
+        assert ssdr.load(tmp_path / "b.pc2", faces=wave).fps == fps
+        assert ssdr.load(tmp_path / "b.pc2", faces=wave, fps=7).fps == 7
 
 
 def test_point_caches_of_a_skinning_state_their_error(tmp_path, skinned):
     exact = skinned.skin()
     for suffix in ("pc2", "mdd"):
         report = ssdr.save(skinned, tmp_path / f"a.{suffix}")
-        back = ssdr.load(tmp_path / f"a.{suffix}", mesh="none")
+        back = ssdr.load(tmp_path / f"a.{suffix}", faces="none")
         gap = back.vertices.astype(np.float64) - exact
         distance = np.sqrt((gap**2).sum(axis=2))
         assert report.error == pytest.approx(np.sqrt((distance**2).mean()))
@@ -108,4 +108,4 @@ def test_cache_counts_are_not_believed(tmp_path, wave, points, samples):
             with pytest.raises(
                 FormatError, match=f"{name}: states {samples} samples of {points} p"
             ):
-                ssdr.load(tmp_path / name, mesh="none", mmap=mmap)
+                ssdr.load(tmp_path / name, faces="none", mmap=mmap)

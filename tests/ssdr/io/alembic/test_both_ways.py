@@ -54,6 +54,16 @@ def test_caches_of_blender_are_read_alike(caches, blender, name):
             np.testing.assert_allclose(found, truth, atol=1e-6)
 
 
+def test_names_of_meshes_are_listed_alike(caches, monkeypatch):
+    pytest.importorskip("alembic3d", reason="alembic3d is not installed")
+    for name in ("two", "parents", "instances"):
+        ours = ssdr.io.list_meshes(caches[name])
+        with monkeypatch.context() as without:
+            without.setattr(reader, "_installed", lambda: False)
+            assert ssdr.io.list_meshes(caches[name]) == ours
+        assert len(ours) == 2
+
+
 def test_a_changing_topology_is_refused_both_ways(caches, blender):
     pytest.importorskip("alembic3d", reason="alembic3d is not installed")
     with pytest.raises(ssdr.FormatError, match=r"/melt/melt_mesh: .*in frame 3 \(0\.166667 s\)"):

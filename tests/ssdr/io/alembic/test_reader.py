@@ -12,6 +12,7 @@ import pytest
 import ssdr
 from helpers.alembic_cache import OUTWARD, TETRAHEDRON, Cache, moving, one_mesh, uniform
 from helpers.blender import no_blender
+from ssdr import cli
 from ssdr.io.alembic import reader
 
 TELEVISION = 24000 / 1001
@@ -287,7 +288,7 @@ def test_a_crash_of_the_library_is_blamed_on_the_file(tmp_path, monkeypatch):
     script = tmp_path / "crash.py"
     script.write_text("import os; os.abort()")
     monkeypatch.setattr(reader, "_SCRIPT", script)
-    with pytest.raises(ssdr.FormatError, match=r"a\.abc: truncated or damaged \(alembic3d failed"):
+    with pytest.raises(ssdr.FormatError, match=r"a\.abc: truncated or damaged: alembic3d failed"):
         ssdr.load(path)
 
 
@@ -347,3 +348,12 @@ def test_the_library_never_enters_the_process_that_reads(tmp_path):
     code = f"import ssdr, sys; ssdr.load({str(path)!r}); print('alembic3d' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
+
+
+def test_names_of_meshes_are_listed(tmp_path, capsys):
+    path, _ = scene(tmp_path / "a.abc")
+    assert ssdr.io.list_meshes(path) == ("ape", "plate", "zebra")
+    assert cli.main(["info", str(path)]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "5 at 25 a second" in shown
+    assert "3, read as one (--read meshes=NAME takes one): ape, plate, zebra" in shown

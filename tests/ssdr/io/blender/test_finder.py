@@ -28,7 +28,8 @@ assert options == ["--background", "--factory-startup", "--python-exit-code", "1
 assert script.endswith("script.py") and _ == "--"
 job = json.load(open(name, encoding="utf-8"))
 print("Blender talks")
-np.savez(job["out"], vertices=np.eye(3, dtype=np.float32)[None], faces=np.array([[0, 1, 2]]),
+np.savez(job["out"], meshes="[]", missed=np.zeros((1, 3)),
+         vertices=np.eye(3, dtype=np.float32)[None], faces=np.array([[0, 1, 2]]),
          fps=np.float64(24), names=json.dumps([]))
 """
 

@@ -371,5 +371,9 @@ def test_meshes_are_chosen_by_name(tmp_path):
     assert ssdr.load_skinning(path).n_vertices == 28
     assert ssdr.load_skinning(path, meshes="coat").n_vertices == 10
     assert ssdr.load(path, meshes=["face"]).n_vertices == 18
-    with pytest.raises(ssdr.FormatError, match="no mesh 'hat', only coat, face"):
+    assert ssdr.io.list_meshes(path) == ("coat", "face")
+    assert "meshes that were not chosen" in ssdr.io.left_out(path, meshes="coat")
+    with pytest.raises(
+        ssdr.InputError, match=r"^meshes: expected one of \['coat', 'face', 'rig'\]"
+    ):
         ssdr.load(path, meshes="hat")

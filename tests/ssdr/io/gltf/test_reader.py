@@ -16,6 +16,7 @@ from helpers.glb import opened, packed
 from helpers.gltf_asset import Made, make_asset
 from helpers.rig_model import tube
 from helpers.rig_tree import creature
+from ssdr import cli
 
 
 def rebuild(source, target, change):
@@ -72,6 +73,48 @@ def test_interpolations(tmp_path):
     sequence = ssdr.load(channel_file(tmp_path, "CUBICSPLINE", cubic), fps=8)
     np.testing.assert_allclose(sequence.vertices[:, 0, 0], (np.arange(9) / 8) ** 3, atol=1e-6)
     assert ssdr.load(channel_file(tmp_path, "LINEAR", keys)).fps == 24
+
+
+def test_meshes_have_names_that_info_lists_and_meshes_takes(tmp_path, capsys):
+    nodes = ((0, "left"), (0, "right"), (1, ""), (2, ""))
+    document = {
+        "nodes": [{"mesh": k, **({"name": n} if n else {})} for k, n in nodes],
+        "meshes": [
+            {"primitives": [{"attributes": {"POSITION": 0}}], **({"name": name} if name else {})}
+            for name in ("shoe", "hat", "")
+        ],
+    }
+    path = hand_made(tmp_path, document, TRIANGLE)
+    names = ("left", "right", "hat", "node_3")
+    assert ssdr.io.list_meshes(path) == names
+    for name in names:
+        assert ssdr.load(path, meshes=name).n_vertices == 3
+    assert ssdr.load(path, meshes="shoe").n_vertices == 6
+    assert cli.main(["info", str(path)]) == 0
+    assert "4, read as one (--read meshes=NAME takes one): left, right" in capsys.readouterr().out
+    assert cli.main(["info", str(path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["meshes"] == list(names)
+    known = r"meshes: expected one of \['hat', 'left', 'node_3', 'right', 'shoe'\], got 'cap'"
+    with pytest.raises(ssdr.InputError, match=known):
+        ssdr.load(path, meshes="cap")
+    for wrong in (3, [], ["hat", 3], [None]):
+        with pytest.raises(
+            ssdr.InputError, match="meshes: expected the name of a mesh, or several"
+        ):
+            ssdr.load(path, meshes=wrong)
+
+
+def test_a_buffer_below_a_folder_that_the_user_names_is_read(tmp_path):
+    (tmp_path / "scene").mkdir()
+    mesh = {"primitives": [{"attributes": {"POSITION": 0}}]}
+    path = hand_made(tmp_path, {"nodes": [{"mesh": 0}], "meshes": [mesh]}, TRIANGLE)
+    document = json.loads(path.read_text())
+    document["buffers"][0]["uri"] = "../" + document["buffers"][0]["uri"]
+    moved = tmp_path / "scene" / "a.gltf"
+    moved.write_text(json.dumps(document))
+    with pytest.raises(ssdr.FormatError, match="folder= names a folder that may be read, too"):
+        ssdr.load(moved)
+    np.testing.assert_array_equal(ssdr.load(moved, folder=tmp_path).vertices[0], TRIANGLE)
 
 
 TIMES = np.array([0, 0.013, 0.05, 0.081, 0.2, 0.33, 0.402, 0.51, 0.77, 0.934])

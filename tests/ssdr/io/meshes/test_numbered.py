@@ -45,6 +45,16 @@ def test_files_come_in_natural_order_and_gaps_are_told(tmp_path):
         ssdr.load(tmp_path)
 
 
+@pytest.mark.parametrize("suffix", ["obj", "ply"])
+def test_frames_of_a_longer_animation_that_are_left_are_told(tmp_path, wave, suffix):
+    path = tmp_path / f"f_%03d.{suffix}"
+    ssdr.save(wave, path)
+    ssdr.save(wave, path)  # all of them overwritten
+    shorter = MeshSequence(wave.vertices[:2], wave.faces)
+    with pytest.warns(ssdr.SsdrWarning, match=f"lie 2 older ones of such names, as f_002.{suffix}"):
+        ssdr.save(shorter, path)
+
+
 def test_topology_must_agree(tmp_path):
     a = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 2 3 4\n"
     (tmp_path / "f1.obj").write_text(a)

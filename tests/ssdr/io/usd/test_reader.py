@@ -9,6 +9,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 import ssdr
 from helpers.rig_model import baked_by_usd, largest_distance, tube
 from helpers.rig_tree import creature
+from ssdr import cli
 
 pytest.importorskip("pxr.UsdSkel", reason="usd-core is not installed")
 
@@ -215,3 +216,35 @@ def test_meshes_are_chosen_by_name(tmp_path):
     assert ssdr.load_skinning(path, meshes="body").rest[:, 0].tolist() == [1, 1, 1]
     with pytest.raises(ssdr.InputError, match=r"meshes: .*SkirtShape.*'trousers'"):
         ssdr.load(path, meshes="trousers")
+    assert ssdr.io.list_meshes(path) == ("SkirtShape", "Shape")
+    stage = Usd.Stage.Open(str(path))
+    Sdf.CopySpec(stage.GetRootLayer(), "/body/Shape", stage.GetRootLayer(), "/skirt/Shape")
+    stage.GetRootLayer().Save()
+    assert ssdr.io.list_meshes(path) == ("SkirtShape", "/skirt/Shape", "/body/Shape")
+    assert ssdr.load(path, meshes="Shape").n_vertices == 6
+    assert ssdr.load(path, meshes="/skirt/Shape").n_vertices == 3
+
+
+@pytest.mark.parametrize("target", ["b.usda", "b.glb"])
+def test_a_chosen_mesh_becomes_a_model_and_the_rest_is_said(tmp_path, target, capsys):
+    stage = Usd.Stage.CreateNew(str(tmp_path / "a.usda"))
+    UsdGeom.Xform.Define(stage, "/top")
+    for name in ("hat", "coat"):
+        mesh = UsdGeom.Mesh.Define(stage, f"/top/{name}")
+        mesh.CreatePointsAttr([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
+        mesh.CreateFaceVertexCountsAttr([3])
+        mesh.CreateFaceVertexIndicesAttr([0, 1, 2])
+        moved = mesh.AddTranslateOp()
+        for code in range(3):
+            moved.Set(Gf.Vec3d(code, 0, 0), code)
+    stage.GetRootLayer().Save()
+    line = ["decompose", str(tmp_path / "a.usda"), "-b", "1", "-e", "fast"]
+    line += ["-o", str(tmp_path / target)]
+    assert cli.main([*line, "--read", "meshes=hat"]) == 0
+    model = ssdr.load_skinning(tmp_path / target, meshes="hat" if target == "b.usda" else None)
+    assert model.n_vertices == 3
+    capsys.readouterr()
+    assert cli.main([*line, "--read", "meshes=shoe"]) == 2
+    assert "meshes: expected one of ['coat', 'hat', 'top'], got 'shoe'" in capsys.readouterr().err
+    assert cli.main(["info", str(tmp_path / "a.usda")]) == 0
+    assert "meshes=NAME takes one): hat, coat" in capsys.readouterr().out
