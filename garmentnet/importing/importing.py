@@ -39,8 +39,7 @@ class ImportOptions:
     Parameters
     ----------
     fps : float, optional
-        Frame rate of a new store; by default that of the first cloth or, for Alembic, which states
-        none, of its rig.
+        Frame rate of a new store; by default that of the first cloth.
     offset : float
         Seconds from the first frame of a rig to the first of its cloth.
     cloth, rig : Source, optional
@@ -132,8 +131,6 @@ def _read(
 ) -> tuple[MeshSequence, Rig]:
     """Cloth and rig at one rate, cut to the frames that both have."""
     model = read_rig(rig_file, o.rig, rate, name, say)
-    if rate is None and cloth_file.suffix.lower() == ".abc":
-        rate = model.fps
     cloth = read_cloth(cloth_file, o.cloth, rate, say)
     if rate is None and model.fps != cloth.fps:
         model = read_rig(rig_file, o.rig, cloth.fps, name, say)

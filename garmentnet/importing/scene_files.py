@@ -102,7 +102,7 @@ def _at_rate(
     read: Callable[[float | None], Model], path: Path, rate: float | None, say: Say
 ) -> Model:
     suffix = path.suffix.lower()
-    found = read(rate if suffix == ".abc" else None)  # Alembic states no rate
+    found = read(None)
     if rate is None or math.isclose(found.fps, rate, rel_tol=1e-4):
         return found
     if suffix not in _SAMPLED:

@@ -23,7 +23,7 @@ from .options import FitOptions
 from .output import Output
 
 Settings = Mapping[str, Any]
-_PACKAGES = {"usd": "pxr", "zarr": "zarr"}
+_PACKAGES = {"alembic": "alembic3d", "usd": "pxr", "zarr": "zarr"}
 _TRIED_INFLUENCES = 16  # more than any format with a limit takes
 _SHEARED = np.array([[1.0, 0.5, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
 

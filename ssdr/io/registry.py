@@ -166,7 +166,12 @@ FORMATS: dict[str, Format] = {
         usd__reader=f"{_READS} list_meshes",
         usd__template="left_out",
     ),
-    ".abc": _format("Alembic", "blender", blender__bridge="read list_meshes"),
+    ".abc": _format(
+        "Alembic",
+        "alembic",
+        alembic__reader="read list_meshes",
+        alembic__writer="write_sequence",
+    ),
     ".fbx": _format(
         "FBX",
         "blender",

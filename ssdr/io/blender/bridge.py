@@ -1,4 +1,4 @@
-"""Alembic and FBX through Blender, which runs in a process of its own.
+"""FBX through Blender, which runs in a process of its own.
 
 A separate process is used because ``bpy`` prints messages, keeps one global scene and requires an
 old NumPy.
@@ -10,7 +10,6 @@ import dataclasses
 import json
 import logging
 import os
-import subprocess
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,19 +19,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...clips import Clip, in_order, readable
-from ...errors import FormatError, InputError, MissingDependencyError, SsdrError, is_real
+from ...errors import FormatError, InputError, MissingDependencyError, SsdrError
 from ...sequence import MeshSequence
 from ...skinning import Skinning
-from ...space import METRES_Y_UP, UNKNOWN, Space
+from ...space import METRES_Y_UP, Space
 from ..arrays.npz import surface_from
 from ..atomic import atomic_path
 from ..budget import MOST_BYTES
 from ..gltf.writer import write_along_bones
+from ..process import run_script
 from ..registry import SaveReport, check_one_rate, choose, mesh_names, pick_clip, reading
 from ..sampling import tell
 from ..scene import Bones, make_skinning
 from ..signatures import describe
-from ..spaces import in_space, transformed, with_space
+from ..spaces import in_space, transformed
 from ..storage import StorageError, frame_blocks
 from .finder import command
 
@@ -43,7 +43,7 @@ _LONGEST_NAME = 63  # bytes in the name of anything in Blender
 _SCRIPT = Path(__file__).with_name("script.py")
 _TOO_OLD = "Blender 4.2 or newer is needed"  # part of an error of script.py
 _listed: dict[Any, dict[str, NDArray[Any]]] = {}
-_MAGIC = {".fbx": (b"Kaydara FBX", b"; FBX"), ".abc": (b"Ogawa", b"\x89HDF")}
+_MAGIC = {".fbx": (b"Kaydara FBX", b"; FBX"), ".abc": (b"Ogawa",)}
 
 
 def read(
@@ -55,16 +55,15 @@ def read(
     time_limit: float = 600.0,
     max_bytes: int | None = None,
 ) -> MeshSequence:
-    """Read all meshes of an Alembic or FBX file, baked to vertices.
+    """Read all meshes of an FBX file, baked to vertices.
 
     Parameters
     ----------
     path : Path
     clip : str or int, optional
-        Name or index of the take of an FBX file; the first by default.
+        Name or index of the take; the first by default.
     fps : float, optional
-        Frames per second at which to sample; by default 24 for Alembic, which states no rate, and
-        as in :func:`read_skinning` for FBX.
+        Frames per second at which to sample, as in :func:`read_skinning`.
     meshes : str or several of them, optional
         Names of the objects or meshes to read, or of objects above them; all by default.
     time_limit : float
@@ -75,8 +74,7 @@ def read(
     Returns
     -------
     MeshSequence
-        Vertices in float32. Blender converts those of an FBX file to metres with y up. Those of an
-        Alembic file, which states no unit and no up axis, stay as they are.
+        Vertices in float32, in metres with y up.
 
     Raises
     ------
@@ -88,31 +86,37 @@ def read(
         If Blender is not found or is older than 4.2.
     """
     take = clip if isinstance(clip, (str, int)) and not isinstance(clip, bool) else None
-    arrays = _ask_blender("read", path, fps, time_limit, max_bytes, take=take, meshes=meshes)
-    fbx = path.suffix.lower() == ".fbx"
-    if fps is None and not fbx:
-        _log.info("%s: sampled at 24 frames per second; fps= says otherwise", path)
+    job = {"take": take, "meshes": meshes}
+    arrays = ask_blender("read", path, fps, time_limit, max_bytes, **job)
     with reading(path, "clip"):
         names = _names(arrays, path)
-        name = names[pick_clip(names, clip, path)]
-        sequence = MeshSequence(
-            arrays["vertices"],
-            arrays["faces"],
-            float(arrays["fps"].item()),
-            name=_title(arrays, path),
-            clip=name,
-            surface=surface_from(arrays),
-            space=_BLENDER,
-        )
-        _tell_missed(arrays, [Clip(name, 0, len(sequence), sequence.fps)], path, fps)
-        turned = in_space(sequence, METRES_Y_UP)
-        return turned if fbx else with_space(turned, UNKNOWN)
+        return sequence_of(arrays, path, names[pick_clip(names, clip, path)], fps)
+
+
+def sequence_of(
+    arrays: dict[str, NDArray[Any]], path: Path, clip: str, fps: float | None
+) -> MeshSequence:
+    """Sequence of what ``script.py`` has read, turned to y up; `fps` is what the caller asks for.
+
+    Keys between its frames are told.
+    """
+    sequence = MeshSequence(
+        arrays["vertices"],
+        arrays["faces"],
+        float(arrays["fps"].item()),
+        name=_title(arrays, path),
+        clip=clip,
+        surface=surface_from(arrays),
+        space=_BLENDER,
+    )
+    _tell_missed(arrays, [Clip(clip, 0, len(sequence), sequence.fps)], path, fps)
+    return in_space(sequence, METRES_Y_UP)
 
 
 def list_clips(
     path: Path, *, fps: float | None = None, time_limit: float = 600.0
 ) -> tuple[Clip, ...]:
-    """Clips of a file (takes of an FBX file), with frames numbered as in :func:`read_skinning`."""
+    """Clips of a file, which are its takes, with frames numbered as in :func:`read_skinning`."""
     arrays = _list(path, fps, time_limit)
     with reading(path):
         return _clips(arrays, path)
@@ -141,7 +145,7 @@ def _list(path: Path, fps: float | None, time_limit: float) -> dict[str, NDArray
     state = path.stat()
     key = str(path.resolve()), state.st_mtime_ns, state.st_size, fps
     if key not in _listed:
-        arrays = _ask_blender("list", path, fps, time_limit)
+        arrays = ask_blender("list", path, fps, time_limit)
         _listed.clear()
         _listed[key] = arrays
     return _listed[key]
@@ -190,7 +194,7 @@ def read_skinning(
         If Blender is not found or is older than 4.2.
     """
     job: dict[str, Any] = {"joints_alone": joints_alone, "meshes": meshes}
-    arrays = _ask_blender("read skinning", path, fps, time_limit, max_bytes, **job)
+    arrays = ask_blender("read skinning", path, fps, time_limit, max_bytes, **job)
     with reading(path):
         clips = _clips(arrays, path)
         if len(clips) > 1:
@@ -233,7 +237,7 @@ def _names(arrays: dict[str, NDArray[Any]], path: Path) -> list[str]:
     return [readable(name) for name in json.loads(str(arrays["names"]))] or [path.stem]
 
 
-def _ask_blender(
+def ask_blender(
     action: str,
     path: Path,
     fps: float | None,
@@ -241,12 +245,11 @@ def _ask_blender(
     max_bytes: int | None = None,
     **job: Any,
 ) -> dict[str, NDArray[Any]]:
-    """Run an action of ``script.py`` that reads a file, and return the arrays that it writes.
+    """Arrays that an action of ``script.py`` writes when it reads a file.
 
     `job` holds further settings of the action. An error in the script becomes a FormatError, and a
     name of a mesh that there is not an InputError.
     """
-    _check_limit(time_limit)
     command(_SCRIPT)  # a missing Blender is reported before a damaged file
     suffix = path.suffix.lower()
     with path.open("rb") as stream:
@@ -256,11 +259,11 @@ def _ask_blender(
     meshes = job.get("meshes")
     if meshes is not None:
         job["meshes"] = mesh_names(meshes)
-    job |= {"action": action, "path": str(path.resolve()), "fps": fps or 24.0}
+    job |= {"action": action, "path": str(path.resolve()), "fps": fps or _IMPORT_FPS}
     job |= {"resample": fps is not None, "max_bytes": max_bytes or MOST_BYTES}
     try:
         arrays = run(job, time_limit=time_limit)
-    except MissingDependencyError:
+    except (InputError, MissingDependencyError):
         raise
     except SsdrError as error:
         raise FormatError(f"{path}: {error}") from error
@@ -308,7 +311,6 @@ def write_skinning(
     SsdrError
         If Blender stops with an error or takes too long, or its file does not hold the model.
     """
-    _check_limit(time_limit)
     title = name or skinning.name or path.stem
     names = [clip.name or title for clip in skinning.clips]
     long = [one for one in names if len(one.encode()) > _LONGEST_NAME]
@@ -368,11 +370,6 @@ def write_skinning(
     )
 
 
-def _check_limit(time_limit: float) -> None:
-    if not (is_real(time_limit) and time_limit > 0):
-        raise InputError("time_limit", "seconds > 0", time_limit)
-
-
 def run(job: dict[str, Any], *, time_limit: float = 600.0) -> dict[str, NDArray[Any]]:
     """Run one job of ``script.py`` in a process of its own and return the arrays that it writes.
 
@@ -384,38 +381,18 @@ def run(job: dict[str, Any], *, time_limit: float = 600.0) -> dict[str, NDArray[
         If Blender stops with an error, whose text is passed on, or takes more than `time_limit`
         seconds.
     """
-    with tempfile.TemporaryDirectory(prefix="ssdr-") as folder:
-        out, order = Path(folder) / "out.npz", Path(folder) / "job.json"
-        order.write_text(json.dumps({**job, "out": str(out)}), encoding="utf-8")
-        words = command(_SCRIPT, str(order))
-        # Blender's Python must see its own packages, not those of this process.
-        hidden = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
-        environment = {k: v for k, v in os.environ.items() if k not in hidden}
-        try:
-            done = subprocess.run(
-                words,
-                stdin=subprocess.DEVNULL,
-                capture_output=True,
-                text=True,
-                errors="replace",
-                timeout=time_limit,
-                cwd=folder,
-                env=environment,
-                check=False,
-            )
-        except subprocess.TimeoutExpired as error:
-            raise SsdrError(f"Blender needed more than {time_limit:g} s") from error
-        except OSError as error:
-            raise MissingDependencyError(f"{words[0]} could not be started: {error}") from error
-        _log.debug("blender: %s%s", done.stdout, done.stderr)
-        if done.returncode != 0 or not out.is_file():
-            lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
-            reason = (lines or ["it said nothing"])[-1][-600:]  # of a traceback, what it ends in
-            if _TOO_OLD in reason or "No module named 'bpy'" in reason:
-                raise MissingDependencyError(f"{words[0]}: {reason}")
-            raise SsdrError(f"Blender failed ({done.returncode}): {reason}")
-        with np.load(out, allow_pickle=False) as archive:
-            arrays = {key: archive[key] for key in archive.files}
-        if "error" in arrays:
-            raise SsdrError(readable(arrays["error"]))
-        return arrays
+    # Blender's Python must see its own packages, not those of this process.
+    hidden = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
+    environment = {k: v for k, v in os.environ.items() if k not in hidden}
+
+    def words(order: str) -> list[str]:
+        return command(_SCRIPT, order)
+
+    try:
+        return run_script(words, job, who="Blender", environment=environment, time_limit=time_limit)
+    except SsdrError as error:
+        reason = str(error)
+        if _TOO_OLD in reason or "No module named 'bpy'" in reason:
+            said = reason.split(": ", 1)[-1]
+            raise MissingDependencyError(f"{words('')[0]}: {said}") from error
+        raise

@@ -106,7 +106,8 @@ class Vertices:
         found = [skins.world_points(item, graph)[0] for item in self.items]
         for item, size, points in zip(self.items, self.counts, found, strict=True):
             if len(points) != size:
-                raise ValueError(f"{item.name}: {size} vertices at first, {len(points)} later")
+                count = f"{size} vertices at first, {len(points)} in frame {len(self.frames)}"
+                raise ValueError(f"{item.name}: {count}")
         self.frames.append(np.concatenate(found).astype(np.float32))
 
     def arrays(self) -> dict[str, Any]:

@@ -63,12 +63,18 @@ def stated_rate() -> float:
 def play(job: dict[str, Any], pairs: Pairs | None) -> Timeline:
     """Assign the actions of a take to its objects, and return the frames at which to sample it.
 
-    `pairs` are the objects and actions; None if the file has no takes.
+    `pairs` are the objects and actions; None if the file has no takes. The job's `clock`, if there
+    is one, states the time of the first frame in seconds, the frame rate, the number of frames and
+    the times of keys between frames.
     """
     for item, action in pairs or []:
         item.animation_data.action = action
     scene, rate = bpy.context.scene, stated_rate()
     tempo = rate  # frames of Blender's timeline per second
+    if "clock" in job:
+        first, rate, count, missed = job["clock"]
+        ticks = (np.array(missed) - first) * rate
+        return Timeline(first * tempo, tempo / rate, count, rate, ticks)
     stamps = np.zeros(0)
     if job["path"].lower().endswith(".fbx"):
         tempo = float(scene.render.fps)  # its importer ignores fps_base when it places keys

@@ -62,6 +62,35 @@ def fan(counts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]
     return np.stack([base, base + step + 1, base + step + 2], axis=1), polygon
 
 
+def value_index(
+    interpolation: str,
+    corners: NDArray[np.int64],
+    faces: NDArray[np.int64],
+    polygon: NDArray[np.int64],
+) -> NDArray[np.int64] | None:
+    """Index (T, 3) of the value that UVs or normals have at each triangle corner.
+
+    Parameters
+    ----------
+    interpolation : str
+        USD's word for how many values there are, such as "vertex" for one per vertex.
+    corners, faces : (T, 3) int arrays
+        Corners of each triangle among those of all polygons, and its vertices.
+    polygon : (T,) int array
+
+    Returns
+    -------
+    (T, 3) int array, or None if the word is unknown.
+    """
+    return {
+        "faceVarying": corners,
+        "vertex": faces,
+        "varying": faces,
+        "uniform": np.repeat(polygon[:, None], 3, axis=1),
+        "constant": np.zeros_like(faces),
+    }.get(interpolation)
+
+
 def vertex_rows(rows: list[list[bytes]]) -> NDArray[np.float64]:
     """Coordinates ``(V, 3)`` from the words of each line; words after the third are ignored."""
     if any(len(row) < 3 for row in rows):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from ...normals import unit
-from ..meshes.polygons import fan
+from ..meshes.polygons import fan, value_index
 from ..registry import check
 from ..scene import Bones, Shape, facing, file_weights
 
@@ -114,13 +114,7 @@ class MeshPrim:
         `interpolation` is USD's word for how many values the primvar has, such as "vertex" for one
         per point. The result is None if the word is unknown.
         """
-        return {
-            "faceVarying": self.corners,
-            "vertex": self.faces,
-            "varying": self.faces,
-            "uniform": np.repeat(self.polygon[:, None], 3, axis=1),
-            "constant": np.zeros_like(self.faces),
-        }.get(interpolation)
+        return value_index(interpolation, self.corners, self.faces, self.polygon)
 
     def _at_corners(self, values: Any, interpolation: str, width: int, what: str) -> Any:
         array = np.array(values, dtype=np.float32).reshape(-1, width)

@@ -21,7 +21,7 @@ def test_bad_outputs_are_found_before_a_file_is_read(refused, never, clip, tmp_p
     good, long = tmp_path / "good.npz", "n" * 252
     for arguments, text in (
         (["-o", tmp_path / "a.xyz"], "known suffix"),
-        (["-o", tmp_path / "a.abc"], "can be written"),
+        (["-o", tmp_path / "a.stl"], "can be written"),
         (["-o", tmp_path / "a.glb", "--write", "gbl:weights=uint8"], "suffix of a format"),
         (["-o", tmp_path / "no" / "a.npz"], "folder that exists"),
         (["-o", clip], "no input"),

@@ -41,8 +41,8 @@ def bare(monkeypatch, tmp_path):
 
 @pytest.fixture
 def clip(tmp_path):
-    path = tmp_path / "a.abc"
-    path.write_bytes(b"Ogawa")
+    path = tmp_path / "a.fbx"
+    path.write_bytes(b"Kaydara FBX Binary")
     return path
 
 
@@ -96,8 +96,8 @@ def test_without_blender_one_line_says_how_to_get_it(clip, tmp_path):
     assert venv == ["python3.11", "-m", "venv", str(environment())]
     assert pip == [str(environment() / "bin" / "pip"), "install", "bpy"]
     with pytest.raises(ssdr.MissingDependencyError, match="SSDR_BLENDER"):
-        ssdr.save(tube(frames=2), tmp_path / "a.fbx")
-    assert not (tmp_path / "a.fbx").exists()
+        ssdr.save(tube(frames=2), tmp_path / "b.fbx")
+    assert not (tmp_path / "b.fbx").exists()
 
 
 @pytest.mark.parametrize("variable", ["SSDR_BLENDER", "SSDR_BLENDER_PYTHON"])

@@ -1,0 +1,1 @@
+"""Alembic: caches of moving meshes, by alembic3d or, where that is missing, by Blender."""

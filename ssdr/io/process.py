@@ -1,0 +1,86 @@
+"""Running of a script that reads a file in a process of its own."""
+
+from __future__ import annotations
+
+import json
+import logging
+import subprocess
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..clips import readable
+from ..errors import InputError, MissingDependencyError, SsdrError, is_real
+
+_log = logging.getLogger(__name__)
+
+
+def run_script(
+    command: Callable[[str], list[str]],
+    job: Mapping[str, Any],
+    *,
+    who: str,
+    environment: Mapping[str, str],
+    time_limit: float = 600.0,
+) -> dict[str, NDArray[Any]]:
+    """Arrays that a script writes to an archive, after it has run in a process of its own.
+
+    Parameters
+    ----------
+    command : function
+        Command line for a file with the script's job; the function gets the path of the file.
+    job : dict
+        What the script is to do, as JSON. The path of the archive is added to it as ``"out"``.
+    who : str
+        Name of the program that runs the script, for messages.
+    environment : dict
+        Environment variables of the process.
+    time_limit : float
+        Seconds after which the process is ended.
+
+    Raises
+    ------
+    InputError
+        If `time_limit` is not a positive number.
+    MissingDependencyError
+        If the program cannot be started.
+    SsdrError
+        If it ends with an error, whose text is passed on, writes one as the array ``"error"``, or
+        takes longer than `time_limit`.
+    """
+    if not (is_real(time_limit) and time_limit > 0):
+        raise InputError("time_limit", "seconds > 0", time_limit)
+    with tempfile.TemporaryDirectory(prefix="ssdr-") as folder:
+        out, order = Path(folder) / "out.npz", Path(folder) / "job.json"
+        order.write_text(json.dumps({**job, "out": str(out)}), encoding="utf-8")
+        words = command(str(order))
+        try:
+            done = subprocess.run(
+                words,
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                text=True,
+                errors="replace",
+                timeout=time_limit,
+                cwd=folder,
+                env=dict(environment),
+                check=False,
+            )
+        except subprocess.TimeoutExpired as error:
+            raise SsdrError(f"{who} needed more than {time_limit:g} s") from error
+        except OSError as error:
+            raise MissingDependencyError(f"{words[0]} could not be started: {error}") from error
+        _log.debug("%s: %s%s", who, done.stdout, done.stderr)
+        if done.returncode != 0 or not out.is_file():
+            lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
+            reason = (lines or ["it said nothing"])[-1][-600:]  # of a traceback, what it ends in
+            raise SsdrError(f"{who} failed ({done.returncode}): {reason}")
+        with np.load(out, allow_pickle=False) as archive:
+            arrays = {key: archive[key] for key in archive.files}
+    if "error" in arrays:
+        raise SsdrError(readable(arrays["error"]))
+    return arrays

@@ -1,0 +1,359 @@
+"""Reading of Alembic caches that the library's own bindings have written."""
+
+from __future__ import annotations
+
+import logging
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import ssdr
+from helpers.alembic_cache import OUTWARD, TETRAHEDRON, Cache, moving, one_mesh, uniform
+from helpers.blender import no_blender
+from ssdr import cli
+from ssdr.io.alembic import reader
+
+TELEVISION = 24000 / 1001
+
+
+def turn(angle, place=(0.0, 0.0, 0.0), scale=(1.0, 1.0, 1.0)):
+    """A scale, then a turn about z, then a move."""
+    c, s = np.cos(angle), np.sin(angle)
+    matrix = np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
+    matrix[:3, :3] *= scale
+    matrix[:3, 3] = place
+    return matrix
+
+
+def volume(sequence):
+    """Signed volume within the triangles of each frame, positive where they face outwards."""
+    corners = sequence.vertices[:, sequence.faces].astype(np.float64)
+    return np.linalg.det(corners).sum(axis=1) / 6
+
+
+@pytest.mark.parametrize("fps", [TELEVISION, 23.976, 24.0, 25.0, 30.0, 60.0, 5.0, 7.3, 1000.0])
+@pytest.mark.parametrize("frame", [0, 1001, -40])
+def test_samples_are_frames_whatever_their_rate_and_start(tmp_path, fps, frame):
+    points = moving(7)
+    path = one_mesh(tmp_path / "a.abc", points, uniform(fps, frame / fps))
+    back = ssdr.load(path)
+    np.testing.assert_array_equal(back.vertices, points)
+    assert back.fps == pytest.approx(fps, rel=1e-12)
+    assert (back.name, back.clip, back.space) == ("ball", "a", ssdr.Space())
+    assert (volume(back) > 0).all()
+
+
+def test_one_sample_is_one_frame(tmp_path):
+    back = ssdr.load(one_mesh(tmp_path / "a.abc", moving(1), uniform(30, 33.4)))
+    assert (len(back), back.fps) == (1, 24.0)
+
+
+def scene(path):
+    """Two balls and a plate, one ball below two moving transforms."""
+    cache = Cache(path)
+    clock, half = cache.clock(*uniform(25)), cache.clock(*uniform(12.5))
+    high = [turn(0.3 * k, (k, 0, 0.5)) for k in range(5)]
+    low = [turn(-0.2 * k, (0, 0, k), (1, 2, 3)) for k in range(3)]
+    top = cache.above("top", high, clock)
+    zebra = cache.above("zebra", low, half, top)
+    cache.mesh("zebraShape", moving(5, 1), clock, zebra)
+    cache.mesh("plate", moving(1, 2), cache.clock(*uniform(1)))
+    free = cache.above("ape", [turn(0.1)], clock, top, inherits=False)
+    cache.mesh("apeShape", moving(5, 3), clock, free, polygons=[(0, 1, 2), (0, 3, 1)])
+    truth = []
+    for k in range(5):
+        between = low[k // 2] if k % 2 == 0 else (low[k // 2] + low[k // 2 + 1]) / 2
+        items = (turn(0.1), moving(5, 3)[k]), (np.eye(4), moving(1, 2)[0])
+        items = (*items, (high[k] @ between, moving(5, 1)[k]))
+        truth.append(np.concatenate([p @ m[:3, :3].T + m[:3, 3] for m, p in items]))
+    del top, zebra, free
+    return cache.close(), np.array(truth)
+
+
+def test_objects_follow_each_other_below_their_transforms(tmp_path):
+    path, truth = scene(tmp_path / "a.abc")
+    back = ssdr.load(path)
+    assert (len(back), back.fps, back.name) == (5, 25.0, "a")
+    np.testing.assert_allclose(back.vertices, truth, atol=1e-6)
+    assert back.faces.tolist()[:2] == [[2, 1, 0], [1, 3, 0]]
+    assert len(back.faces) == 2 + 4 + 4
+
+
+def test_meshes_are_chosen_by_the_names_in_their_paths(tmp_path):
+    path, truth = scene(tmp_path / "a.abc")
+    for name, rows in (("ape", range(4)), ("plate", range(4, 8)), ("zebraShape", range(8, 12))):
+        frames = truth[:1] if name == "plate" else truth
+        one = ssdr.load(path, meshes=name)
+        np.testing.assert_allclose(one.vertices, frames[:, rows], atol=1e-6)
+    assert ssdr.load(path, meshes=["top"]).n_vertices == 8
+    assert ssdr.load(path, meshes=["plate", "ape"]).n_vertices == 8
+    with pytest.raises(ssdr.InputError, match=r"meshes: expected one of .*'plate'.*got 'monkey'"):
+        ssdr.load(path, meshes=["ape", "monkey"])
+
+
+@pytest.mark.parametrize("grows", [False, True])
+def test_a_mirrored_mesh_faces_outwards(tmp_path, grows):
+    cache = Cache(tmp_path / "a.abc")
+    clock = cache.clock(*uniform(24))
+    mirrors = [turn(0.3 * k, scale=(-1, 1, 1) if k or not grows else (0, 0, 0)) for k in range(3)]
+    normals = np.array([[-1, -1, -1], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    above = cache.above("a", mirrors, clock)
+    cache.mesh("b", moving(3), clock, above, normals=(normals, "Vertex"))
+    del above
+    back = ssdr.load(cache.close())
+    assert (volume(back)[grows:] > 0).all()
+    seen = back.vertices[int(grows)]
+    corners = seen[back.faces] - seen.mean(axis=0)
+    assert ((corners * back.surface.normals).sum(axis=2) > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("points", "polygons", "text"),
+    [
+        (moving(4), [OUTWARD] * 2 + [OUTWARD[:3]], "4 vertices and 4 polygons in frame 0, "
+         r"4 vertices and 3 polygons in frame 2 \(0\.08 s\)"),
+        (moving(4), [OUTWARD, OUTWARD[::-1]], r"in frame 0, others in frame 1 \(0\.04 s\)"),
+        ([*moving(3), np.eye(5, 3)], [OUTWARD], "5 vertices and 4 polygons in frame 3"),
+        (np.repeat(moving(1), 4, axis=0), [OUTWARD] * 3 + [OUTWARD[:2]], "2 polygons in frame 3"),
+    ],
+)  # fmt: skip
+def test_a_changing_topology_is_refused_with_the_object_and_the_frame(
+    tmp_path, points, polygons, text
+):
+    path = one_mesh(tmp_path / "a.abc", points, uniform(25), polygons=polygons)
+    match = rf"a\.abc: /ball/ballShape: its topology changes: .*{text}"
+    with pytest.raises(ssdr.FormatError, match=match):
+        ssdr.load(path)
+
+
+def test_a_subdivision_surface_is_read_as_its_cage(tmp_path, caplog):
+    path = one_mesh(tmp_path / "a.abc", moving(3), uniform(24), kind="SubD")
+    with caplog.at_level(logging.INFO):
+        np.testing.assert_array_equal(ssdr.load(path).vertices, moving(3))
+    assert "/ball/ballShape: a subdivision surface" in caplog.text
+
+
+def test_polygons_are_cut_into_fans_seen_from_outside(tmp_path):
+    points = np.concatenate([TETRAHEDRON, TETRAHEDRON + 3])[None]
+    path = one_mesh(tmp_path / "a.abc", points, uniform(24), polygons=[(0, 1, 2, 3, 4), (5, 6, 7)])
+    assert ssdr.load(path).faces.tolist() == [[4, 3, 2], [4, 2, 1], [4, 1, 0], [7, 6, 5]]
+
+
+UV = np.arange(24, dtype=np.float32).reshape(12, 2)
+CORNERS = np.arange(12).reshape(4, 3)[:, ::-1]  # of each triangle, as they are read
+
+
+@pytest.mark.parametrize(
+    ("param", "rows"),
+    [
+        ((UV, "Facevarying"), CORNERS),
+        ((UV[:5], "Facevarying", np.arange(12) % 5), CORNERS % 5),
+        ((UV[:4], "Vertex"), OUTWARD[:, ::-1]),
+        ((UV[:4], "Varying"), OUTWARD[:, ::-1]),
+        ((UV[:4], "Uniform"), np.repeat(np.arange(4)[:, None], 3, axis=1)),
+        ((UV[:1], "Constant"), np.zeros((4, 3), int)),
+        ((UV[:5], "Facevarying"), None),
+        ((UV[:5], "Facevarying", np.arange(12)), None),
+        ((np.full((12, 2), np.nan), "Facevarying"), None),
+    ],
+)
+def test_uvs_of_every_scope(tmp_path, param, rows, caplog):
+    path = one_mesh(tmp_path / "a.abc", moving(2), uniform(24), uv=param)
+    surface = ssdr.load(path).surface
+    if rows is None:
+        assert surface is None
+        assert "/ball/ballShape: UVs do not match the mesh" in caplog.text
+    else:
+        np.testing.assert_array_equal(surface.uv, UV[rows])
+
+
+def test_normals_turn_with_the_first_frame(tmp_path):
+    cache = Cache(tmp_path / "a.abc")
+    clock = cache.clock(*uniform(24))
+    normals = np.array([[1, 1, 0], [1, 0, 0], [0, 1, 0], [0, 0, 2]])
+    first = turn(0.7, (1, 2, 3), (1, 4, 1))
+    above = cache.above("a", [first, turn(0.9)], clock)
+    cache.mesh("b", moving(2), clock, above, normals=(normals, "Vertex"))
+    del above
+    found = ssdr.load(cache.close()).surface.normals
+    truth = normals @ np.linalg.inv(first[:3, :3])
+    truth /= np.linalg.norm(truth, axis=1, keepdims=True)
+    np.testing.assert_allclose(found, truth[OUTWARD[:, ::-1]], atol=1e-6)
+
+
+def test_irregular_samples_on_frames_are_frames(tmp_path):
+    points = moving(4)
+    times = [1.0, 1 + 1 / 24, 1 + 3 / 24, 1 + 4 / 24]
+    back = ssdr.load(one_mesh(tmp_path / "a.abc", points, (None, times)))
+    assert (len(back), back.fps) == (5, 24.0)
+    np.testing.assert_array_equal(back.vertices[[0, 1, 3, 4]], points)
+    np.testing.assert_allclose(back.vertices[2], points[1:3].mean(axis=0), atol=1e-6)
+
+
+def test_samples_of_an_open_shutter_are_frames(tmp_path):
+    points = moving(6)
+    path = one_mesh(tmp_path / "a.abc", points, (1 / 24, [-0.25 / 24, 0.0, 0.25 / 24]))
+    back = ssdr.load(path)
+    assert (len(back), back.fps) == (7, 96.0)
+    np.testing.assert_array_equal(back.vertices[[0, 1, 2, 4, 5, 6]], points)
+
+
+def test_resampling_is_said_with_its_error(tmp_path, caplog):
+    points, times = moving(6), np.array([0.3, 0.37, 0.5, 0.52, 0.77, 1.01])
+    path = one_mesh(tmp_path / "a.abc", points, (None, times.tolist()))
+    with pytest.warns(ssdr.SsdrWarning, match=r"a\.abc: 5 keys of the clip a lie between") as said:
+        back = ssdr.load(path)
+    assert (len(back), back.fps) == (19, 24.0)
+
+    def lines(at, stamps, values):
+        flat = values.reshape(len(values), -1).astype(np.float64)
+        rows = [np.interp(at, stamps, column) for column in flat.T]
+        return np.stack(rows, axis=1).reshape(-1, 4, 3)
+
+    frames = 0.3 + np.arange(19) / 24
+    np.testing.assert_allclose(back.vertices, lines(frames, times, points), atol=1e-6)
+    off = np.linalg.norm(lines(times, frames, back.vertices) - points, axis=2).max()
+    assert f"24 a second: vertices are up to {off:.3g} (" in str(said[0].message)
+    with caplog.at_level(logging.INFO):
+        assert len(ssdr.load(path, fps=10.0)) == 8  # the caller's choice is no warning
+    assert "4 keys of the clip a lie between its frames, which are 10 a second" in caplog.text
+
+
+def test_samples_at_two_rates_do_not_make_a_rate_above_both(tmp_path):
+    cache = Cache(tmp_path / "a.abc")
+    for name, fps in (("a", 24), ("b", 25)):
+        cache.mesh(name, moving(fps + 1), cache.clock(*uniform(fps)))
+    path = cache.close()
+    with pytest.warns(ssdr.SsdrWarning, match="24 keys of the clip a lie between"):
+        assert 24 <= ssdr.load(path).fps < 100
+
+
+def test_a_rate_that_is_asked_for(tmp_path):
+    points = moving(5)
+    path = one_mesh(tmp_path / "a.abc", points, uniform(24, 2.0))
+    np.testing.assert_array_equal(ssdr.load(path, fps=12).vertices, points[::2])
+    twice = ssdr.load(path, fps=48)
+    assert (len(twice), twice.fps) == (9, 48.0)
+    np.testing.assert_array_equal(twice.vertices[::2], points)
+    np.testing.assert_allclose(twice.vertices[1], points[:2].mean(axis=0), atol=1e-6)
+
+
+def test_what_is_not_shown_is_left_out(tmp_path, caplog):
+    cache = Cache(tmp_path / "a.abc")
+    clock = cache.clock(*uniform(24))
+    cache.mesh("seen", moving(2), clock)
+    cache.mesh("unseen", moving(2, 1), clock, hidden=True)
+    path = cache.close()
+    with caplog.at_level(logging.INFO):
+        assert ssdr.load(path).n_vertices == 4
+    assert "unseen is not shown" in caplog.text
+    path = one_mesh(tmp_path / "b.abc", moving(2), uniform(24), hidden=True)
+    with pytest.raises(ssdr.FormatError, match=r"b\.abc: no mesh that is shown"):
+        ssdr.load(path)
+
+
+@pytest.mark.parametrize(
+    ("points", "polygons", "text"),
+    [
+        (moving(2), [(0, 1, 7)], "indices from 0 to 7 for 4 vertices"),
+        (moving(2), [(0, 1, -2)], "indices from -2 to 1 for 4 vertices"),
+        (moving(2), [(0, 1)], "face 0 has 2 corners"),
+        (moving(2) * np.float32(np.nan), OUTWARD, "nan at frame 0"),
+    ],
+)
+def test_meshes_that_are_none_are_refused(tmp_path, points, polygons, text):
+    polygons = np.array(polygons)
+    path = one_mesh(tmp_path / "a.abc", points, uniform(24), polygons=polygons)
+    with pytest.raises(ssdr.FormatError, match=rf"a\.abc: .*{text}"):
+        ssdr.load(path)
+
+
+def test_limits_of_memory_and_time(tmp_path):
+    path = one_mesh(tmp_path / "a.abc", moving(100), uniform(24))
+    with pytest.raises(ssdr.FormatError, match="100 samples of 4 vertices needs 4928 bytes"):
+        ssdr.load(path, max_bytes=4000)
+    with pytest.raises(ssdr.FormatError, match=r"a\.abc: alembic3d needed more than 0\.001 s"):
+        ssdr.load(path, time_limit=0.001)
+    with pytest.raises(ssdr.InputError, match="time_limit: expected seconds > 0"):
+        ssdr.load(path, time_limit=0)
+    path = one_mesh(tmp_path / "b.abc", moving(2), (None, [0.0, 1e9]))
+    with pytest.raises(ssdr.FormatError, match="frames of 4 vertices needs"):
+        ssdr.load(path, fps=1000.0)
+
+
+def test_a_crash_of_the_library_is_blamed_on_the_file(tmp_path, monkeypatch):
+    path = one_mesh(tmp_path / "a.abc", moving(2), uniform(24))
+    script = tmp_path / "crash.py"
+    script.write_text("import os; os.abort()")
+    monkeypatch.setattr(reader, "_SCRIPT", script)
+    with pytest.raises(ssdr.FormatError, match=r"a\.abc: truncated or damaged: alembic3d failed"):
+        ssdr.load(path)
+
+
+@pytest.mark.slow
+def test_damaged_archives_are_refused(data_dir):
+    paths = sorted((data_dir / "alembic" / "damaged").glob("*.abc"))
+    if not paths:
+        pytest.skip(f"no damaged caches in {data_dir}")
+    pytest.importorskip("alembic3d", reason="alembic3d is not installed")
+    for path in paths:
+        with pytest.raises(ssdr.FormatError, match=path.name):
+            ssdr.load(path, max_bytes=1 << 28, time_limit=20)
+
+
+def test_caches_of_the_old_kind_say_what_converts_them(data_dir):
+    for name in ("cube.abc", "xforms.abc"):
+        path = data_dir / "alembic" / name
+        if not path.is_file():
+            pytest.skip(f"no {name} in {data_dir}")
+        with pytest.raises(ssdr.FormatError, match=r"old kind HDF5.*abcconvert -toOgawa"):
+            ssdr.load(path)
+
+
+@pytest.mark.slow
+def test_damaged_bytes_give_a_sound_mesh_or_a_word(tmp_path, rng):
+    path = one_mesh(tmp_path / "a.abc", moving(3), uniform(24), uv=(UV, "Facevarying"))
+    whole, refused = path.read_bytes(), 0
+    for trial in range(40):
+        data = bytearray(whole)
+        for place in rng.integers(0, len(data), 1 + trial % 3):
+            data[place] = rng.integers(0, 256)
+        path.write_bytes(data[: rng.integers(16, len(data))] if trial % 4 == 0 else data)
+        try:
+            sequence = ssdr.load(path, max_bytes=1 << 28, time_limit=20)
+        except ssdr.FormatError:
+            refused += 1
+        except ssdr.SsdrWarning:
+            pass  # samples that were moved between frames
+        else:
+            assert np.isfinite(sequence.vertices).all()
+    assert refused > 10
+
+
+def test_without_the_extra_and_without_blender_the_extra_is_named(tmp_path, monkeypatch):
+    path = one_mesh(tmp_path / "a.abc", moving(2), uniform(24))
+    monkeypatch.setattr(reader, "_installed", lambda: False)
+    no_blender(monkeypatch, tmp_path)
+    with pytest.raises(ssdr.MissingDependencyError, match=r"ssdr\[alembic\].*SSDR_BLENDER"):
+        ssdr.load(path)
+    (tmp_path / "b.abc").write_bytes(b"PK\x03\x04" * 9)
+    with pytest.raises(ssdr.FormatError, match="zip"):
+        ssdr.load(tmp_path / "b.abc")
+
+
+def test_the_library_never_enters_the_process_that_reads(tmp_path):
+    path = one_mesh(tmp_path / "a.abc", moving(2), uniform(24))
+    code = f"import ssdr, sys; ssdr.load({str(path)!r}); print('alembic3d' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
+
+
+def test_names_of_meshes_are_listed(tmp_path, capsys):
+    path, _ = scene(tmp_path / "a.abc")
+    assert ssdr.io.list_meshes(path) == ("ape", "plate", "zebra")
+    assert cli.main(["info", str(path)]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "5 at 25 a second" in shown
+    assert "3, read as one (--read meshes=NAME takes one): ape, plate, zebra" in shown
