@@ -23,9 +23,6 @@ class DecomposeOptions(FitOptions):
     """Arguments and options of ``ssdr decompose``."""
 
     smoothness: Annotated[float, option(MODEL, "Smoothness of the weights.", min=0.0)] = 0.0
-    normals: Annotated[
-        bool, option(MODEL, "Whether the last steps fit the normals that engines draw, too.")
-    ] = True
     rig: Annotated[
         str | None,
         option(
@@ -91,7 +88,7 @@ def _arguments(options: DecomposeOptions) -> dict[str, Any]:
         _check_levels(options)
         options.influences = options.influences[0], "float32"  # the levels are solved with floats
         return {}
-    fitted = {"smoothness": options.smoothness, "normals": options.normals}
+    fitted = {"smoothness": options.smoothness}
     if options.rig in (None, "loose", "rigid"):
         for name in ("extra_bones", "lock", "keep_weights"):
             if getattr(options, name):

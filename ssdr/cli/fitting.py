@@ -34,6 +34,7 @@ _SHARED = (
     "effort",
     "bone_model",
     "rest_pose",
+    "normals",
     "time_limit",
     "checkpoint",
 )
@@ -49,6 +50,7 @@ _ROWS = {
 }
 _PARSIMONY = {
     "tolerance": "{measure} {error:.4g} of {tolerance:.4g}, held: {held}",
+    "normals_tolerance": "{normals_tolerance:.3g}° in the mean",
     "file": "{file[bytes]:,} bytes, all it holds; {measure} {file[error]:.4g} of {tolerance:.4g}",
     "size": "{bytes:,} bytes in an engine: rest pose {size[rest]:,}, weights {size[weights]:,}, "
     "joints {size[joints]:,}, keys {size[keys]:,}; files hold more, such as triangles",
@@ -298,7 +300,7 @@ def _print(
         found = dataclasses.asdict(parsimony) | {"bytes": parsimony.size.total}
         document["parsimony"] = found
         shown = {k: text for k, text in _PARSIMONY.items() if found.get(k, True)}
-        rows += in_words(found, shown)
+        rows += [(name.replace("_", " "), text) for name, text in in_words(found, shown)]
         rows += [(p["what"], _PRUNING.format_map(p)) for p in found["prunings"]]
     rows.append(("ended", _ENDINGS.get(result.stop_reason, result.stop_reason)))
     rows += [("wrote", saved_line(report, diagonal)) for report in reports]

@@ -127,6 +127,9 @@ class FitOptions(SpaceOptions):
         Literal["surface", "free"],
         option(MODEL, "surface: the rest pose resembles a frame; free: it has the least error."),
     ] = "surface"
+    normals: Annotated[
+        bool, option(MODEL, "Whether the last steps fit the normals that engines draw, too.")
+    ] = True
     start: Annotated[
         str | None,
         option(

@@ -27,13 +27,17 @@ class SmallestOptions(FitOptions):
         Literal["rmse", "max"],
         option(MODEL, "Bound the RMSE, or the error of every vertex in every frame."),
     ] = "rmse"
+    normals_tolerance: Annotated[
+        float | None,
+        option(MODEL, "Most degrees, in the mean, that drawn normals are off.", metavar="DEGREES"),
+    ] = None
 
 
 @takes
 def smallest(options: SmallestOptions) -> None:
     """Find the model with the fewest bones, then the fewest bytes, within an error tolerance.
 
-    Options other than --tolerance and --measure are those of ssdr decompose.
+    Options other than the tolerances and --measure are those of ssdr decompose.
     """
     import ssdr
 
@@ -46,4 +50,5 @@ def _arguments(options: SmallestOptions) -> dict[str, Any]:
     with contextlib.suppress(ValueError):
         tolerance = float(tolerance)
     parse_tolerance(tolerance, 1.0)
-    return {"tolerance": tolerance, "measure": options.measure, "rig": options.rig}
+    own = ("normals_tolerance", "measure", "rig")
+    return {"tolerance": tolerance, **{name: getattr(options, name) for name in own}}

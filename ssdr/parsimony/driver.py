@@ -17,6 +17,7 @@ from ..search.progress import Clock, ProgressReport, Record
 from ..search.starts import StartFromModel
 from ..skinning import Skinning
 from ..solver.model import Model
+from ..solver.trajectories import Trajectories
 from .fewest_bones import FewestBones
 from .ladder import Ladder, Stopped
 from .pruning import Pruner
@@ -43,6 +44,8 @@ class Driver:
     measure : {"rmse", "max"}
     written : Written, optional
         For a file that is to hold the tolerance, too.
+    angle : float, optional
+        Tolerance of the mean angle of drawn normals, in degrees.
     """
 
     def __init__(
@@ -51,6 +54,7 @@ class Driver:
         tolerance: float,
         measure: Measure,
         written: Written | None = None,
+        angle: float | None = None,
     ) -> None:
         self.problem, self.asked, self.clock = problem, tolerance, Clock()
         self.progress = ProgressReport(problem.callback, self.clock, problem.time_limit)
@@ -62,7 +66,10 @@ class Driver:
         most = _LOOSE * data.scale * math.sqrt(data.n_frames * data.n_vertices)
         self.tolerance = max(min(tolerance, most), _ROUNDING * largest)
         self.least, exact = self._least_bones()
-        frames.data = reduced(data, frames.squared(self.tolerance))
+        allowed, self.angle = frames.squared(self.tolerance), angle
+        frames.data = reduced(data, allowed)
+        if angle is not None:
+            frames.degree, frames.slack = self.tolerance / angle, allowed
         self.ladder = Ladder(frames, self.report, self.clock, tolerance=self.tolerance)
         self.ladder.fraction = 0.0 if frames.scan is None else SCANNED
         most_bones, effort = problem.bones, problem.effort
@@ -186,9 +193,10 @@ class Driver:
         if self._kept_error(self.skinning) > self.tolerance:
             return
 
-        def skinning(model: Model) -> Skinning:
+        def skinning(model: Model, data: Trajectories) -> Skinning:
             self.report("pruning", ladder.iteration, 0.95)
-            return frames.skinning_of_all(model, passes=1, entering=0, on_progress=self._stops)
+            few = {"passes": 1, "entering": 0}
+            return frames.skinning_of_all(model, **few, on_progress=self._stops, data=data)
 
         model = ladder.models[ladder.fewest or ladder.held[-1].n_bones]
         pruner = Pruner(frames, model, self.tolerance, skinning)
@@ -198,10 +206,12 @@ class Driver:
     def _result(self, skinning: Skinning, reason: str) -> Smallest:
         frames, ladder, problem = self.frames, self.ladder, self.problem
         skinning, normals = with_normals(problem, skinning)
-        error, rmse = frames.error_of_all(skinning), frames.error_of_all(skinning, "rmse")
-        file = frames.file(skinning)
-        worst = error if file is None else max(error, file.error)
-        held = worst <= self.tolerance
+        error, rmse = (frames.error_of_all(skinning, m) for m in (frames.measure, "rmse"))
+        angle, file = 0.0 if normals is None else normals.mean, frames.file(skinning)
+        worst = (error, angle)
+        if file is not None:
+            worst = max(error, file.error), max(angle, file.normals or 0.0)
+        held = frames.larger(*worst) <= self.tolerance
         if not held and reason == "tolerance held":
             reason = "tolerance out of reach"
         last = Record(
@@ -214,11 +224,12 @@ class Driver:
             history=(*ladder.records, last),
             offsets=problem.offsets,
             normals=normals,
-            motion=motion_rms(problem.sequences, executor=problem.executor),
-            warnings=() if held else (self._shortfall(skinning, worst, reason),),
+            motion=motion_rms(problem.inputs, executor=problem.executor),
+            warnings=() if held else (self._shortfall(skinning, *worst, reason),),
             parsimony=Parsimony(
                 tolerance=self.asked,
                 measure=frames.measure,
+                normals_tolerance=self.angle,
                 error=error,
                 held=held,
                 bones=skinning.n_bones,
@@ -231,23 +242,25 @@ class Driver:
             ),
         )
 
-    def _shortfall(self, skinning: Skinning, error: float, reason: str) -> str:
+    def _shortfall(self, skinning: Skinning, error: float, angle: float, reason: str) -> str:
         """Text of the warning that the tolerance is not held."""
         if error == math.inf:
             return f"stopped ({reason}): the weights of the file are too coarse for its tolerance"
         diagonal = max(s.diagonal() for s in self.problem.sequences)
 
-        def text(value: float) -> str:
+        def text(value: float, degrees: float | None) -> str:
             share = f" ({100 * value / diagonal:.3g} % of the diagonal)" if diagonal else ""
-            return f"{value:.4g}{share}"
+            normals = f" and {degrees:.3g}° of normals" if self.angle else ""
+            return f"{value:.4g}{share}{normals}"
 
-        head = f"stopped ({reason}) before tolerance {text(self.asked)} was held"
+        asked = text(self.asked, self.angle)
+        head = f"stopped ({reason}) before tolerance {asked} was held"
         if reason == "tolerance out of reach":
-            head = f"tolerance {text(self.asked)} is out of reach"
+            head = f"tolerance {asked} is out of reach"
             if self.least > self.problem.bones:
                 head += f", the motion's rank asks for at least {self.least} bones"
         kind = {"rmse": "RMSE", "max": "largest error"}[self.frames.measure]
         most = self.problem.influences
         where = "reach a" if self.frames.written is None else "reach in the file a"
         reached = f"{skinning.n_bones} bones of at most {most} influences {where} {kind} of"
-        return f"{head}: {reached} {text(error)}"
+        return f"{head}: {reached} {text(error, angle)}"

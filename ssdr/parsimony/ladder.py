@@ -16,20 +16,20 @@ from ..search.given import Given
 from ..search.progress import Clock, Record
 from ..search.run import Run, Schedule
 from ..search.sampling import ReturnToBest
-from ..search.stages import Alternate, Merge, MoveBones, Polish, Search
+from ..search.stages import Alternate, Merge, MoveBones, Polish, Search, SolveNormals
 from ..solver.model import Model
-from ..solver.trajectories import Trajectories
 from .report import Attempt
 from .solved_frames import SolvedFrames
 
 __all__ = ["Ladder", "Report", "Stages", "Stopped"]
 
 # Factor by which the objective has to fall before the error is measured again, since a measurement
-# takes as long as a step.
-_RECHECK = 0.97
+# takes as long as a step, and that of normals as many.
+_RECHECK, _RECHECK_NORMALS = 0.97, 0.5
 # Lawson's reweighting: number of rounds, least factor by which a round scales the importance of a
 # vertex, and largest error, relative to the tolerance, at which the reweighting is tried.
 _LEVEL_ROUNDS, _LEVEL_FLOOR, _LEVELLED = 6, 0.05, 2.0
+_LIGHT = Polish(steps=12, gain=0.005)  # with normals in the objective
 # For the estimate of the work that is done: the fraction at which pruning begins, and the least
 # number of attempts that are taken to share equally what is left until then.
 _PRUNING, _FOLLOWING = 0.95, 4
@@ -176,7 +176,7 @@ class Ladder:
             Error at which the attempt ends; the tolerance by default.
         """
         frames, until = self.frames, self.tolerance if until is None else until
-        run = self._run(frames.data, schedule, bones, given)
+        run = frames.run(schedule, bones, given=given)
         if start is not None:
             run.begin_with(start)
         following = max(self.expected - len(self.attempts), _FOLLOWING)
@@ -188,7 +188,8 @@ class Ladder:
         def after_step(phase: str) -> str | None:
             nonlocal worth_checking
             if run.best_error <= worth_checking:
-                worth_checking = _RECHECK * run.best_error
+                recheck = _RECHECK_NORMALS if frames.degree else _RECHECK
+                worth_checking = recheck * run.best_error
                 if frames.error(run.best_model) <= until:
                     return "held"
             ready = run.best is not None or bool(self.models)
@@ -201,26 +202,20 @@ class Ladder:
             run.drive(after_step)
         finally:
             self._keep(run, name)
-        level = frames.measure == "max" and self.tolerance < self.errors[bones]
-        if level and self.errors[bones] <= _LEVELLED * self.tolerance:
+        if self.errors[bones] <= self.tolerance:
+            return
+        if frames.degree and frames.error(run.best_model, frames.measure) <= self.tolerance:
+            self._light(run.best_model)
+        elif frames.measure == "max" and self.errors[bones] <= _LEVELLED * self.tolerance:
             self._level(run.best_model)
 
-    def _run(
-        self, data: Trajectories, schedule: Schedule, bones: int, given: Given | None = None
-    ) -> Run:
-        problem = self.frames.problem
-        if given is None:
-            given = Given() if problem.start is not None else self.frames.given
-        return Run(
-            data,
-            schedule,
-            bones=bones,
-            influences=problem.influences,
-            rng=problem.rng,
-            locked=problem.locked,
-            given=given,
-            rigid_joints=self.stages.rigid_joints,
-        )
+    def _light(self, model: Model) -> None:
+        """Lower the error of normals, which are part of the objective in this run alone."""
+        schedule = (SolveNormals(), _LIGHT)
+        run = self.frames.run(schedule, model.n_bones, data=self.frames.tolerant)
+        run.begin_with(model.with_restarted_support())
+        run.drive()
+        self._keep(run, "normals")
 
     def _level(self, model: Model) -> None:
         """Lower the largest error: each round scales importance by vertex errors (Lawson 1961)."""
@@ -231,7 +226,7 @@ class Ladder:
             importance = importance * (_LEVEL_FLOOR + size / max(float(size.max()), 1e-300))
             importance = importance / importance.mean()
             data = dataclasses.replace(self.frames.data, importance=importance)
-            run = self._run(data, (*first, Polish(steps=4)), model.n_bones)
+            run = self.frames.run((*first, Polish(steps=4)), model.n_bones, data=data)
             run.begin_with(model.with_restarted_support())
             run.drive()
             model = run.best_model
@@ -245,6 +240,8 @@ class Ladder:
         model, fewest = run.best, self.fewest
         if model is None:
             return
+        # rest normals are left out, as most runs do without, and found again from bones and weights
+        model = dataclasses.replace(model, normals=model.normals[:, :0])
         error, bones = self.frames.error(model), model.n_bones
         self.attempts.append(Attempt(bones, error, run.iteration, name))
         if error < self.errors.get(bones, np.inf):

@@ -7,17 +7,21 @@ The search is for the highest price at which the model still holds the tolerance
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Callable
-from typing import Literal, NamedTuple
+from collections.abc import Callable, Iterator
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..search.moves import drop_influence
+from ..search.run import Run, Schedule, Stage
+from ..search.stages import SolveNormals, Unfold
 from ..skinning import Skinning
 from ..solver.gauss_newton import GaussNewton
 from ..solver.model import Locked, Model
+from ..solver.objective import normal_length
 from ..solver.trajectories import Trajectories
 from .keyframes import Tracks
 from .report import Pruning, influence_bytes
@@ -33,7 +37,9 @@ _DEARER, _CHEAPER = 2.0, 0.25
 # The search ends when a price that misses the tolerance is at most so many times one that holds it.
 _CLOSE_PRICES = 1.2
 _HALVINGS = 8  # bisections for the first price, from a range of 40 doublings
-_SETTLE = 6  # polish steps after influences are dropped
+# Polish steps after influences are dropped, and those with normals of the model that is chosen.
+_SETTLE, _LIGHT = 6, 24
+_NEARLY = 0.005  # relative difference of bytes that does not count against better normals
 _DAMPING = 1e-3  # initial damping of these steps, as in the solver
 
 
@@ -54,7 +60,7 @@ class Nested:
         Model m has at most K − m influences per vertex.  From one to the next, each vertex loses
         the influence whose removal raises its error least.
     errors : (K, V) float64
-        Squared error of each vertex in each model.
+        Squared error of each vertex in each model, with that of its normal if `data` has normals.
     counts : (K, V) int
         Number of influences of each vertex in each model.
     """
@@ -66,7 +72,9 @@ class Nested:
             fewer = self.models[-1].copy()
             drop_influence(data, fewer, locked)
             self.models.append(fewer.with_influences(fewer.n_influences - 1))
-        self.errors = np.maximum(np.stack([m.error for m in self.models]), 0.0)
+        share = normal_length(data, self.models[0]) ** 2
+        self.errors = np.stack([m.error + share * m.normal_error for m in self.models])
+        self.errors = np.maximum(self.errors, 0.0)
         self.counts = np.stack([(m.weights > 0).sum(axis=1) for m in self.models])
 
     def choose(self, price: float) -> tuple[NDArray[np.intp], float]:
@@ -97,6 +105,21 @@ class Nested:
         return out
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Settle(Stage):
+    """Polish under the present influences."""
+
+    phase: ClassVar[str] = "settle"
+    steps: int = _SETTLE
+
+    def apply(self, run: Run) -> Iterator[None]:
+        # given a damping, the polish keeps the supports
+        polish = GaussNewton(run.data, run.present, locked=run.locked, damping=_DAMPING)
+        for _ in range(self.steps):
+            polish.step(entering=0)
+        yield
+
+
 class Pruned(NamedTuple):
     """A skinning with fewer influences, one that has fewer keys as well, and their errors.
 
@@ -116,7 +139,8 @@ class Pruner:
 
     It searches for the largest λ at which the minimum of squared error + λ · bytes still meets the
     tolerance, and returns the smallest model that it found: if a file is asked for, the one whose
-    file is the smallest.
+    file is the smallest.  At the end normals are solved, too, and triangles of the rest pose that
+    are turned over are turned back, as far as the tolerance allows with as few bytes.
 
     Parameters
     ----------
@@ -125,7 +149,7 @@ class Pruner:
         A model that holds the tolerance.
     tolerance : float
     skinning_of_all : callable
-        Makes a skinning of all frames from a model.
+        Makes a skinning of all frames from a model and the trajectories that it was solved with.
     """
 
     def __init__(
@@ -133,11 +157,17 @@ class Pruner:
         frames: SolvedFrames,
         model: Model,
         tolerance: float,
-        skinning_of_all: Callable[[Model], Skinning],
+        skinning_of_all: Callable[[Model, Trajectories], Skinning],
     ) -> None:
         self.frames, self.tolerance, self.skinning_of_all = frames, tolerance, skinning_of_all
         self.locked, self.offsets = frames.problem.locked, frames.problem.offsets
-        self.nested = Nested(frames.data, model, self.locked)
+        self.nested = Nested(*frames.with_normals(model), self.locked)
+        # a polish may raise the largest error
+        settle: Schedule = (Settle(),) if frames.measure == "rmse" else ()
+        self.usual: Schedule = (SolveNormals(), *settle) if frames.degree else settle
+        self.endings: list[Schedule] = [(*self.usual, Unfold())] if len(frames.data.faces) else []
+        if self.endings and settle and frames.problem.normals:
+            self.endings.insert(0, (*settle, SolveNormals(), Settle(steps=_LIGHT), Unfold()))
 
     def run(self, skinning: Skinning) -> tuple[Skinning, list[Pruning]]:
         """Smallest skinning found, and records of the prunings of influences and of keyframes.
@@ -151,7 +181,7 @@ class Pruner:
         low = high = None
         streamed = self.frames.scan is not None
         for _ in range(_FEW_PRICES if streamed else _PRICES):
-            trial = self._pruned(price)
+            trial = self._pruned(price, self.usual)
             if max(trial.error, trial.kept_error) > self.tolerance:
                 high = price
             else:
@@ -166,6 +196,12 @@ class Pruner:
                 break
             else:
                 price = math.sqrt(low * high)
+        for ending in self.endings:
+            trial = self._pruned(low or 0.0, ending)
+            held = max(trial.error, trial.kept_error) <= self.tolerance
+            if held and trial.bytes <= (1 + _NEARLY) * best.bytes:
+                best = trial
+                break
         return best.keyed, [
             self._record("influences", skinning, best.fewer, before, best.error),
             self._record("keyframes", best.fewer, best.keyed, best.error, best.keyed_error),
@@ -192,17 +228,15 @@ class Pruner:
             low, high = (price, high) if holds else (low, price)
         return low
 
-    def _pruned(self, price: float) -> Pruned:
+    def _pruned(self, price: float, schedule: Schedule) -> Pruned:
         data, nested = self.frames.data, self.nested
         storage = self.frames.problem.storage
         influence = influence_bytes(nested.models[0].n_bones, storage) / data.scale**2
         model = nested.build(nested.choose(price * influence)[0])
-        if self.frames.measure == "rmse":  # a polish may raise the largest error
-            # given a damping, the polish keeps the supports
-            polish = GaussNewton(data, model, locked=self.locked, damping=_DAMPING)
-            for _ in range(_SETTLE):
-                polish.step(entering=0)
-        fewer = self.skinning_of_all(model)
+        run = self.frames.run(schedule, model.n_bones, data=self.frames.tolerant)
+        run.begin_with(model)
+        run.drive()
+        fewer = self.skinning_of_all(run.best_model, run.whole)
         error = self.frames.error_of_all(fewer)
         if error > self.tolerance:
             return Pruned(fewer, fewer, error, error, 0, error)

@@ -43,7 +43,9 @@ class Attempt:
     ----------
     bones : int
     error : float
-        Error of the attempt's best model in the mesh's units, by the measure of the tolerance.
+        Error of the attempt's best model in the mesh's units, by the measure of the tolerance.  If
+        normals have a tolerance, too, it is at least as large a part of the tolerance of positions
+        as their mean angle is of theirs.
     iterations : int
         Number of alternations and polish steps.
     start : str
@@ -112,7 +114,7 @@ class Pruning:
     bytes_before, bytes_after : int
         Bytes of the model.
     error_before, error_after : float
-        Error of the model in the mesh's units, by the measure of the tolerance.
+        Error of the model, as in :class:`Attempt`.
 
     Examples
     --------
@@ -137,7 +139,7 @@ class Pruning:
 
 @dataclasses.dataclass(frozen=True)
 class FileSize:
-    """Bytes of the compact file of a model, and the error of what the file holds.
+    """Bytes of the compact file of a model, and the errors of what the file holds.
 
     Attributes
     ----------
@@ -147,6 +149,8 @@ class FileSize:
         Error of the vertices in the file, measured on all frames of the input, in the mesh's units,
         by the measure of the tolerance.  It is inf, and there are no bytes, if the weights of the
         file are too coarse for its own tolerance.
+    normals : float or None
+        Mean angle, in degrees, of the normals that engines draw of the file; None without any.
 
     Examples
     --------
@@ -156,6 +160,7 @@ class FileSize:
 
     bytes: int
     error: float
+    normals: float | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -167,10 +172,13 @@ class Parsimony:
     tolerance : float
         Tolerance asked for, in the mesh's units.
     measure : {"rmse", "max"}
+    normals_tolerance : float or None
+        Tolerance of the mean angle of drawn normals, in degrees; that angle is `normals.mean` of
+        the result.
     error : float
         Error of the result, measured on all frames.
     held : bool
-        Whether the error is within the tolerance, and that of the `file`, if there is one, too.
+        Whether all tolerances are held, in the `file`, too, if there is one.
     bones, influences : int
         Number of bones of the result, and largest number of influences at a vertex.
     least_bones : int
@@ -197,6 +205,7 @@ class Parsimony:
 
     tolerance: float
     measure: Measure
+    normals_tolerance: float | None
     error: float
     held: bool
     bones: int

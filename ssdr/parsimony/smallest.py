@@ -13,7 +13,7 @@ from ..checks import BoneModel, check_whole, names_arguments, parse_tolerance
 from ..drivers.efforts import Effort
 from ..drivers.hand_back import finished
 from ..drivers.problem import Problem, check_problem
-from ..errors import InputError, check_choice
+from ..errors import InputError, check_choice, is_real
 from ..io.load_save import compact_size
 from ..quantisation import WeightStorage
 from ..search.progress import Callback
@@ -39,6 +39,7 @@ def smallest(
     faces: Any = None,
     *,
     tolerance: float | str,
+    normals_tolerance: float | None = None,
     measure: Measure = "rmse",
     bones: int | None = None,
     influences: int | tuple[int, WeightStorage] = 4,
@@ -49,6 +50,7 @@ def smallest(
     vertex_importance: Any = None,
     frame_importance: Any = None,
     rest_pose: RestPose = "surface",
+    normals: bool = True,
     rng: int | np.random.Generator = 0,
     file: Mapping[str, Any] | None = None,
     time_limit: float | None = None,
@@ -71,6 +73,10 @@ def smallest(
     tolerance : float or str
         Positive: a length in the mesh's units, or a share of the diagonal such as ``"0.5%"``.  The
         diagonal is that of the bounding box in the frame where it is largest.
+    normals_tolerance : float, optional
+        Positive: a mean angle in degrees, over all frames and vertices, that may lie between the
+        normals that engines draw of the model and those of the input's surface (:func:`normals
+        <ssdr.metrics.normals>`).  By default it is not bounded.
     measure : {"rmse", "max"}
         Error that the tolerance bounds: the root mean square sqrt(Σ|d|² / (F V)) of the distances d
         between model and input over F frames and V vertices, or the largest of these distances.
@@ -97,11 +103,14 @@ def smallest(
         Positive; guides the solver as in :func:`decompose`.
     rest_pose : {"surface", "free"}
         As in :func:`decompose`.
+    normals : bool
+        As in :func:`decompose`.  Without a tolerance of their own, normals are part of the last
+        steps only where these hold the tolerance and cost no bytes.
     rng : int or numpy.random.Generator
         The same seed gives the same bits, whatever the number of threads.
     file : mapping, optional
         Options with which :func:`save` will write a compact ``.glb``, such as ``{"compression":
-        "meshopt", "weights": "uint8", "tolerance": "0.5%"}``.  The tolerance then holds in that
+        "meshopt", "weights": "uint8", "tolerance": "0.5%"}``.  The tolerances then hold in that
         file, too, and of the models that pruning tries the one with the smallest file is chosen:
         each is written to a temporary file, and measured as a reader decodes it.
     time_limit : float, optional
@@ -132,7 +141,7 @@ def smallest(
     Warns
     -----
     SsdrWarning
-        If the result does not hold the tolerance.
+        If the result does not hold the tolerances.
 
     References
     ----------
@@ -151,18 +160,21 @@ def smallest(
     n = int(labels_of(sequences).max()) + 1  # vertices that differ in some frame
     most = min(n, _MOST_BONES) if bones is None else bones
     most = check_whole(most, "bones", 1, n, " (the number of vertices)")
-    del arguments["tolerance"], arguments["measure"], arguments["file"]
+    for name in ("tolerance", "normals_tolerance", "measure", "file"):
+        del arguments[name]
     arguments["bones"] = None if isinstance(start, Skinning) else most
     problem = check_problem(**arguments)
     check_choice(measure, "measure", Measure)
     parse_tolerance(tolerance, 1.0)
+    _check_normals_tolerance(normals_tolerance, problem)
     _check_beside_tolerance(problem, rig, most)
     length = parse_tolerance(tolerance, max(s.diagonal() for s in sequences))
     # a joint that the motion does not determine need not lie near the skin: there is no penalty
     locked = dataclasses.replace(problem.locked, near_skin=False)
     sought = dataclasses.replace(problem, bones=most, locked=locked)
     written = None if file is None else _written(file, problem)
-    return finished(problem, lambda: Driver(sought, length, measure, written).solve())
+    parts = (sought, length, measure, written, normals_tolerance)
+    return finished(problem, lambda: Driver(*parts).solve())
 
 
 def _written(file: Any, problem: Problem) -> Written:
@@ -182,6 +194,18 @@ def _written(file: Any, problem: Problem) -> Written:
     still = np.tile(np.eye(3, 4), (1, shape[1], 1, 1))
     written(Skinning(mesh.frames(0), bones, weights, still, **kept))
     return written
+
+
+def _check_normals_tolerance(angle: Any, problem: Problem) -> None:
+    """Raise InputError for a tolerance of normals that is not usable."""
+    if angle is None:
+        return
+    if not (is_real(angle) and angle > 0):
+        raise InputError("normals_tolerance", "an angle > 0 in degrees, or None", repr(angle))
+    if not len(problem.sequences[0].faces):
+        raise InputError("normals_tolerance", "None for a mesh without faces", angle)
+    if not problem.normals:
+        raise InputError("normals", "True beside a tolerance of normals", False)
 
 
 def _check_beside_tolerance(problem: Problem, rig: Any, most: int) -> None:

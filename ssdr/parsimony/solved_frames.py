@@ -21,12 +21,17 @@ from ..drivers.scan import Scan, needs_streaming, subset
 from ..drivers.streamed import scan_of
 from ..errors import InputError
 from ..frames.error import largest_error, rmse
+from ..frames.normals import with_fitted_normals
+from ..metrics.normal_angles import errors_of_model
 from ..search.given import Given
 from ..search.progress import Clock
+from ..search.run import Run, Schedule
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.model import Model
+from ..solver.rest_normals import with_rest_normals
 from ..solver.rounding import rounded_models
+from ..solver.trajectories import Trajectories
 from .report import FileSize, Measure, Size, size
 
 __all__ = ["SolvedFrames", "Written"]
@@ -57,6 +62,11 @@ class SolvedFrames:
         Parts that the caller gave, in the solver's space and for these frames.
     scan : Scan or None
         None if all frames are in memory.
+    degree : float
+        Length that counts as much as a degree of the mean angle of drawn normals; 0 if that has no
+        tolerance.
+    slack : float
+        Squared error within the tolerance, where normals have one, too; else 0.
     """
 
     def __init__(
@@ -68,6 +78,7 @@ class SolvedFrames:
     ) -> None:
         self.problem, self.measure, self.written = problem, measure, written
         self.sequences, given = problem.sequences, problem.given
+        self.degree = self.slack = 0.0
         importance = problem.frame_importance
         self.scan: Scan | None = None
         if needs_streaming(self.sequences):
@@ -83,9 +94,56 @@ class SolvedFrames:
         """Convert an RMSE to the squared error in the solver's space, summed over these frames."""
         return (rmse / self.data.scale) ** 2 * self.data.n_frames * self.data.n_vertices
 
+    def run(
+        self,
+        schedule: Schedule,
+        bones: int,
+        *,
+        data: Trajectories | None = None,
+        given: Given | None = None,
+    ) -> Run:
+        """Begin a run on these frames, or on a changed copy `data` of them."""
+        problem = self.problem
+        if given is None:
+            given = self.given.beside_model()
+        return Run(
+            self.data if data is None else data,
+            schedule,
+            bones=bones,
+            influences=problem.influences,
+            rng=problem.rng,
+            locked=problem.locked,
+            given=given,
+            rigid_joints=problem.rig == "rigid",
+        )
+
+    @property
+    def tolerant(self) -> Trajectories:
+        """Trajectories for runs in which normals gain what errors of positions may lose."""
+        return dataclasses.replace(self.data, slack=self.slack)
+
+    def with_normals(self, model: Model) -> tuple[Trajectories, Model]:
+        """The trajectories and a model, with normals if these have a tolerance and bones are rigid.
+
+        Like the stage :class:`~ssdr.search.stages.SolveNormals`, which begins a run with them.
+        """
+        if not self.degree or self.problem.locked.bone_model != "rigid":
+            return self.data, model
+        data = self.tolerant.with_normals()
+        return data, with_rest_normals(data, model)
+
+    def larger(self, error: float, angle: float | None) -> float:
+        """The larger of an error of positions and a mean angle of normals, where that counts."""
+        return max(error, self.degree * (angle or 0.0))
+
     def error(self, model: Model, measure: Measure | None = None) -> float:
-        """Error of a model on the frames that the search solves, in the mesh's units."""
-        measure = measure or self.measure
+        """Error of a model on the frames that the search solves, in the mesh's units.
+
+        It is that of positions alone if its `measure` is given.
+        """
+        if measure is None:
+            error = self.error(model, self.measure)
+            return self._with_angle(error, self._inputs(), self.skinning(model))
         if self.scan is not None and measure == "rmse":
             # each representative frame counts as often as there are frames like it
             return math.sqrt(max(model.weighted_error(self.data), 0.0) / self.squared(1.0))
@@ -96,29 +154,55 @@ class SolvedFrames:
         return _error(measure, self.problem.inputs, *self.problem.spread(*skin), transforms)
 
     def error_of_all(self, s: Skinning, measure: Measure | None = None) -> float:
-        """Error of a skinning, measured on all frames, in the mesh's units."""
+        """Error of a skinning, measured on all frames; arguments and result as of :meth:`error`."""
+        problem = self.problem
+        if measure is None:
+            error = self.error_of_all(s, self.measure)
+            return self._with_angle(error, problem.inputs, s, executor=problem.executor)
         parts = (s.rest, s.indices, s.weights, s.transforms)
-        measure = measure or self.measure
-        return _error(measure, self.problem.inputs, *parts, executor=self.problem.executor)
+        return _error(measure, problem.inputs, *parts, executor=problem.executor)
+
+    def _inputs(self) -> list[MeshSequence]:
+        """The frames that the search solves, with all vertices of the caller's."""
+        rows, (first, *_) = self.problem.rows, self.problem.inputs
+        if self.scan is None:
+            return self.problem.inputs
+        if rows is None:
+            return self.sequences
+        frames = self.sequences[0].frames(slice(None))[:, rows]
+        return [dataclasses.replace(first, vertices=frames, validate=False)]
+
+    def _with_angle(
+        self, error: float, sequences: list[MeshSequence], s: Skinning, **executor: Any
+    ) -> float:
+        if not self.degree:
+            return error
+        fitted = with_fitted_normals(sequences, s, **executor)
+        found = errors_of_model(sequences, fitted, **executor)
+        return self.larger(error, None if found is None else found.mean)
 
     def file(self, skinning: Skinning) -> FileSize | None:
-        """Bytes of the file of a skinning, and its error on all frames; None without a file."""
+        """Bytes of the file of a skinning, and its errors on all frames; None without a file."""
         if self.written is None:
             return None
         try:
-            size, decoded = self.written(skinning)
+            sequences, executor = self.problem.inputs, self.problem.executor
+            fitted = with_fitted_normals(sequences, skinning, executor=executor)
+            size, decoded = self.written(fitted)
         except InputError as error:
             if error.argument != "tolerance":
                 raise
             return FileSize(0, math.inf)
-        return FileSize(size, self.error_of_all(decoded))
+        found = errors_of_model(sequences, decoded, executor=executor)
+        angle = None if found is None else found.mean
+        return FileSize(size, self.error_of_all(decoded, self.measure), angle)
 
     def kept(self, skinning: Skinning, error: float, tolerance: float) -> tuple[int, float]:
         """Bytes of a skinning and its `error` or, if it holds the tolerance, those of its file."""
         file = self.file(skinning) if error <= tolerance else None
         if file is None:
             return self.size(skinning).total, error
-        return file.bytes, max(file.error, error)
+        return file.bytes, max(self.larger(file.error, file.normals), error)
 
     def skinning(self, model: Model) -> Skinning:
         """Convert a model to a skinning of the frames that the search solves."""
@@ -131,6 +215,7 @@ class SolvedFrames:
         passes: int,
         entering: int = ENTERING,
         on_progress: Callable[[], bool],
+        data: Trajectories | None = None,
     ) -> Skinning:
         """Convert a model to a skinning of all frames; streamed frames are solved in passes.
 
@@ -146,12 +231,16 @@ class SolvedFrames:
             Number of bones that may enter the support of a vertex in a pass.
         on_progress : callable
             Called within a pass; if it returns True, that pass is the last.
+        data : Trajectories, optional
+            Copy of the trajectories with which the model was solved.
         """
         problem, last, stop = self.problem, math.inf, False
+        if data is None:
+            data, model = self.with_normals(model)
         locked = problem.locked
         if problem.storage != "float32":
             rounds = NUMBERS[problem.effort].rounding
-            parts = self.data, model, problem.storage
+            parts = data, model, problem.storage
             for rounded in rounded_models(*parts, locked=locked, rounds=rounds):
                 model = rounded
                 if on_progress():
@@ -162,7 +251,7 @@ class SolvedFrames:
         frames = AllFrames(
             problem.sequences,
             self.scan,
-            self.data,
+            data,
             model,
             locked=locked,
             given=Given(),

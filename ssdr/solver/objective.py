@@ -12,7 +12,8 @@ Its factor is 1 until a solve takes normals in, near its end.  All are factors, 
 of one counts as much as the same relative change of another, whatever the data; the quotient
 E/(ν + N) is the square of the length at which a unit of error of a normal counts as one of a
 position.  The smoothness (:mod:`~ssdr.solver.smoothness`) is 0 unless asked for, and else a part
-of the error E in all that is said here.
+of the error E in all that is said here; so is a constant, 0 unless errors far below a tolerance are
+worth nothing (`slack` of the trajectories).
 
 The first bracket is 1 unless a tree with rigid joints was asked for; d_j is the distance of joint j
 from where the skin of its two bones meets.
@@ -69,7 +70,7 @@ class Objective:
 
     def value(self, data: Trajectories, model: Model) -> float:
         """The objective of a model, in the solver's units."""
-        value = model.weighted_error(data)
+        value = model.weighted_error(data) + data.slack
         if self.smoothness is not None:
             value += self.smoothness.penalty(model)
         value *= _rest_factor(data, model, self.locked)
@@ -83,7 +84,7 @@ class Objective:
         self, data: Trajectories, model: Model, joints: NDArray[np.intp]
     ) -> JointPenalty:
         """Quadratic approximation of the penalty on the joints of the bones `joints` (J,)."""
-        error = model.weighted_error(data)
+        error = model.weighted_error(data) + data.slack
         factor = dataclasses.replace(self, smoothness=None).value(data, model) / max(error, 1e-300)
         if not self.locked.near_skin or not len(joints):
             return JointPenalty.none(len(joints), factor)
@@ -130,7 +131,7 @@ def normal_length(data: Trajectories, model: Model, penalty: float = 0.0) -> flo
         return 0.0
     count = data.n_frames * data.n_vertices
     unit = count * (_mean_normal_error(data, model) + _UNSEEN)
-    return math.sqrt((model.weighted_error(data) + penalty) / unit)
+    return math.sqrt((model.weighted_error(data) + data.slack + penalty) / unit)
 
 
 def rest_pulls(data: Trajectories, model: Model, locked: Locked, penalty: float = 0.0) -> Array:
@@ -141,7 +142,8 @@ def rest_pulls(data: Trajectories, model: Model, locked: Locked, penalty: float 
     known = np.isfinite(model.error).all()  # a start has no error yet
     if data.surface is None or locked.rest or not known:
         return np.zeros((len(model.rest), 4))
-    return data.surface.pulls(model.rest, model.weighted_error(data) + penalty, data.importance)
+    error = model.weighted_error(data) + data.slack + penalty
+    return data.surface.pulls(model.rest, error, data.importance)
 
 
 def _rest_factor(data: Trajectories, model: Model, locked: Locked) -> float:

@@ -135,6 +135,8 @@ class Trajectories(Alignment):
         Sum of the squares of each vertex's normals before compression.
     surface : RestSurface or None
         What the rest pose is to resemble; None if it is free.
+    slack : float
+        Squared error of all vertices far below which less of it is worth nothing.
     """
 
     z: Array
@@ -146,6 +148,7 @@ class Trajectories(Alignment):
     normals: Array | None = None
     n2: Array | None = None
     surface: RestSurface | None = None
+    slack: float = 0.0
 
     @property
     def n_vertices(self) -> int:

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError
+from ...normals import unit
 from ...parsimony.keyframes import Tracks
 from ...skinning import Skinning
 from ..corners import Corners
@@ -283,6 +284,15 @@ class Packed(Builder):
             whole[3, :3] = self.grid.low
             return (whole @ turn).astype(np.float32).reshape(-1, 16), "NONE", None
         return array, "NONE", None
+
+    def decoded_normals(self, normals: NDArray[Any]) -> NDArray[np.float32]:
+        """Normals ``(T, 3, 3)`` as a reader decodes them."""
+        stored, filter_, _ = self._stored(normals.reshape(-1, 3), "NORMAL")
+        if filter_ != "NONE":
+            library = require("meshoptimizer", "meshopt", "compression by meshopt")
+            stored = library.decode_filter_oct(stored, len(stored), 4)
+        flat = stored[:, :3].astype(np.float64)
+        return unit(flat).reshape(normals.shape).astype(np.float32)
 
     def save(self, path: Path) -> int:
         """Write the file as :meth:`Builder.save` does."""

@@ -146,12 +146,17 @@ def compact_size(
     _fill(builder, skinning, rig, name or skinning.name)
     with tempfile.TemporaryDirectory(prefix="ssdr-") as folder:
         size = builder.save(Path(folder) / "a.glb")
+    normals, surface = rest_normals(skinning, rig.rest), skinning.surface
+    if normals is not None and isinstance(builder, Packed):
+        normals = builder.decoded_normals(normals)
+        surface = dataclasses.replace(surface or Surface(), normals=normals)
     decoded = dataclasses.replace(
         skinning,
         rest=rig.rest.astype(np.float64),
         indices=rig.indices,
         weights=weight_values(rig.weights),
         transforms=rig.matrices(np.arange(rig.n_frames, dtype=np.float64)),
+        surface=surface,
         parents=None,
         joint_positions=None,
         keyframes=None,

@@ -37,6 +37,18 @@ def test_smallest(run, done, source, tmp_path):
     assert "files hold more" in out
 
 
+def test_a_tolerance_of_normals(run, done, source, tmp_path):
+    line = ("smallest", source, "-o", tmp_path / "out.npz", "--effort", "fast", "--force")
+    line += ("--tolerance", "5%", "--normals-tolerance")
+    document = done(*line, "6")
+    assert document["parsimony"]["normals_tolerance"] == 6
+    assert document["normals"]["mean"] <= 6
+    assert document["parsimony"]["held"] is True
+    _, out, _ = run(*line, "6")
+    assert "6° in the mean" in out
+    assert done(*line[:-1], "--no-normals")["parsimony"]["normals_tolerance"] is None
+
+
 def test_bytes_of_a_compact_file(run, done, source, tmp_path):
     target, other = tmp_path / "out.glb", tmp_path / "out.npz"
     line = ["smallest", source, "-o", other, "--effort", "fast", "--tolerance", "0.8%"]
@@ -59,6 +71,7 @@ def test_bytes_of_a_compact_file(run, done, source, tmp_path):
         (("--tolerance", "-1"), "such as"),
         (("--tolerance", "1%", "--measure", "mean"), "'rmse'"),
         (("--tolerance", "1%", "--rig", "rig.npz"), "'loose'"),
+        (("--tolerance", "1%", "--normals-tolerance", "0"), "degrees"),
     ],
 )
 def test_refused_before_the_work(refused, source, tmp_path, flags, text):

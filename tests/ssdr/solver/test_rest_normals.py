@@ -84,8 +84,13 @@ def test_the_objective_is_the_product_of_its_factors() -> None:
         assert Objective(Locked(rest=True)).value(data, model) == pytest.approx(given, rel=1e-9)
 
 
-def test_the_length_of_a_normal_makes_both_errors_count_alike() -> None:
+@pytest.mark.parametrize("slack", [0.0, 0.5, 100.0])
+def test_the_length_of_a_normal_makes_both_errors_count_alike(slack: float) -> None:
     data, model = terms.problem(Case(counts="some"), n=20, frames=5)
+    error, before = model.weighted_error(data), Objective().value(data, model)
+    data = dataclasses.replace(data, slack=slack * error)
+    # an error that counts as nothing is added, with every factor of the objective
+    assert Objective().value(data, model) == pytest.approx((1 + slack) * before, rel=1e-12)
 
     def slope(name: str) -> float:
         ends = []
@@ -106,8 +111,10 @@ def test_there_are_pulls_only_on_a_free_rest_pose_with_a_surface_and_errors() ->
     data, model = terms.problem(Case(normals=False), n=20, frames=5)
     pulls = rest_pulls(data, model, FREE)
     assert (pulls[:, 0] > 0).all()
-    want = data.surface.pulls(model.rest, model.weighted_error(data), data.importance)
-    np.testing.assert_array_equal(pulls, want)
+    error = model.weighted_error(data)
+    np.testing.assert_array_equal(pulls, data.surface.pulls(model.rest, error, data.importance))
+    more = rest_pulls(dataclasses.replace(data, slack=error), model, FREE)
+    np.testing.assert_allclose(more[:, 0], 2 * pulls[:, 0], rtol=1e-12)
     unknown = dataclasses.replace(model, error=np.full(20, np.inf))
     few = dataclasses.replace(data, importance=np.arange(20) % 2 * 2.0)
     assert (rest_pulls(few, unknown, FREE) == 0).all()
