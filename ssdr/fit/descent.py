@@ -81,9 +81,7 @@ def ssdr2012(
     report = ProgressReport(check_callback(callback), clock)
     if rest is None:
         rest = sequences[0].frames(slice(0, 1))[0]
-    data, model, locked = started(
-        sequences, bones=bones, influences=influences, rest=rest, rng=rng
-    )
+    data, model, locked = started(sequences, bones=bones, influences=influences, rest=rest, rng=rng)
     best = model.copy()
     for k in range(iterations + 1):
         if k:

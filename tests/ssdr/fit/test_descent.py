@@ -19,9 +19,7 @@ def test_it_is_the_alternation_of_single_steps() -> None:
     start = ssdr.ssdr2012(frames, bones=6, iterations=0)
     same = ssdr.initialize(frames, bones=6, rest=frames[0])
     assert np.array_equal(start.skinning.weights, same.weights)
-    swept = ssdr.fit_bones(
-        frames, same, from_transforms=True, max_sweeps=3, tolerance=0.0
-    ).skinning
+    swept = ssdr.fit_bones(frames, same, from_transforms=True, max_sweeps=3, tolerance=0.0).skinning
     one = ssdr.ssdr2012(frames, bones=6, iterations=1)
     np.testing.assert_allclose(one.skinning.transforms, swept.transforms, atol=1e-9)
 
