@@ -47,9 +47,8 @@ def data_folders() -> list[Path]:
 
 def data_folder() -> Path:
     """First of the data folders that there is."""
-    for folder in data_folders():
-        if folder.is_dir():
-            return folder
+    if found := [folder for folder in data_folders() if folder.is_dir()]:
+        return found[0]
     raise SystemExit(f"no data: {data_folders()[0]} is not a folder; set SSDR_TEST_DATA")
 
 
@@ -67,13 +66,11 @@ def sequence_file(name: str) -> Path:
 
 def require(names: Iterable[str]) -> None:
     """End with a word about every sequence that is missing, if any is."""
-    missing = sorted({name for name in names if not sequence_file(name).is_file()})
-    if missing:
-        folders = " or ".join(map(str, data_folders()))
+    if missing := sorted({name for name in names if not sequence_file(name).is_file()}):
         raise SystemExit(
-            f"no data for {', '.join(missing)}: expected NAME.npz in {folders}; "
-            "python benchmarks/leaderboard/fetch.py NAME fetches a sequence, SSDR_TEST_DATA names "
-            "another folder"
+            f"no data for {', '.join(missing)}: expected NAME.npz in "
+            f"{' or '.join(map(str, data_folders()))}; benchmarks/leaderboard/fetch.py --list says "
+            "what can be fetched"
         )
 
 
@@ -292,11 +289,10 @@ def run(
     """Measure the cases that the command line names, keep their rows, and report.
 
     A case is the arguments of ``measure``, which runs in a process of its own.  `check` may end
-    the command before the first of the chosen cases.  `own` has the script's own options, from
-    which it has made the cases.
+    the command before the first case; `own` has the options from which the cases were made.
     """
-    parents = [own] if own else []
-    parser = argparse.ArgumentParser(description=doc.splitlines()[0], parents=parents)
+    own = own or argparse.ArgumentParser(add_help=False)
+    parser = argparse.ArgumentParser(description=doc.splitlines()[0], parents=[own])
     parser.add_argument("--only", nargs="+", metavar="TEXT", help="cases whose name contains one")
     parser.add_argument("--again", action="store_true", help="also cases that have a result")
     parser.add_argument("--report", action="store_true", help="table and chart, no measurement")
@@ -322,8 +318,8 @@ def run(
     todo = [n for n in names if not args.report and (args.again or n not in rows)]
     if check is not None:
         check([cases[names[name]] for name in todo])
-    given = own.parse_known_args()[0] if own else argparse.Namespace()
-    mine = [word for k, v in vars(given).items() if v for word in (f"--{k}", str(v))]
+    given = vars(own.parse_known_args()[0]).items()
+    mine = [word for name, value in given if value for word in (f"--{name}", str(value))]
     for name in todo:
         case, rates = names[name], machine()
         words = [*mine, *(["--set", *args.set] if changes else [])]

@@ -135,9 +135,9 @@ SEQUENCES = {
     ),
 }  # fmt: skip
 
-# Published by Liu et al. (results_songrun/*/compare.out of their repository), in their metric
-# E · 2 / diagonal, with the published rest pose given.  Of their results, those for chicken, face
-# and lion repeat the figures of cat-poses and are not usable.
+# Published by Liu, Tan, Deng and Gingold 2020 (results_songrun/*/compare.out of their repository),
+# in their metric E · 2 / diagonal, with the published rest pose given.  Of their results, those for
+# chicken, face and lion repeat the figures of cat-poses and are not usable.
 HYPERSPECTRAL = {  # affine bones, dense weights
     ("cat_poses", 10): 6.575, ("cat_poses", 15): 3.087, ("cat_poses", 20): 1.452,
     ("cat_poses", 25): 0.575, ("horse_poses", 10): 6.342, ("horse_poses", 20): 1.511,

@@ -121,12 +121,12 @@ def describe(asked: Row) -> str:
 
 def check(chosen: list[Row]) -> None:
     """End with a word about what is missing."""
-    common.require(row["sequence"] for row in chosen)
     for solver in {row["solver"] for row in chosen}:
         if slot.is_file(solver):
             slot.solver_of(solver)
         elif solver == "dembones":
             common.require_package("py_dem_bones", "bench")
+    common.require(row["sequence"] for row in chosen)
     for row in chosen:
         if row["solver"] == "published":
             slot.read(published_file(row["sequence"], row["bones"]))

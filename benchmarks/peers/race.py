@@ -134,12 +134,12 @@ def jobs_of(args: argparse.Namespace) -> dict[str, list[Row]]:
 
 def require(jobs: list[Row]) -> None:
     """End with a word about what the jobs need and is missing, before any of them starts."""
-    common.require(job["sequence"] for job in jobs if ":" not in job["sequence"])
     for solver in {job["solver"] for job in jobs}:
         if solver.startswith("dembones"):
             common.require_package("py_dem_bones", "bench")
         elif slot.is_file(solver):
             slot.solver_of(solver)
+    common.require(job["sequence"] for job in jobs if ":" not in job["sequence"])
     for job in jobs:
         if job["solver"] == "published":
             slot.read(solvers.published_file(job["bones"]))

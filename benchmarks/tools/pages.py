@@ -21,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from benchmarks.accuracy.errors import AUTHOR, FLOATS, PLAIN, millimetres
 from benchmarks.common import EFFORTS, RESULTS, ROOT, Row, read_rows, tell
+from benchmarks.leaderboard import tables as leaderboard
 from benchmarks.peers import tables
 from benchmarks.peers.charts import STYLE
 
@@ -318,6 +319,7 @@ BLOCKS: dict[str, list[str | Callable[[], str]]] = {
         "Dem Bones": "{Dem Bones}", "right, Dem Bones": "{right}",
         "what the test would have caught": "{caught}",
     })],
+    **{name: [Table(*table)] for name, table in leaderboard.TABLES.items()},
 }  # fmt: skip
 
 
