@@ -113,7 +113,6 @@ def error_e(reference: np.ndarray, other: np.ndarray) -> float:
 
 
 def e_of(frames: np.ndarray, model: Any) -> float:
-    """E of a model against the frames."""
     return error_e(frames, skinned(model))
 
 
@@ -248,8 +247,9 @@ def fresh(words: Sequence[str], *, threads: int = 1, **environment: str) -> Row:
         env=os.environ | settings | environment,
         stdout=subprocess.PIPE,
         text=True,
-        check=True,
     )
+    if done.returncode:
+        raise SystemExit(f"{' '.join(words)}: ended with status {done.returncode}")
     return dict(json.loads(done.stdout.splitlines()[-1]))
 
 

@@ -169,7 +169,9 @@ def measure(
         parts = solve(
             frames, faces, bones=bones, influences=influences, bone_model=bone_model, rest=kept
         )
-    except Exception as error:  # the other cases go on
+    except SystemExit as error:  # of what it returned; the other cases go on
+        return {"failed": str(error)}
+    except Exception as error:
         return {"failed": f"{type(error).__name__}: {error}"[:300]}
     seconds = {"seconds": time.perf_counter() - began, "cpu seconds": time.process_time() - cpu}
     defects = common.defects(parts._replace(bone_model=bone_model), bones, influences)

@@ -12,9 +12,12 @@ a vertex as Σ_b w_b (R_b p + t_b), or an `ssdr.Skinning`.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import importlib.util
-from collections.abc import Callable
+import os
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -54,10 +57,25 @@ def solver_of(path: str) -> Callable[..., Parts]:
 
     @functools.wraps(solve)
     def checked(frames: np.ndarray, faces: np.ndarray, **options: Any) -> Parts:
-        found = solve(frames, faces, **options)
+        with prints_aside():
+            found = solve(frames, faces, **options)
         return parts_of(found, path, frames.shape, options["bone_model"])
 
     return checked
+
+
+@contextlib.contextmanager
+def prints_aside() -> Iterator[None]:
+    """Send what a solver prints, from C++ too, to the standard error: the output is the row's."""
+    sys.stdout.flush()
+    kept = os.dup(1)
+    os.dup2(2, 1)
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
 
 
 def parts_of(

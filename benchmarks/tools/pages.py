@@ -251,7 +251,7 @@ BLOCKS: dict[str, list[str | Callable[[], str]]] = {
     "first_call": [
         "Seconds; dancer_small, 12 bones, effort fast.",
         Table(lambda: rows("first_call")[:-1], {
-            "": "{case}", "whole process": "{process:.2f}",
+            "": "{case}", "whole process": "{process:.2f}", "its CPU seconds": "{cpu:.2f}",
             "compiling or loading kernels": "{kernels:.2f}", "solving": "{solve:.2f}",
         }),
         kernel_words,

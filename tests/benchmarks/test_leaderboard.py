@@ -197,14 +197,64 @@ def test_what_a_solver_may_not_do_is_a_defect(
     assert score.measure(**asked, solver=str(path))["defects"] == defect
 
 
+FAILURES = {
+    "raise ValueError('too hard')": "ValueError: too hard",
+    "return frames, faces": "mine.py: expected rest, weights, transforms: not enough values",
+    "return frames, faces, faces": "mine.py: rest: expected shape (20, 3), got (6, 20, 3)",
+}
+
+
+@pytest.mark.parametrize("line", FAILURES)
 def test_a_solver_that_fails_has_the_reason_in_its_row(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    line: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     toy_problem(monkeypatch, tmp_path)
     path = tmp_path / "mine.py"
-    path.write_text("def solve(frames, faces, **asked):\n    raise ValueError('too hard')\n")
+    path.write_text(f"def solve(frames, faces, **asked):\n    {line}\n")
     row = score.measure(**score.case("toy", 5, 2, "rigid", "solved"), solver=str(path))
-    assert row == {"failed": "ValueError: too hard"}
+    assert row["failed"].removeprefix(f"{tmp_path}/").startswith(FAILURES[line])
+
+
+def test_what_a_solver_prints_is_not_taken_for_its_row(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "mine.py"
+    path.write_text(
+        "import os\n"
+        "def solve(frames, faces, **asked):\n"
+        "    print('from Python')\n"
+        "    os.write(1, b'from C')\n"
+    )
+    print("before")
+    with pytest.raises(SystemExit):  # for it returns nothing
+        slot.solver_of(str(path))(np.zeros((2, 5, 3)), None, bone_model="affine")
+    print("after")
+    said = capfd.readouterr()
+    assert said.out == "before\nafter\n"
+    assert "from Python" in said.err
+    assert "from C" in said.err
+
+
+def test_a_model_file_is_scored_beside_what_is_known(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames = toy_problem(monkeypatch, tmp_path, diagonal=4.0)
+    monkeypatch.setattr(common, "RESULTS", tmp_path)
+    asked = score.case("toy", 3, 4, "rigid", "given")
+    other = score.case("toy", 2, 4, "rigid", "given")
+    rows = {"known": {**asked, "E": 12.5, "defects": ""}, "other": {**other, "E": 1.0}}
+    common.write_rows(tmp_path / "leaderboard.json", rows)
+    moves = np.tile(np.eye(3, 4), (6, 3, 1, 1))
+    model = {"rest": frames[0], "weights": np.full((20, 3), 1 / 3), "transforms": moves}
+    np.savez(tmp_path / "mine.npz", **model)
+    score.score_file(str(tmp_path / "mine.npz"), "toy")
+    lines = capsys.readouterr().out.splitlines()
+    e = 1000 * np.sqrt(((frames - frames[0]).astype(float) ** 2).mean())
+    assert lines[2].startswith(f"| toy-3 K3 rigid, mine.npz | {e:.4g} | {e / 2:.4g} |")
+    assert [line.split(" | ")[:2] for line in lines[3:]] == [["| known", "12.5"]]
+    np.savez(tmp_path / "mine.npz", **(model | {"transforms": moves[:5]}))
+    with pytest.raises(SystemExit, match=r"transforms: expected shape \(6, 3, 3, 4\)"):
+        score.score_file(str(tmp_path / "mine.npz"), "toy")
 
 
 def test_solvers_are_asked_what_they_can_answer() -> None:
