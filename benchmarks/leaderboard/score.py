@@ -31,7 +31,7 @@ from benchmarks import common
 from benchmarks.common import Row
 from benchmarks.leaderboard.catalogue import FACES, SEQUENCES, Sequence
 from benchmarks.peers import dem_bones, slot
-from benchmarks.peers.model_size import skinned_e, sparse
+from benchmarks.peers.model_size import sparse
 
 # Sequence, numbers of bones, influences beside dense weights.
 ENTRIES = [
@@ -248,18 +248,10 @@ def dem_bones_best(
 ) -> slot.Parts:
     """Dem Bones without regularisers, which has less error; the best of 100 iterations."""
     solver = dem_bones.prepared(frames, faces, bones, influences, rest=rest, regularised=False)
-    solver.init()
-    best: tuple[float, Any] = (np.inf, None)
-    for _step in range(100):
-        solver.computeTranformations()
-        solver.computeWeights()
-        weights, transforms = dem_bones.model_of(solver, len(frames))
-        e = skinned_e(frames, rest, weights, transforms)
-        if e < best[0]:
-            best = e, (weights.copy(), transforms.copy())
-    if best[1] is None:
+    _, best = dem_bones.lowest(frames, rest, dem_bones.iterates(solver, len(frames), 100))
+    if best is None:
         raise ValueError("no finite model")
-    return slot.Parts(rest, *best[1])
+    return slot.Parts(rest, *best)
 
 
 # --- the command line ----------------------------------------------------------------------------

@@ -15,7 +15,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -93,25 +93,22 @@ def run_dem_bones(job: Row, frames: np.ndarray, faces: np.ndarray, pace: Pace) -
         regularised=not job["solver"].endswith(" 0"),
     )  # fmt: skip
 
-    def step() -> None:
-        solver.computeTranformations()
-        solver.computeWeights()
+    times: list[tuple[int, float, float]] = []
 
-    curve: list[Point] = []
-    best: tuple[float, Any] = (np.inf, None)
-    for k, work in enumerate([solver.init, *[step] * job["iterations"]]):
-        pace.begin()
-        work()
-        pace.end()
-        weights, transforms = dem_bones.model_of(solver, len(frames))
-        e = skinned_e(frames, rest, weights, transforms)
-        if e < best[0]:
-            best = e, (weights.copy(), transforms.copy())
-        curve.append((k, pace.wall, pace.cpu, e))
-    out: Row = {"curve": curve, "bones found": transforms.shape[1]}
-    if best[1] is not None:
-        out |= measured(job, frames, slot.Parts(rest, *best[1]))
-    return out
+    def paced() -> Iterator[dem_bones.Found]:
+        models = dem_bones.iterates(solver, len(frames), job["iterations"])
+        for k in range(job["iterations"] + 1):
+            pace.begin()
+            model = next(models)
+            pace.end()
+            times.append((k, pace.wall, pace.cpu))
+            yield model
+
+    errors, best = dem_bones.lowest(frames, rest, paced())
+    bones = dem_bones.model_of(solver, len(frames))[1].shape[1]
+    curve = [(*time, e) for time, e in zip(times, errors, strict=True)]
+    found = {} if best is None else measured(job, frames, slot.Parts(rest, *best))
+    return {"curve": curve, "bones found": bones, **found}
 
 
 def run_own(job: Row, frames: np.ndarray, faces: np.ndarray, pace: Pace) -> Row:
