@@ -343,6 +343,6 @@ def test_tables_put_methods_beside_each_other(
     better = [(r["name"], r["measure"], r["theirs"], r["ours"]) for r in tables.better_rows()]
     assert better == [
         ("SSDR 2012", "E", 2.5, 3.0),
-        ("Dem Bones", "largest error", 0.5, 1.0),
+        ("Dem Bones", "largest error, %", 0.5, 1.0),
         ("Hyperspectral Inverse Skinning", "2 E / diagonal", 6.575, 10.0),
     ]
