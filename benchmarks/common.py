@@ -37,18 +37,53 @@ Row = dict[str, Any]
 # --- data and errors -----------------------------------------------------------------------------
 
 
+def data_folders() -> list[Path]:
+    """Folders of sequences: that of SSDR_TEST_DATA, else shared/data beside the repository and
+    out/data, where leaderboard/fetch.py puts them."""
+    if named := os.environ.get("SSDR_TEST_DATA"):
+        return [Path(named)]
+    return [ROOT.parent / "shared" / "data", ROOT / "out" / "data"]
+
+
 def data_folder() -> Path:
-    """Folder that SSDR_TEST_DATA names, else shared/data beside the repository."""
-    folder = Path(os.environ.get("SSDR_TEST_DATA", ROOT.parent / "shared" / "data"))
-    if not folder.is_dir():
-        raise SystemExit(f"no data: {folder} is not a folder; set SSDR_TEST_DATA")
-    return folder
+    """First of the data folders that there is."""
+    if found := [folder for folder in data_folders() if folder.is_dir()]:
+        return found[0]
+    raise SystemExit(f"no data: {data_folders()[0]} is not a folder; set SSDR_TEST_DATA")
+
+
+def data_file(name: str) -> Path:
+    """File of the data folders, by its path in them; the first that there is, or would be."""
+    files = [folder / name for folder in data_folders()]
+    return next((file for file in files if file.is_file()), files[0])
+
+
+def sequence_file(name: str) -> Path:
+    """File of a sample or of a sequence in the data folders."""
+    sample = ROOT / "ssdr" / "samples" / f"{name}.npz"
+    return sample if sample.is_file() else data_file(f"{name}.npz")
+
+
+def require(names: Iterable[str]) -> None:
+    """End with a word about every sequence that is missing, if any is."""
+    if missing := sorted({name for name in names if not sequence_file(name).is_file()}):
+        raise SystemExit(
+            f"no data for {', '.join(missing)}: expected NAME.npz in "
+            f"{' or '.join(map(str, data_folders()))}; benchmarks/leaderboard/fetch.py --list says "
+            "what can be fetched"
+        )
+
+
+def require_package(name: str, extra: str) -> None:
+    """End with a word where a package is not installed."""
+    if importlib.util.find_spec(name) is None:
+        raise SystemExit(f'{name} is not installed: pip install ".[{extra}]"')
 
 
 def load(name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Frames (F, V, 3) and faces (T, 3) of a sequence in the data folder, or of a sample."""
-    path = ROOT / "ssdr" / "samples" / f"{name}.npz"
-    with np.load(path if path.is_file() else data_folder() / f"{name}.npz") as archive:
+    """Frames (F, V, 3) and faces (T, 3) of a sequence in the data folders, or of a sample."""
+    require([name])
+    with np.load(sequence_file(name)) as archive:
         return archive["vertices"], archive["faces"]
 
 
@@ -78,7 +113,6 @@ def error_e(reference: np.ndarray, other: np.ndarray) -> float:
 
 
 def e_of(frames: np.ndarray, model: Any) -> float:
-    """E of a model against the frames."""
     return error_e(frames, skinned(model))
 
 
@@ -94,7 +128,7 @@ def defects(model: Any, bones: int, influences: int) -> list[str]:
         found.append(f"{model.transforms.shape[1]} bones, not {bones}")
     if (model.weights > 0).sum(axis=1).max() > influences:
         found.append(f"more than {influences} influences")
-    if model.weights.min() < 0 or abs(model.weights.sum(axis=1) - 1).max() > 1e-6:
+    if model.weights.min() < 0 or abs(model.weights.sum(axis=1) - 1).max() > 1e-5:
         found.append("weights not convex")
     r = model.transforms[..., :3]
     if model.bone_model == "similarity":
@@ -213,8 +247,9 @@ def fresh(words: Sequence[str], *, threads: int = 1, **environment: str) -> Row:
         env=os.environ | settings | environment,
         stdout=subprocess.PIPE,
         text=True,
-        check=True,
     )
+    if done.returncode:
+        raise SystemExit(f"{' '.join(words)}: ended with status {done.returncode}")
     return dict(json.loads(done.stdout.splitlines()[-1]))
 
 
@@ -246,12 +281,18 @@ def run(
     measure: Callable[..., Row],
     columns: Sequence[str],
     chart: Callable[[dict[str, Row], Path], None] | None = None,
+    *,
+    check: Callable[[list[Row]], None] | None = None,
+    out: Path | None = None,
+    own: argparse.ArgumentParser | None = None,
 ) -> None:
     """Measure the cases that the command line names, keep their rows, and report.
 
-    A case is the arguments of ``measure``, which runs in a process of its own.
+    A case is the arguments of ``measure``, which runs in a process of its own.  `check` may end
+    the command before the first case; `own` has the options from which the cases were made.
     """
-    parser = argparse.ArgumentParser(description=doc.splitlines()[0])
+    own = own or argparse.ArgumentParser(add_help=False)
+    parser = argparse.ArgumentParser(description=doc.splitlines()[0], parents=[own])
     parser.add_argument("--only", nargs="+", metavar="TEXT", help="cases whose name contains one")
     parser.add_argument("--again", action="store_true", help="also cases that have a result")
     parser.add_argument("--report", action="store_true", help="table and chart, no measurement")
@@ -259,7 +300,7 @@ def run(
     parser.add_argument(
         "--set", nargs="+", default=[], metavar="NAME=VALUE", help="effort=fast: of every case"
     )
-    default = RESULTS / f"{Path(script).stem}.json"
+    default = out or RESULTS / f"{Path(script).stem}.json"
     parser.add_argument("--out", type=Path, default=default, help="results")
     parser.add_argument("--images", type=Path, default=IMAGES, help="folder of the charts")
     parser.add_argument("--case", help=argparse.SUPPRESS)  # measure one case in this process
@@ -271,12 +312,17 @@ def run(
         return
     only = args.only or [""]
     names = {" ".join([c, *args.set]): c for c in cases if any(text in c for text in only)}
+    if not names:
+        raise SystemExit(f"--only: no case contains {' or '.join(only)}; there are: {[*cases]}")
     rows = read_rows(args.out)
-    for name, case in names.items():
-        if args.report or (name in rows and not args.again):
-            continue
-        rates = machine()
-        words = ["--set", *args.set] if changes else []
+    todo = [n for n in names if not args.report and (args.again or n not in rows)]
+    if check is not None:
+        check([cases[names[name]] for name in todo])
+    given = vars(own.parse_known_args()[0]).items()
+    mine = [word for name, value in given if value for word in (f"--{name}", str(value))]
+    for name in todo:
+        case, rates = names[name], machine()
+        words = [*mine, *(["--set", *args.set] if changes else [])]
         row = fresh([script, "--case", case, *words], threads=args.threads)
         rows[name] = {"threads": args.threads, "machine": rates, **cases[case], **changes, **row}
         write_rows(args.out, rows)

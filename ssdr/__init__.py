@@ -19,6 +19,7 @@ _PUBLIC = {
         *("SsdrError", "SsdrWarning"),
     ),
     "fit.bones": ("fit_bones",),
+    "fit.descent": ("ssdr2012",),
     "fit.initialization": ("initialize",),
     "fit.rest_pose": ("fit_rest_pose",),
     "fit.weights": ("fit_weights",),
@@ -89,6 +90,7 @@ __all__ = [
     "skin_gradients",
     "skinning",
     "smallest",
+    "ssdr2012",
     "view",
 ]
 
@@ -105,6 +107,7 @@ if TYPE_CHECKING:
         SsdrWarning,
     )
     from .fit.bones import fit_bones
+    from .fit.descent import ssdr2012
     from .fit.initialization import initialize
     from .fit.rest_pose import fit_rest_pose
     from .fit.weights import fit_weights

@@ -20,6 +20,7 @@ __all__ = [
     "BoneModel",
     "as_array",
     "check_bone_model",
+    "check_callback",
     "check_dense",
     "check_faces",
     "check_floats",
@@ -123,6 +124,13 @@ def parse_tolerance(tolerance: Any, diagonal: float) -> float:
         expected = 'a length > 0 in the mesh\'s units, or a share of the diagonal such as "0.5%"'
         raise InputError("tolerance", expected, repr(tolerance))
     return number * unit
+
+
+def check_callback(callback: Any) -> Any:
+    """The callback, checked to be a function or None."""
+    if callback is not None and not callable(callback):
+        raise InputError("callback", "a function of one Progress, or None", repr(callback))
+    return callback
 
 
 def names_arguments(function: Callable[P, R]) -> Callable[P, R]:

@@ -64,22 +64,16 @@ def theirs(name: str, *, step: int = 1) -> ssdr.Skinning:
     def fit() -> ssdr.Skinning:
         frames, faces = load(name)
         frames = np.ascontiguousarray(frames[::step])
-        best, found = np.inf, None
+        least, found = np.inf, None
         for regularised in (True, False):
             solver = dem_bones.prepared(frames, faces, *SEQUENCES[name], regularised=regularised)
-            for k in range(_ITERATIONS + 1):
-                if k == 0:
-                    solver.init()
-                else:
-                    solver.computeTranformations()
-                    solver.computeWeights()
-                weights, transforms = dem_bones.model_of(solver, len(frames))
-                skin = frames[0], *sparse(weights), transforms
-                e = common.error_e(frames, common.reskin(*skin))
-                if e < best:
-                    best, found = e, ssdr.Skinning(*skin, faces=faces)
+            models = dem_bones.iterates(solver, len(frames), _ITERATIONS)
+            errors, best = dem_bones.lowest(frames, frames[0], models)
+            if best is not None and np.nanmin(errors) < least:
+                least, found = np.nanmin(errors), best
         assert found is not None
-        return found
+        weights, transforms = found
+        return ssdr.Skinning(frames[0], *sparse(weights), transforms, faces=faces)
 
     return _kept(f"{name}_dembones_{step}", fit)
 

@@ -205,8 +205,7 @@ def given(data: str, effort: Any, rng: int) -> Row:
 
 def dem_bones(rig: ssdr.Skinning, frames: np.ndarray, faces: Any, *, weights: bool) -> float:
     """Least E of thirty iterations from a rig's rest pose and transforms, and its weights."""
-    from benchmarks.peers.dem_bones import model_of, prepared
-    from benchmarks.peers.model_size import skinned_e
+    from benchmarks.peers.dem_bones import iterates, lowest, prepared
 
     solver = prepared(frames, faces, rig.n_bones, rig.n_influences, rest=rig.rest)
     m = np.zeros((len(frames), 4, rig.n_bones, 4))
@@ -215,14 +214,8 @@ def dem_bones(rig: ssdr.Skinning, frames: np.ndarray, faces: Any, *, weights: bo
     if weights:
         solver.set_weights(np.ascontiguousarray(rig.dense_weights().T.astype(np.float64)))
     solver.m = m.reshape(4 * len(frames), -1)
-    solver.init()
-    errors = []
-    for _ in range(31):
-        e = skinned_e(frames, np.asarray(rig.rest), *model_of(solver, len(frames)))
-        errors.append(e if np.isfinite(e) else np.inf)
-        solver.computeTranformations()
-        solver.computeWeights()
-    return min(errors)
+    errors, _ = lowest(frames, np.asarray(rig.rest), iterates(solver, len(frames), 30))
+    return float(np.nanmin(errors))
 
 
 PARTS: dict[str, tuple[Any, list[str]]] = {

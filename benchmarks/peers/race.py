@@ -3,13 +3,16 @@
     python benchmarks/peers/race.py                 # all of it, hours
     python benchmarks/peers/race.py --short         # ten minutes, into out/bench-short
     python benchmarks/peers/race.py --parts race --only horse_gallop-20 --threads 1
+    python benchmarks/peers/race.py --parts race --solvers mine.py   # a solver of one's own
     python benchmarks/peers/race.py --report        # the charts again, no runs
 
 Every solver runs in a process of its own (solvers.py), a slice of time each in turn, so that drift
 of the machine hits all alike, and a hang or a crash of one is a line of the table.  Parts, each a
 file of results: "race", error over time; "seeds", best with other seeds and the vertices in
 another order; "front", bones × influences × effort; "scaling", cost over frames, vertices and
-bones; "choices", rest pose and smoothness.
+bones; "choices", rest pose and smoothness.  What is missing, a sequence or a package, is named
+before the first solver starts.  A file in --solvers runs the cases of "race" (slot.py says what it
+holds).
 """
 
 from __future__ import annotations
@@ -22,13 +25,14 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from benchmarks import common
 from benchmarks.common import Row
+from benchmarks.peers import slot, solvers, tables
 from benchmarks.peers.tables import APART, BASE, summaries
 
 CASES = [
@@ -63,12 +67,12 @@ def key_of(job: Row) -> str:
     )
 
 
-def races(short: bool, threads: list[int]) -> Iterator[Row]:
+def races(short: bool, threads: list[int], own: Sequence[str] = ()) -> Iterator[Row]:
     for name, bones in SHORT_CASES if short else CASES + SIDE:
         ours = OURS[:2] if short else OURS
         if name == "cow_elastic" and not short:  # squash and stretch
             ours = [*OURS, *STRETCH, "ssdr best affine"]
-        for solver in PEERS + ours:
+        for solver in [*PEERS, *ours, *own]:
             for count in threads:
                 yield job("race", solver, name, bones, threads=count)
     for bones in (5, 10, 20):
@@ -110,6 +114,36 @@ def seeds(short: bool, threads: list[int]) -> Iterator[Row]:
     for name, bones in SHORT_CASES[:1] if short else CASES:
         for seed in (1,) if short else (1, 2, 3, 4):
             yield job("seeds", "ssdr best", name, bones, seed=seed)
+
+
+def jobs_of(args: argparse.Namespace) -> dict[str, list[Row]]:
+    """Jobs that the command line asks for, each once, by part."""
+    own = [solver for solver in args.solvers or () if slot.is_file(solver)]
+    found = {}
+    for part in args.parts:
+        jobs = PARTS[part](args.short, args.threads, *([own] if part == "race" else []))
+        found[part] = [*{key_of(job): job for job in jobs}.values()]  # two sweeps may share a job
+    for option, name_of in (("only", tables.case_of), ("solvers", lambda job: job["solver"])):
+        if asked := getattr(args, option):
+            known = {name_of(job): None for jobs in found.values() for job in jobs}
+            if unknown := set(asked) - set(known):
+                raise SystemExit(f"--{option}: {', '.join(unknown)}: there are {', '.join(known)}")
+            found = {k: [j for j in jobs if name_of(j) in asked] for k, jobs in found.items()}
+    return found
+
+
+def require(jobs: list[Row]) -> None:
+    """End with a word about what the jobs need and is missing, before any of them starts."""
+    for solver in {job["solver"] for job in jobs}:
+        if solver.startswith("dembones"):
+            common.require_package("py_dem_bones", "bench")
+        elif slot.is_file(solver):
+            slot.solver_of(solver)
+    common.require(job["sequence"] for job in jobs if ":" not in job["sequence"])
+    for job in jobs:
+        if job["solver"] == "published":
+            slot.read(solvers.published_file(job["bones"]))
+    common.require_package("matplotlib", "bench")  # of the charts at the end
 
 
 PARTS = {"race": races, "seeds": seeds, "front": front, "scaling": scaling, "choices": choices}
@@ -193,18 +227,13 @@ def take_turns(jobs: list[Row], slice_seconds: float) -> Iterator[Row]:
             runner.stop()
 
 
-def groups(jobs: Iterator[Row], rows: dict[str, Row], args: argparse.Namespace) -> list[list[Row]]:
-    """Jobs without a record, grouped by case."""
+def groups(jobs: list[Row]) -> list[list[Row]]:
+    """Jobs grouped by case, at most as many as run together."""
     found: dict[str, list[Row]] = {}
-    for key, job in {key_of(job): job for job in jobs}.items():  # two sweeps may share a job
-        if args.only and f"{job['sequence']}-{job['bones']}" not in args.only:
-            continue
-        if args.solvers and job["solver"] not in args.solvers:
-            continue
-        if args.again or key not in rows:
-            name = job["sequence"].split(":")[0]
-            case = f"{name}-{job['bones']}" if job["part"] in ("race", "seeds") else name
-            found.setdefault(case, []).append(job)
+    for job in jobs:
+        name = job["sequence"].split(":")[0]
+        case = f"{name}-{job['bones']}" if job["part"] in ("race", "seeds") else name
+        found.setdefault(case, []).append(job)
     return [
         jobs[k : k + TOGETHER] for jobs in found.values() for k in range(0, len(jobs), TOGETHER)
     ]
@@ -216,7 +245,7 @@ def main() -> None:
     parser.add_argument("--short", action="store_true", help="less of everything")
     parser.add_argument("--report", action="store_true", help="the charts, no runs")
     parser.add_argument("--only", nargs="+", metavar="SEQUENCE-BONES")
-    parser.add_argument("--solvers", nargs="+")
+    parser.add_argument("--solvers", nargs="+", metavar="NAME", help="names, or Python files")
     parser.add_argument("--threads", nargs="+", type=int, default=[1, 2])
     parser.add_argument("--slice", type=float, default=2.0, help="seconds of a turn")
     parser.add_argument("--again", action="store_true", help="run what has a record, too")
@@ -228,10 +257,15 @@ def main() -> None:
     results = args.results or (here if args.short else common.RESULTS)
     images = args.images or (here if args.short else common.IMAGES)
     began = time.perf_counter()
-    for part in [] if args.report else args.parts:
+    todo = {} if args.report else jobs_of(args)
+    for part, jobs in todo.items():
+        rows = common.read_rows(results / f"{part}.json")
+        todo[part] = [job for job in jobs if args.again or key_of(job) not in rows]
+    require([job for jobs in todo.values() for job in jobs])
+    for part, missing in todo.items():
         file = results / f"{part}.json"
         rows = common.read_rows(file)
-        for jobs in groups(PARTS[part](args.short, args.threads), rows, args):
+        for jobs in groups(missing):
             if args.limit and time.perf_counter() - began > args.limit:
                 print(f"out of time, the same command goes on: {part} {key_of(jobs[0])}")
                 break

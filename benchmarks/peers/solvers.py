@@ -15,7 +15,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from benchmarks import common
 from benchmarks.common import Row, e_of
-from benchmarks.peers import dem_bones
+from benchmarks.peers import dem_bones, slot
 from benchmarks.peers.model_size import dense, pca_curve, skinned_e, sparse, stored
 
 Point = tuple[int, float, float, float]  # iteration, wall, CPU seconds, E
@@ -83,87 +83,88 @@ def tube(vertices: int, frames: int, joints: int = 10) -> tuple[np.ndarray, np.n
 
 
 def run_dem_bones(job: Row, frames: np.ndarray, faces: np.ndarray, pace: Pace) -> Row:
-    """Dem Bones, iteration by iteration; frame 0 is the rest pose."""
+    """Dem Bones, iteration by iteration; frame 0 is the rest pose.
+
+    The result is the best of its models, each of which is measured.
+    """
     rest = np.asarray(frames[0], dtype=np.float64)
     solver = dem_bones.prepared(
         frames, faces, job["bones"], job["influences"],
         regularised=not job["solver"].endswith(" 0"),
     )  # fmt: skip
 
-    def model() -> tuple[np.ndarray, ...]:
-        return rest, *dem_bones.model_of(solver, len(frames))
+    times: list[tuple[int, float, float]] = []
 
-    def step() -> None:
-        solver.computeTranformations()
-        solver.computeWeights()
+    def paced() -> Iterator[dem_bones.Found]:
+        models = dem_bones.iterates(solver, len(frames), job["iterations"])
+        for k in range(job["iterations"] + 1):
+            pace.begin()
+            model = next(models)
+            pace.end()
+            times.append((k, pace.wall, pace.cpu))
+            yield model
 
-    return stepped(job, frames, pace, solver.init, step, model)
+    errors, best = dem_bones.lowest(frames, rest, paced())
+    bones = dem_bones.model_of(solver, len(frames))[1].shape[1]
+    curve = [(*time, e) for time, e in zip(times, errors, strict=True)]
+    found = {} if best is None else measured(job, frames, slot.Parts(rest, *best))
+    return {"curve": curve, "bones found": bones, **found}
+
+
+def run_own(job: Row, frames: np.ndarray, faces: np.ndarray, pace: Pace) -> Row:
+    """The function of a Python file, called once."""
+    solve = slot.solver_of(job["solver"])
+    pace.begin()
+    parts = solve(
+        frames, faces, bones=job["bones"], influences=job["influences"], bone_model="rigid",
+        rest=None,
+    )  # fmt: skip
+    pace.end()
+    found = measured(job, frames, parts)
+    return {
+        "curve": [(1, pace.wall, pace.cpu, found["E"])],
+        "bones found": parts.transforms.shape[1],
+        "defects": common.defects(parts, job["bones"], job["influences"]),
+        **found,
+    }
+
+
+def measured(job: Row, frames: np.ndarray, parts: slot.Parts) -> Row:
+    """Error, bytes and normals of another solver's model."""
+    skin = parts.rest, *sparse(parts.weights), parts.transforms
+    e = skinned_e(frames, *parts[:3])
+    return {"E": e, **stored(frames, *skin), **drawn(frames, job["sequence"], *skin)}
 
 
 def run_2012(job: Row, frames: np.ndarray, faces: np.ndarray, pace: Pace) -> Row:
-    """The method of Le and Deng 2012, from the parts of this package.
-
-    Frame 0 is the rest pose; weights of all vertices and rigid bones alternate; no re-seeding, no
-    polish.  The start is this package's own, better than that of the paper.
-    """
+    """`ssdr.ssdr2012`; frame 0 is the rest pose."""
     import ssdr
-    from ssdr.solver.alternation import bone_step, vertex_step
-    from ssdr.solver.initialization import start_model
-    from ssdr.solver.model import Locked
-    from ssdr.solver.trajectories import gather
 
-    rest = np.asarray(frames[0], dtype=np.float64)
-    bones, locked, held = job["bones"], Locked(rest=True), []
-
-    def start() -> None:
-        data = gather([ssdr.MeshSequence(frames, faces)], bones=bones)
-        inner = data.points_from_world(rest, "rest")
-        rng = np.random.default_rng(job["seed"])
-        held[:] = data, start_model(data, inner, bones, min(job["influences"], bones), rng)
-        vertex_step(*held, locked=locked)
-
-    def step() -> None:
-        bone_step(*held, locked=locked)
-        vertex_step(*held, locked=locked)
-
-    def model() -> tuple[np.ndarray, ...]:
-        data, found = held
-        p, m = data.to_world(found.rest, found.transforms)
-        return p, dense(found.indices, found.weights, bones), m
-
-    return stepped(job, frames, pace, start, step, model)
+    points: list[Point] = []
+    options = {key: job[key] for key in ("bones", "influences", "iterations")}
+    pace.begin()
+    fit = ssdr.ssdr2012(frames, faces, rng=job["seed"], callback=marks(pace, points), **options)
+    pace.end()
+    model = fit.skinning
+    skin = model.rest, model.indices, model.weights, model.transforms
+    return {
+        "curve": points,
+        "bones found": model.n_bones,
+        "E": e_of(frames, model),
+        **stored(frames, *skin),
+        **drawn(frames, job["sequence"], *skin),
+    }
 
 
-def stepped(
-    job: Row,
-    frames: np.ndarray,
-    pace: Pace,
-    start: Callable[[], object],
-    step: Callable[[], object],
-    model: Callable[[], tuple[np.ndarray, ...]],
-) -> Row:
-    """Time a start and iterations; the result is the best of their models.
+def marks(pace: Pace, points: list[Point]) -> Callable[[Any], None]:
+    """Callback that adds a point a step and lets others have their turn."""
 
-    `model` returns rest pose, weights (V, B) and transforms.
-    """
-    curve: list[Point] = []
-    best: tuple[float, Any] = (np.inf, None)
-    found = ()
-    for k, work in enumerate([start, *[step] * job["iterations"]]):
-        pace.begin()
-        work()
+    def turn(progress: Any) -> None:
         pace.end()
-        found = model()
-        e = skinned_e(frames, *found)
-        if e < best[0]:
-            best = e, [np.array(part) for part in found]
-        curve.append((k, pace.wall, pace.cpu, e))
-    out: Row = {"curve": curve, "bones found": found[2].shape[1]}
-    if best[1] is not None:
-        rest, weights, transforms = best[1]
-        skin = rest, *sparse(weights), transforms
-        out |= {"E": best[0], **stored(frames, *skin), **drawn(frames, job["sequence"], *skin)}
-    return out
+        points.append((progress.iteration, pace.wall, pace.cpu, 1000 * progress.rmse / 3**0.5))
+        pace.begin()
+
+    return turn
 
 
 def drawn(frames: np.ndarray, sequence: str, *skin: np.ndarray, normals: Any = None) -> Row:
@@ -197,20 +198,14 @@ def run_ssdr(job: Row, frames: np.ndarray, faces: np.ndarray, pace: Pace) -> Row
     options["start"] = ssdr.Start(rest=rest, rest_frame=middle)
     if "free" in more:
         options |= {"rest_pose": "free", "normals": False}
-    times: list[tuple[int, float, float]] = []
-
-    def turn(progress: ssdr.Progress) -> None:
-        pace.end()
-        times.append((progress.iteration, pace.wall, pace.cpu))
-        pace.begin()
-
+    times: list[Point] = []
     pace.begin()
-    result = ssdr.decompose(frames, faces, callback=turn, **options)
+    result = ssdr.decompose(frames, faces, callback=marks(pace, times), **options)
     pace.end()
     curve = []
     for record in result.history:
         reached = (t for t in times if t[0] >= record.iteration)
-        _, wall, cpu = next(reached, (0, pace.wall, pace.cpu))
+        _, wall, cpu, _ = next(reached, (0, pace.wall, pace.cpu, 0.0))
         curve.append((record.iteration, wall, cpu, 1000 * record.rmse / 3**0.5))
     model = result.skinning
     skin = model.rest, model.indices, model.weights, model.transforms
@@ -249,15 +244,17 @@ def run_smooth(job: Row, frames: np.ndarray, faces: np.ndarray, pace: Pace) -> R
     }
 
 
+def published_file(bones: int) -> Path:
+    return common.data_file(f"reference/ea_ref_Decomposition_{bones:02}.npz")
+
+
 def run_published(job: Row, frames: np.ndarray, faces: np.ndarray, pace: Pace) -> Row:
     """What the authors of Dem Bones published for their own sample."""
-    file = common.data_folder() / "reference" / f"ea_ref_Decomposition_{job['bones']:02}.npz"
-    with np.load(file) as z:
-        rest, weights, transforms = z["rest"], z["weights"], z["transforms"]
+    parts = slot.read(published_file(job["bones"]))
     pace.begin()
-    e = skinned_e(frames, rest, weights, transforms)
-    found = stored(frames, rest, *sparse(weights), transforms)
-    return {"curve": [], "bones found": transforms.shape[1], "E": e, **found}
+    found = stored(frames, parts.rest, *sparse(parts.weights), parts.transforms)
+    e = skinned_e(frames, *parts[:3])
+    return {"curve": [], "bones found": parts.transforms.shape[1], "E": e, **found}
 
 
 def run_pca(job: Row, frames: np.ndarray, faces: np.ndarray, pace: Pace) -> Row:
@@ -268,6 +265,7 @@ def run_pca(job: Row, frames: np.ndarray, faces: np.ndarray, pace: Pace) -> Row:
 SOLVERS: dict[str, Callable[..., Row]] = {
     "dembones": run_dem_bones,
     "2012": run_2012,
+    "own": run_own,
     "ssdr": run_ssdr,
     "smooth": run_smooth,
     "published": run_published,
@@ -295,7 +293,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("job", type=json.loads, help="JSON: solver, sequence, bones, ...")
     job = parser.parse_args().job
-    kind = job["solver"].split()[0]
+    kind = "own" if slot.is_file(job["solver"]) else job["solver"].split()[0]
     waits = ready(kind)
     name, *size = job["sequence"].split(":")  # tube:VERTICES:FRAMES
     frames, faces = tube(*map(int, size)) if size else common.load(name)

@@ -117,7 +117,7 @@ def outcome_of(
         history=_history(steps, alignment.scale * np.sqrt(np.maximum(values, 0.0) / count), rmse),
         offsets=problem.offsets,
         normals=normals,
-        motion=motion_rms(problem.sequences, executor=problem.executor),
+        motion=motion_rms(problem.inputs, executor=problem.executor),
         warnings=(hint,) if idle else (),
     )
 

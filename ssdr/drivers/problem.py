@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..checks import (
     check_bone_model,
+    check_callback,
     check_frame_importance,
     check_importance,
     check_influences,
@@ -223,8 +224,6 @@ def check_problem(
     _check_rig(kind, given, bone_model, smoothness)
     if time_limit is not None and not (is_real(time_limit, finite=False) and time_limit > 0):
         raise InputError("time_limit", "a number of seconds > 0 or None", repr(time_limit))
-    if callback is not None and not callable(callback):
-        raise InputError("callback", "a function of one Progress, or None", repr(callback))
     frame_importance = check_frame_importance(frame_importance, n_frames)
     importance = check_importance(vertex_importance, "vertex_importance", n)
     weighted = importance is not None or frame_importance is not None
@@ -268,7 +267,7 @@ def check_problem(
         frame_importance=frame_importance,
         rng=check_rng(rng),
         time_limit=time_limit,
-        callback=callback,
+        callback=check_callback(callback),
         checkpoint=Checkpoint(checkpoint),
     )
 

@@ -21,10 +21,10 @@ from ..sequence import MeshSequence, as_sequences
 from ..skinning import Skinning
 from ..solver.alternation import vertex_step
 from ..solver.initialization import start_model
-from ..solver.model import Locked
-from ..solver.trajectories import gather
+from ..solver.model import Locked, Model
+from ..solver.trajectories import Trajectories, gather
 
-__all__ = ["initialize"]
+__all__ = ["initialize", "skinning_of", "started"]
 
 
 def initialize(
@@ -82,10 +82,29 @@ def initialize(
     (4, (799, 4))
     """
     sequences = as_sequences(sequence, faces)
+    bone_model = check_bone_model(bone_model)
+    data, model, locked = started(
+        sequences, bones=bones, influences=influences, bone_model=bone_model, rest=rest, rng=rng
+    )
+    return skinning_of(sequences, data, model, locked)
+
+
+def started(
+    sequences: list[MeshSequence],
+    *,
+    bones: int,
+    influences: int,
+    rest: Any,
+    rng: int | np.random.Generator,
+    bone_model: BoneModel = "rigid",
+) -> tuple[Trajectories, Model, Locked]:
+    """Check the arguments of :func:`initialize`; return the frames, the start, and what it keeps.
+
+    Frames and start are in the solver's space.
+    """
     n = sequences[0].n_vertices
     bones = check_whole(bones, "bones", 1, n, " (the number of vertices)")
     k = check_influences(influences)
-    bone_model = check_bone_model(bone_model)
     generator = check_rng(rng)
     inner_rest = None
     if rest is not None:
@@ -96,14 +115,21 @@ def initialize(
     model = start_model(data, start, bones, min(k, bones), generator, None, bone_model)
     locked = Locked(rest=rest is not None, bone_model=bone_model)
     vertex_step(data, model, locked=locked)
-    out_rest, transforms = data.to_world(model.rest, model.transforms)
+    return data, model, locked
+
+
+def skinning_of(
+    sequences: list[MeshSequence], data: Trajectories, model: Model, locked: Locked
+) -> Skinning:
+    """A model of the solver, in the space of the sequences."""
+    rest, transforms = data.to_world(model.rest, model.transforms)
     found = Skinning(
-        out_rest,
+        rest,
         model.indices,
         model.weights,
         transforms,
         faces=sequences[0].faces,
-        bone_model=bone_model,
+        bone_model=locked.bone_model,
         **names_of(sequences),
     )
     return with_fitted_normals(sequences, found)

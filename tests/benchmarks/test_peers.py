@@ -162,7 +162,16 @@ def test_a_solver_runs_in_a_process_of_its_own_and_tells_the_truth() -> None:
 def test_solvers_take_turns_and_a_crash_is_a_record() -> None:
     good = race.job("race", "ssdr fast", "tube:200:12", 4)
     bad = race.job("race", "ssdr fast", "tube:200:12", -1)
-    records = {r["bones"]: r for r in race.take_turns([good, bad], 0.05)}
+    own = race.job("race", str(ROOT / "benchmarks/leaderboard/example_solver.py"), "tube:200:12", 3)
+    old = race.job("race", "2012", "tube:200:12", 5, iterations=4)
+    records = {r["bones"]: r for r in race.take_turns([good, bad, own, old], 0.05)}
     assert records[4]["E"] > 0
+    assert records[3]["defects"] == []
+    assert records[3]["curve"] == [
+        [1, *records[3]["curve"][0][1:3], pytest.approx(records[3]["E"])]
+    ]
+    assert [point[0] for point in records[5]["curve"]] == [*range(5)]
+    # the method's own account beside its model, skinned again
+    assert records[5]["curve"][-1][3] == pytest.approx(records[5]["E"], rel=1e-5)
     assert "failed" in records[-1]
     assert "bones: expected" in records[-1]["said"][0]

@@ -1,0 +1,166 @@
+"""Rows of the leaderboard's tables, from its results and from what others published."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+
+from benchmarks.common import RESULTS, Row, read_rows
+from benchmarks.leaderboard.catalogue import (
+    FACES,
+    HYPERSPECTRAL,
+    LE_AFFINE,
+    LE_RIGID,
+    SEQUENCES,
+)
+from benchmarks.leaderboard.score import is_dense
+
+METRIC = "2 E / diagonal"
+MEASURES = {
+    "E": "E", "largest %": "largest error, %", "STED": "STED",
+    "MXE": "largest of a coordinate, mm", "MAE": "mean of a coordinate, mm",
+}  # fmt: skip
+NAMES = {
+    "2012": "SSDR 2012", "dembones": "Dem Bones", "published": "published model",
+    "ssdr": "ssdr",
+}  # fmt: skip
+SEQUENCE = "{sequence}, {bones}"
+
+
+def results() -> list[Row]:
+    """Rows that have an error, with the words that tables have for them."""
+    found = [r for r in read_rows(RESULTS / "leaderboard.json").values() if "E" in r]
+    for r in found:
+        r["weights"] = "dense" if is_dense(r) else f"K = {r['influences']}"
+        r["by"] = r["solver"].split()[0]
+        r["name"] = r["solver"] if r["by"] == "ssdr" else NAMES[r["by"]]
+        r["column"] = f"{r['by']} {r['weights'].split()[0]} {r['bone_model']} {r['rest']}"
+    return found
+
+
+def by_case(rows: Iterable[Row]) -> Iterator[Row]:
+    """One row for each sequence and number of bones, with every row of it by its column."""
+    found: dict[tuple[str, int], Row] = {}
+    for r in rows:
+        key = r["sequence"], r["bones"]
+        found.setdefault(key, {"sequence": key[0], "bones": key[1]})[r["column"]] = r
+    yield from found.values()
+
+
+def published_rows() -> list[Row]:
+    """The sequences of which figures are published, in their metric."""
+    found = []
+    for row in by_case(results()):
+        key = row["sequence"], row["bones"]
+        if key in HYPERSPECTRAL:
+            figures = {"HIS": HYPERSPECTRAL[key], "Le": LE_AFFINE[key]}
+            figures |= {"Le rigid": LE_RIGID[key]} if key in LE_RIGID else {}
+            found.append(row | figures)
+    return found
+
+
+def ea_rows() -> list[Row]:
+    return [row for row in by_case(results()) if row["sequence"] == "ea_bone"]
+
+
+def face_rows() -> list[Row]:
+    return [r for r in results() if "MXE" in r]
+
+
+def published_face_rows() -> Iterator[Row]:
+    for name, figures in FACES.items():
+        for method, (largest, mean) in figures.items():
+            yield {"sequence": name, "method": method, "MXE": largest, "MAE": mean}
+
+
+def better_rows() -> Iterator[Row]:
+    """Cases in which another method is better than ours by a measure, theirs and ours."""
+    fields = ("sequence", "bones", "influences", "bone_model", "rest")
+    rows = results()
+    ours = {tuple(r[k] for k in fields): r for r in rows if r["by"] == "ssdr"}
+    for r in rows:
+        mine = ours.get(tuple(r[k] for k in fields))
+        if mine is not None and r["by"] != "ssdr" and not r["defects"]:
+            for key, measure in MEASURES.items():
+                if key in r and r[key] < mine[key]:
+                    yield r | {"measure": measure, "theirs": r[key], "ours": mine[key]}
+    for name, bones in HYPERSPECTRAL:
+        mine = ours.get((name, bones, bones, "affine", "given"))
+        theirs = HYPERSPECTRAL[name, bones]
+        if mine is not None and theirs < mine[METRIC]:
+            words = {"name": "Hyperspectral Inverse Skinning", "measure": METRIC}
+            yield mine | words | {"theirs": theirs, "ours": mine[METRIC]}
+
+
+def sequence_rows() -> Iterator[Row]:
+    for name, s in SEQUENCES.items():
+        yield {"name": name, **vars(s)}
+
+
+def metric(column: str) -> str:
+    return f"{{{column}[{METRIC}]:.3f}}"
+
+
+def three(column: str) -> str:
+    """E, largest error in percent of the diagonal, STED."""
+    return f"{{{column}[E]:.3f}}, {{{column}[largest %]:.2f}} %, {{{column}[STED]:.4f}}"
+
+
+# Rows and columns (head and format) of each table of the page.
+TABLES: dict[str, tuple[Callable[[], Iterable[Row]], dict[str, str]]] = {
+    "board_dense": (published_rows, {
+        "sequence, bones": SEQUENCE,
+        "affine, rest given: HIS": "{HIS:.3f}",
+        "ssdr": metric("ssdr dense affine given"),
+        "affine, rest solved: ssdr": metric("ssdr dense affine solved"),
+        "rigid, rest given: ssdr": metric("ssdr dense rigid given"),
+        "rigid, rest solved: ssdr": metric("ssdr dense rigid solved"),
+    }),
+    "board_affine": (published_rows, {
+        "sequence, bones": SEQUENCE,
+        "rest given: Le": "{Le:.3f}",
+        "ssdr": metric("ssdr K affine given"),
+        "rest solved: Le's model, rest fitted here": metric("published K affine solved"),
+        "ssdr, rest solved": metric("ssdr K affine solved"),
+    }),
+    "board_rigid": (published_rows, {
+        "sequence, bones": SEQUENCE,
+        "rest given: Le": "{Le rigid:.2f}",
+        "Dem Bones": metric("dembones K rigid given"),
+        "SSDR 2012": metric("2012 K rigid given"),
+        "ssdr": metric("ssdr K rigid given"),
+        "rest solved: ssdr": metric("ssdr K rigid solved"),
+    }),
+    "board_ea": (ea_rows, {
+        "sequence, bones": SEQUENCE,
+        "published by EA": three("published K rigid solved"),
+        "rest given: Dem Bones": three("dembones K rigid given"),
+        "SSDR 2012": three("2012 K rigid given"),
+        "ssdr": three("ssdr K rigid given"),
+        "rest solved: ssdr": three("ssdr K rigid solved"),
+        "ssdr, affine": three("ssdr K affine solved"),
+    }),
+    "board_faces": (face_rows, {
+        "sequence, bones": SEQUENCE, "bone model": "{bone_model}", "solver": "{name}",
+        "largest, mm": "{MXE:.2f}", "mean, mm": "{MAE:.4f}", "E": "{E:.3f}", "STED": "{STED:.4f}",
+        "defects": "{defects}",
+    }),
+    "board_faces_published": (published_face_rows, {
+        "face": "{sequence}", "method": "{method}", "largest, mm": "{MXE:.2f}",
+        "mean, mm": "{MAE:.4f}",
+    }),
+    "board_better": (better_rows, {
+        "sequence, bones": SEQUENCE, "weights": "{weights}", "bone model": "{bone_model}",
+        "rest pose": "{rest}", "measure": "{measure}", "method": "{name}",
+        "theirs": "{theirs:.4g}", "ssdr": "{ours:.4g}",
+    }),
+    "board_all": (results, {
+        "sequence, bones": SEQUENCE, "weights": "{weights}", "bone model": "{bone_model}",
+        "rest pose": "{rest}", "solver": "{name}", "E": "{E:.3f}", METRIC: f"{{{METRIC}:.3f}}",
+        "largest, %": "{largest %:.2f}", "STED": "{STED:.4f}", "CPU s": "{cpu seconds:.1f}",
+        "defects": "{defects}", "revision": "{machine[revision]}",
+    }),
+    "board_sequences": (sequence_rows, {
+        "name": "{name}", "github.com/": "{repository}", "commit": "{commit:.7}",
+        "licence": "{licence}", "credit": "{credit}",
+    }),
+}  # fmt: skip

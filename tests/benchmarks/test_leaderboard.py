@@ -1,0 +1,348 @@
+"""The leaderboard: scores by hand, rules, words for what is missing."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import ssdr
+from benchmarks import common
+from benchmarks.leaderboard import catalogue, score, tables
+from benchmarks.leaderboard.catalogue import SEQUENCES, Sequence
+from benchmarks.peers import slot
+from helpers.leaderboard import EXAMPLE, needs, run
+
+ROOT = common.ROOT
+TOY = Sequence(
+    repository="owner/toy", commit="c" * 40, pattern=r"models/toy/\d+\.obj", files=6, licence="CC0",
+    credit="nobody",
+)  # fmt: skip
+
+
+# --- the commands --------------------------------------------------------------------------------
+
+
+def test_the_example_has_ten_lines_and_is_that_of_the_page() -> None:
+    text = EXAMPLE.read_text("utf-8")
+    body = text[text.index("def solve") :].strip()
+    assert len(body.splitlines()) <= 10
+    assert body in (ROOT / "docs" / "leaderboard.md").read_text("utf-8")
+
+
+NAMES = "cat_poses, cow_elastic, ea_bone, horse_gallop, horse_poses, ict_face_expressions, samba"
+
+
+@pytest.mark.parametrize(
+    ("script", "words", "said"),
+    [
+        ("leaderboard/score.py", [], f"no data for {NAMES}: expected NAME.npz in NOWHERE"),
+        ("leaderboard/score.py", ["--only", "samba"], "no data for samba: expected NAME.npz in"),
+        ("leaderboard/score.py", ["--only", "bowen"], "no data for bowen: expected NAME.npz in"),
+        ("leaderboard/score.py", ["--only", "sheep"], "--only: no case contains sheep"),
+        ("leaderboard/score.py", ["--solver", "best"], "no solver best: a Python file, or one of"),
+        ("leaderboard/score.py", ["--solver", "no.py"], "no solver: no.py is not a file"),
+        ("leaderboard/score.py", ["--model", "m.npz"], "--model needs --sequence"),
+        (
+            "leaderboard/score.py",
+            ["--model", "m.npz", "--sequence", "cow"],
+            "--sequence: cow: there",
+        ),
+        ("leaderboard/fetch.py", ["sheep"], "no sequence sheep: there are cat_poses"),
+        ("peers/race.py", ["--parts", "race"], "no data for cow_elastic, ea_bone, fox"),
+        ("peers/race.py", ["--only", "sheep-3"], "--only: sheep-3: there are ea_bone-10"),
+        ("peers/race.py", ["--solvers", "own"], "--solvers: own: there are dembones default"),
+        ("peers/race.py", ["--solvers", "no.py"], "no solver: no.py is not a file"),
+    ],
+)
+def test_what_is_missing_is_named_at_once(
+    script: str, words: list[str], said: str, tmp_path: Path
+) -> None:
+    nowhere, out = tmp_path / "nowhere", tmp_path / "results"
+    if script.startswith("peers"):
+        words = [*words, "--results", str(out), "--images", str(out)]
+    elif script.endswith("score.py") and "--model" not in words:
+        words = [*words, "--out", str(out / "rows.json")]
+    done = run(ROOT / "benchmarks" / script, *words, data=nowhere)
+    assert done.returncode == 1
+    assert done.stderr.startswith(said.replace("NOWHERE", str(nowhere)))
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("def solver(): ...", "has no function solve"),
+        ("import no_such_package", "needs what is not installed: No module named 'no_such_pack"),
+    ],
+)
+def test_a_file_that_is_no_solver_is_refused(text: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.py"
+    path.write_text(text)
+    with pytest.raises(SystemExit, match=said):
+        slot.solver_of(str(path))
+
+
+def test_shapes_that_do_not_fit_are_named(tmp_path: Path) -> None:
+    good = np.zeros((5, 3)), np.zeros((5, 2)), np.zeros((7, 2, 3, 4))
+    assert slot.parts_of(good, "mine.py", (7, 5, 3)).transforms.shape == (7, 2, 3, 4)
+    for k, part, said in (
+        (0, np.zeros((4, 3)), r"mine.py: rest: expected shape \(5, 3\), got \(4, 3\)"),
+        (1, np.zeros((4, 2)), r"weights: expected shape \(5, 2\), got \(4, 2\)"),
+        (2, np.zeros((7, 2, 4, 4)), r"transforms: expected shape \(7, 2, 3, 4\)"),
+    ):
+        bad = [*good[:k], part, *good[k + 1 :]]
+        with pytest.raises(SystemExit, match=said):
+            slot.parts_of(bad, "mine.py", (7, 5, 3))
+    with pytest.raises(SystemExit, match=r"expected rest, weights, transforms"):
+        slot.parts_of(None, "mine.py", (7, 5, 3))
+
+
+def test_a_model_is_read_from_arrays_and_from_the_packages_files(tmp_path: Path) -> None:
+    model = ssdr.initialize(ssdr.samples.load("dancer_small"), bones=5, influences=3)
+    ssdr.save(model, tmp_path / "own.npz")
+    weights = np.zeros((model.n_vertices, 5))
+    np.add.at(weights, (np.arange(len(weights))[:, None], model.indices), model.weights)
+    arrays = {"rest": model.rest, "weights": weights, "transforms": model.transforms}
+    np.savez(tmp_path / "plain.npz", **arrays)
+    for name in ("own", "plain"):
+        parts = slot.read(tmp_path / f"{name}.npz")
+        assert parts.bone_model == "rigid"
+        for part, expected in zip(parts, arrays.values(), strict=False):
+            np.testing.assert_allclose(part, expected, atol=1e-6)
+    arrays["transforms"] = 1.1 * model.transforms
+    np.savez(tmp_path / "plain.npz", **arrays)
+    assert slot.read(tmp_path / "plain.npz").bone_model == "affine"
+    with pytest.raises(SystemExit, match=r"no model: .*none\.npz is not a file"):
+        slot.read(tmp_path / "none.npz")
+
+
+# --- scores --------------------------------------------------------------------------------------
+
+
+def toy_problem(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, **more: Any) -> np.ndarray:
+    """A sequence "toy" in a data folder of its own; returns its frames."""
+    frames = np.random.default_rng(2).standard_normal((6, 20, 3)).astype(np.float32)
+    faces = np.stack([np.arange(k, k + 18) for k in range(3)], axis=1)
+    np.savez(tmp_path / "toy.npz", vertices=frames, faces=faces)
+    monkeypatch.setenv("SSDR_TEST_DATA", str(tmp_path))
+    monkeypatch.setitem(SEQUENCES, "toy", dataclasses.replace(TOY, **more))
+    return frames
+
+
+def test_a_score_by_hand(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    frames = toy_problem(monkeypatch, tmp_path, diagonal=5.0, millimetres=10.0)
+    off = np.zeros((6, 20, 3))
+    off[2, 7] = (0.3, -0.4, 0.0)
+    _, faces, rest, source, diagonal = score.problem("toy")
+    assert (source, diagonal) == ("frame 0", 5.0)
+    # a bone a vertex, which carries it where the frames have it, but for one
+    transforms = np.zeros((6, 20, 3, 4))
+    transforms[..., 3] = frames + off
+    parts = slot.Parts(rest, np.eye(20), transforms, "affine")
+    row = score.score(SEQUENCES["toy"], frames, faces, parts, diagonal)
+    assert row["E"] == pytest.approx(1000 * 0.5 / np.sqrt(3 * 6 * 20))
+    assert row["2 E / diagonal"] == pytest.approx(2 * row["E"] / 5.0)
+    assert row["largest"] == pytest.approx(0.5)
+    assert row["largest %"] == pytest.approx(10.0)
+    assert row["MXE"] == pytest.approx(4.0)
+    assert row["MAE"] == pytest.approx(10 * 0.7 / (6 * 20 * 3))
+    whole = ssdr.metrics.sted(ssdr.MeshSequence(frames, faces), frames + off)
+    assert row["STED"] == pytest.approx(whole.value, rel=1e-6)
+    poses = dataclasses.replace(SEQUENCES["toy"], poses=True)
+    row = score.score(poses, frames, faces, parts, diagonal)
+    assert row["STED"] == pytest.approx(whole.spatial, rel=1e-6)
+    assert whole.spatial < whole.value
+
+
+def test_the_neutral_face_is_given_and_is_no_frame(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    frames = toy_problem(monkeypatch, tmp_path, neutral=True)
+    found, _, rest, source, diagonal = score.problem("toy")
+    np.testing.assert_array_equal(found, frames[1:])
+    np.testing.assert_array_equal(rest, frames[0])
+    assert source == "neutral face"
+    assert diagonal == pytest.approx(np.linalg.norm(np.ptp(frames[0], axis=0)))
+
+
+SOLVERS = {
+    "moved": ("rest = frames[1]", "the rest pose that was given is not kept"),
+    "many": ("weights = np.full((len(rest), bones), 1 / bones)", "more than 2 influences"),
+    "few": ("weights, bones = np.ones((len(rest), 1)), 1", "1 bones, not 5"),
+    "negative": ("weights = np.tile([2.0, -1, 0, 0, 0], (len(rest), 1))", "weights not convex"),
+    "sheared": ("scale = 2", "rotations not orthonormal"),
+    "honest": ("", ""),
+}
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_what_a_solver_may_not_do_is_a_defect(
+    name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    toy_problem(monkeypatch, tmp_path)
+    line, defect = SOLVERS[name]
+    path = tmp_path / "mine.py"
+    path.write_text(
+        "import numpy as np\n"
+        "def solve(frames, faces, *, bones, influences, bone_model, rest):\n"
+        "    weights, scale = np.eye(bones)[np.arange(len(rest)) % bones], 1\n"
+        f"    {line}\n"
+        "    return rest, weights, scale * np.tile(np.eye(3, 4), (len(frames), bones, 1, 1))\n"
+    )
+    asked = score.case("toy", 5, 2, "rigid", "given")
+    assert score.measure(**asked, solver=str(path))["defects"] == defect
+
+
+FAILURES = {
+    "raise ValueError('too hard')": "ValueError: too hard",
+    "return frames, faces": "mine.py: expected rest, weights, transforms: not enough values",
+    "return frames, faces, faces": "mine.py: rest: expected shape (20, 3), got (6, 20, 3)",
+}
+
+
+@pytest.mark.parametrize("line", FAILURES)
+def test_a_solver_that_fails_has_the_reason_in_its_row(
+    line: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    toy_problem(monkeypatch, tmp_path)
+    path = tmp_path / "mine.py"
+    path.write_text(f"def solve(frames, faces, **asked):\n    {line}\n")
+    row = score.measure(**score.case("toy", 5, 2, "rigid", "solved"), solver=str(path))
+    assert row["failed"].removeprefix(f"{tmp_path}/").startswith(FAILURES[line])
+
+
+def test_what_a_solver_prints_is_not_taken_for_its_row(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "mine.py"
+    path.write_text(
+        "import os\n"
+        "def solve(frames, faces, **asked):\n"
+        "    print('from Python')\n"
+        "    os.write(1, b'from C')\n"
+    )
+    print("before")
+    with pytest.raises(SystemExit):  # for it returns nothing
+        slot.solver_of(str(path))(np.zeros((2, 5, 3)), None, bone_model="affine")
+    print("after")
+    said = capfd.readouterr()
+    assert said.out == "before\nafter\n"
+    assert "from Python" in said.err
+    assert "from C" in said.err
+
+
+def test_a_model_file_is_scored_beside_what_is_known(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames = toy_problem(monkeypatch, tmp_path, diagonal=4.0)
+    monkeypatch.setattr(common, "RESULTS", tmp_path)
+    asked = score.case("toy", 3, 4, "rigid", "given")
+    other = score.case("toy", 2, 4, "rigid", "given")
+    rows = {"known": {**asked, "E": 12.5, "defects": ""}, "other": {**other, "E": 1.0}}
+    common.write_rows(tmp_path / "leaderboard.json", rows)
+    moves = np.tile(np.eye(3, 4), (6, 3, 1, 1))
+    model = {"rest": frames[0], "weights": np.full((20, 3), 1 / 3), "transforms": moves}
+    np.savez(tmp_path / "mine.npz", **model)
+    score.score_file(str(tmp_path / "mine.npz"), "toy")
+    lines = capsys.readouterr().out.splitlines()
+    e = 1000 * np.sqrt(((frames - frames[0]).astype(float) ** 2).mean())
+    assert lines[2].startswith(f"| toy-3 K3 rigid, mine.npz | {e:.4g} | {e / 2:.4g} |")
+    assert [line.split(" | ")[:2] for line in lines[3:]] == [["| known", "12.5"]]
+    np.savez(tmp_path / "mine.npz", **(model | {"transforms": moves[:5]}))
+    with pytest.raises(SystemExit, match=r"transforms: expected shape \(6, 3, 3, 4\)"):
+        score.score_file(str(tmp_path / "mine.npz"), "toy")
+
+
+def test_solvers_are_asked_what_they_can_answer() -> None:
+    found = score.cases(None)
+    assert len(found) == len(set(found))
+    both = {n.rpartition(", ")[0] for n in score.cases("ssdr fast")}
+    assert {n.rpartition(", ")[0] for n in found} == both
+    for row in score.cases("2012").values():
+        assert (row["bone_model"], row["rest"]) == ("rigid", "given")
+        assert row["influences"] <= 8
+    assert "ea_bone-5 K5 rigid solved, published" in found
+    assert "cat_poses-10 dense affine given, ssdr balanced" in found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", ["ssdr fast", "2012", "dembones"])
+def test_the_solvers_of_this_folder_break_no_rule(
+    solver: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    if solver == "dembones":
+        pytest.importorskip("py_dem_bones")
+    toy_problem(monkeypatch, tmp_path)
+    for asked in (
+        score.case("toy", 4, 2, "rigid", "given"),
+        score.case("toy", 4, 4, "affine", "solved"),
+    ):
+        if solver.startswith("ssdr") or asked["rest"] == "given":
+            row = score.measure(**asked, solver=solver)
+            assert row["defects"] == ""
+            assert row["E"] > 0
+
+
+# --- the data, where it is here ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "bones", "e"),
+    [
+        ("cat_poses", 10, 7.204), ("cat_poses", 25, 2.677), ("horse_poses", 20, 2.937),
+        ("horse_gallop", 30, 1.757), ("ea_bone", 5, 15.5087), ("ea_bone", 20, 5.7083),
+    ],
+)  # fmt: skip
+def test_published_models_have_the_errors_that_their_source_states(
+    name: str, bones: int, e: float
+) -> None:
+    needs(name)
+    if not score.published_file(name, bones).is_file():
+        pytest.skip("no published models")
+    row = score.measure(**score.case(name, bones, 8, "affine", "solved"), solver="published")
+    assert row["E"] == pytest.approx(e, rel=2e-4)
+
+
+def test_published_figures_are_of_cases_that_are_asked() -> None:
+    asked = {(r["sequence"], r["bones"]) for r in score.questions()}
+    for figures in (catalogue.HYPERSPECTRAL, catalogue.LE_AFFINE, catalogue.LE_RIGID):
+        assert set(figures) <= asked
+    assert set(catalogue.FACES) <= set(SEQUENCES)
+
+
+# --- tables --------------------------------------------------------------------------------------
+
+
+def test_tables_put_methods_beside_each_other(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def row(solver: str, asked: dict[str, Any], e: float, **more: Any) -> dict[str, Any]:
+        shared = {"E": e, "2 E / diagonal": e / 2, "largest %": 1.0, "STED": 0.1, "defects": ""}
+        return {**asked, "solver": solver, **shared, **more}
+
+    rigid = score.case("cat_poses", 10, 4, "rigid", "given")
+    dense = score.case("cat_poses", 10, 10, "affine", "given")
+    kept = [
+        row("ssdr balanced", rigid, 3.0),
+        row("2012", rigid, 2.5, STED=0.2),
+        row("dembones", rigid, 4.0, **{"largest %": 0.5}),
+        row("published", rigid, 1.0, defects="reflections"),
+        row("ssdr fast", dense, 20.0),
+        {**dense, "solver": "mine", "failed": "ValueError"},
+    ]
+    monkeypatch.setattr(tables, "RESULTS", tmp_path)
+    common.write_rows(tmp_path / "leaderboard.json", {str(k): r for k, r in enumerate(kept)})
+    (line,) = tables.published_rows()
+    assert line["2012 K rigid given"]["E"] == 2.5
+    assert line["ssdr dense affine given"]["E"] == 20.0
+    assert (line["HIS"], line["Le rigid"]) == (6.575, 10.92)
+    better = [(r["name"], r["measure"], r["theirs"], r["ours"]) for r in tables.better_rows()]
+    assert better == [
+        ("SSDR 2012", "E", 2.5, 3.0),
+        ("Dem Bones", "largest error, %", 0.5, 1.0),
+        ("Hyperspectral Inverse Skinning", "2 E / diagonal", 6.575, 10.0),
+    ]

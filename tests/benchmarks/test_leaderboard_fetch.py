@@ -1,0 +1,264 @@
+"""Fetching the leaderboard's sequences, from a server on this machine in place of GitHub."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import subprocess
+from collections.abc import Callable, Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Thread
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks import common
+from benchmarks.leaderboard import fetch
+from benchmarks.leaderboard.catalogue import SEQUENCES, Sequence
+from benchmarks.peers import slot
+from helpers.leaderboard import BOARD, EXAMPLE, needs, run
+
+COMMIT = "c" * 40
+
+
+# --- a server in place of GitHub -----------------------------------------------------------------
+
+
+@dataclasses.dataclass
+class Server:
+    """What it serves, by path, and the paths that it was asked for."""
+
+    url: str
+    content: dict[str, bytes]
+    asked: list[str]
+
+    def publish(self, sequence: Sequence, files: dict[str, bytes]) -> None:
+        """Serve files and the listing of their commit, as GitHub does."""
+        home = f"/{sequence.repository}/{sequence.commit}/"
+        self.content |= {home + path: data for path, data in files.items()}
+        tree: list[dict[str, Any]] = [{"path": "models", "type": "tree", "sha": "0"}]
+        for path, data in files.items():
+            tree.append({"path": path, "size": len(data), "sha": git_hash(data)})
+        listing = json.dumps({"tree": tree, "truncated": False}).encode()
+        self.content[tree_path(sequence)] = listing
+
+
+def tree_path(sequence: Sequence) -> str:
+    return f"/repos/{sequence.repository}/git/trees/{sequence.commit}?recursive=1"
+
+
+def git_hash(data: bytes) -> str:
+    """Hash of a file by Git itself."""
+    done = subprocess.run(["git", "hash-object", "--stdin"], input=data, capture_output=True)
+    return done.stdout.decode().strip()
+
+
+@pytest.fixture
+def server() -> Iterator[Server]:
+    content: dict[str, bytes] = {}
+    asked: list[str] = []
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            asked.append(self.path)
+            data = content.get(self.path)
+            self.send_response(404 if data is None else 200)
+            self.end_headers()
+            self.wfile.write(data or b"")
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as http:
+        thread = Thread(target=http.serve_forever)
+        thread.start()
+        yield Server(f"http://127.0.0.1:{http.server_port}", content, asked)
+        http.shutdown()
+        thread.join()
+
+
+def obj(vertices: np.ndarray, faces: str) -> bytes:
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in np.asarray(vertices, dtype=float).tolist()]
+    return ("\n".join([*lines, faces]) + "\n").encode()
+
+
+TOY = Sequence(
+    repository="owner/toy", commit=COMMIT, pattern=r"models/toy/\d+\.obj", files=12, every=2,
+    first="models/first.obj", rest="models/rest.obj", vertices=4, licence="CC0", credit="nobody",
+    fps=12.0,
+)  # fmt: skip
+
+
+def toy_files() -> tuple[np.ndarray, dict[str, bytes]]:
+    """Positions (14, 5, 3) and files: the first, frames 1 to 12, the rest pose."""
+    places = np.random.default_rng(0).standard_normal((14, 5, 3)).astype(np.float32)
+    names = ["first", *(f"toy/{k}" for k in range(1, 13)), "rest"]
+    faces = "f 1 2 3 4\nf 1 2 5"
+    files = {f"models/{n}.obj": obj(p, faces) for n, p in zip(names, places, strict=True)}
+    return places, files | {"models/toy/notes.txt": b"no frame"}
+
+
+def test_frames_come_in_their_order_and_as_the_catalogue_says(
+    server: Server, tmp_path: Path
+) -> None:
+    places, files = toy_files()
+    server.publish(TOY, files)
+    path = fetch.get("toy", TOY, tmp_path, server.url)
+    with np.load(path) as archive:
+        np.testing.assert_array_equal(archive["vertices"], places[[0, 1, 3, 5, 7, 9, 11], :4])
+        np.testing.assert_array_equal(archive["faces"], [[0, 1, 2], [0, 2, 3]])
+        np.testing.assert_array_equal(archive["rest"], places[13])
+        assert archive["fps"] == 12.0
+    # eight files, and not what the catalogue leaves out
+    assert len(server.asked) == 1 + 8
+    server.asked.clear()
+    fetch.get("toy", TOY, tmp_path, server.url)
+    assert server.asked == [tree_path(TOY)]
+
+
+def _damage_a_file(server: Server) -> None:
+    name = f"/owner/toy/{COMMIT}/models/toy/3.obj"
+    server.content[name] = server.content[name].replace(b"v ", b"v 1", 1)[:-1]
+
+
+def _leave_out_a_file(server: Server) -> None:
+    del server.content[f"/owner/toy/{COMMIT}/models/toy/5.obj"]
+
+
+def _make_a_file_long(server: Server) -> None:
+    server.content[f"/owner/toy/{COMMIT}/models/toy/7.obj"] += b"#" * 1000
+
+
+def _list_too_few(server: Server) -> None:
+    tree = json.loads(server.content[tree_path(TOY)])
+    tree["tree"] = [e for e in tree["tree"] if not e["path"].endswith("/9.obj")]
+    server.content[tree_path(TOY)] = json.dumps(tree).encode()
+
+
+def _list_no_rest(server: Server) -> None:
+    tree = json.loads(server.content[tree_path(TOY)])
+    tree["tree"] = [e for e in tree["tree"] if not e["path"].endswith("rest.obj")]
+    server.content[tree_path(TOY)] = json.dumps(tree).encode()
+
+
+def _cut_the_list(server: Server) -> None:
+    tree = json.loads(server.content[tree_path(TOY)]) | {"truncated": True}
+    server.content[tree_path(TOY)] = json.dumps(tree).encode()
+
+
+def _garble_the_list(server: Server) -> None:
+    server.content[tree_path(TOY)] = b"[1, 2]"
+
+
+@pytest.mark.parametrize(
+    ("damage", "word"),
+    [
+        (_damage_a_file, r"models/toy/3\.obj: expected the Git SHA-1 \w{40}, got \w{40}"),
+        (_leave_out_a_file, r"models/toy/5\.obj: HTTP Error 404"),
+        (_make_a_file_long, r"models/toy/7\.obj: expected at most [\d,]+ bytes"),
+        (_list_too_few, r"expected 12 files, got 11"),
+        (_list_no_rest, r"models/rest\.obj: the commit has no such file"),
+        (_cut_the_list, r"the listing is cut off"),
+        (_garble_the_list, r"not a listing of files"),
+    ],
+)
+def test_what_is_not_as_it_should_be_is_refused_by_name(
+    damage: Callable[[Server], None], word: str, server: Server, tmp_path: Path
+) -> None:
+    server.publish(TOY, toy_files()[1])
+    damage(server)
+    with pytest.raises(fetch.Refused, match=word):
+        fetch.get("toy", TOY, tmp_path, server.url)
+    assert not (tmp_path / "toy.npz").exists()
+
+
+def face() -> dict[str, np.ndarray]:
+    """A face as Kavan et al. publish theirs, with parts that only unpickling could read."""
+    rng = np.random.default_rng(1)
+    return {
+        "rest_verts": rng.standard_normal((60, 3)),
+        "deltas": 0.1 * rng.standard_normal((9, 60, 3)),
+        "rest_faces": np.stack([np.arange(k, k + 50) for k in range(4)], axis=1),
+        "inbetween_info": np.array({"a": 1}, dtype=object),
+    }
+
+
+def test_the_reader_of_faces_unpickles_nothing(tmp_path: Path) -> None:
+    arrays = face()
+    np.savez(tmp_path / "aura.npz", **arrays)  # type: ignore[arg-type]
+    frames, faces = fetch.read_compskin(tmp_path / "aura.npz")
+    assert (frames.shape, frames.dtype) == ((10, 60, 3), np.float32)
+    np.testing.assert_allclose(frames[0], arrays["rest_verts"], rtol=1e-6)
+    np.testing.assert_allclose(frames[4] - frames[0], arrays["deltas"][3], atol=1e-6)
+    assert faces.tolist()[:2] == [[0, 1, 2], [0, 2, 3]]
+    assert len(faces) == 100
+    np.savez(tmp_path / "flat.npz", **(arrays | {"deltas": np.zeros((9, 59, 3))}))  # type: ignore[arg-type]
+    with pytest.raises(fetch.Refused, match=r"expected \(V, 3\), \(S, V, 3\) and \(Q, 4\) arrays"):
+        fetch.read_compskin(tmp_path / "flat.npz")
+
+
+# --- the commands --------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_one_command_fetches_and_one_scores_the_example(server: Server, tmp_path: Path) -> None:
+    np.savez(tmp_path / "face.npz", **face())  # type: ignore[arg-type]
+    files = {f"in/{name}.npz": (tmp_path / "face.npz").read_bytes() for name in ("aura", "bowen")}
+    server.publish(SEQUENCES["aura"], files)
+    del server.content[f"/facebookresearch/compskin/{SEQUENCES['bowen'].commit}/in/bowen.npz"]
+    data = tmp_path / "data"
+    words = ("aura", "bowen", "--mirror", server.url, "--to", str(data))
+    done = run(BOARD / "fetch.py", *words, data=data)
+    assert done.returncode == 1
+    assert "licence: Apache-2.0" in done.stdout
+    assert "10 frames, 60 vertices; no table has it yet" in done.stdout
+    assert "in/bowen.npz: HTTP Error 404" in done.stderr
+    assert done.stderr.endswith("not fetched: bowen\n")
+    assert "is there" in run(BOARD / "fetch.py", "aura", data=data).stdout
+
+    out = tmp_path / "rows.json"
+    words = ("--solver", str(EXAMPLE), "--only", "aura", "--out", str(out))
+    done = run(BOARD / "score.py", *words, data=data)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1].startswith("| aura-40 K8 affine given, example_solver |")
+    row = common.read_rows(out)["aura-40 K8 rigid given, example_solver"]
+    assert (row["defects"], row["rest from"], row["influences found"]) == ("", "neutral face", 1)
+
+    frames, faces = fetch.read_compskin(tmp_path / "face.npz")
+    solve = slot.solver_of(str(EXAMPLE))
+    parts = solve(
+        frames[1:], faces, bones=40, influences=8, bone_model="rigid", rest=frames[0].astype(float)
+    )
+    moves = parts.transforms[:, parts.weights.argmax(axis=1)]
+    moved = np.einsum("fvij,vj->fvi", moves[..., :3], parts.rest) + moves[..., 3]
+    off = np.abs(moved - frames[1:])
+    assert row["MXE"] == pytest.approx(10 * off.max(), rel=1e-6)
+    assert row["MAE"] == pytest.approx(10 * off.mean(), rel=1e-6)
+    assert row["E"] == pytest.approx(1000 * np.sqrt((off**2).mean()), rel=1e-6)
+
+
+# --- the data, where it is here ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", [n for n, s in SEQUENCES.items() if s.sha256])
+def test_the_catalogue_knows_the_vertices(name: str) -> None:
+    frames = needs(name)
+    assert fetch.same_as_the_tables(SEQUENCES[name], frames)
+    frames[0, 0, 0] += np.float32(1e-3)
+    assert fetch.same_as_the_tables(SEQUENCES[name], frames) is False
+
+
+def test_a_fetched_sequence_is_known_again(
+    server: Server, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames, faces = needs("horse_poses"), common.load("horse_poses")[1]
+    sequence, text = SEQUENCES["horse_poses"], "\n".join(f"f {a} {b} {c}" for a, b, c in faces + 1)
+    files = {f"models/horse-poses/{k + 1}.obj": obj(p, text) for k, p in enumerate(frames)}
+    server.publish(sequence, files | {sequence.rest: obj(frames[3], text)})
+    path = fetch.get("horse_poses", sequence, tmp_path, server.url)
+    assert "10 frames, 8431 vertices; the vertices of the tables" in capsys.readouterr().out
+    with np.load(path) as archive:
+        np.testing.assert_array_equal(archive["vertices"], frames)
+        np.testing.assert_array_equal(archive["faces"], faces)
