@@ -137,7 +137,10 @@ def test_a_mistyped_option_of_the_format_is_refused(refused, rigged, tmp_path, c
         "compare": (rigged,),
     }.get(command, ())
     err = refused(command, rigged, *rest, "--read", "anim=1")
-    assert "--read: expected one of folder, fps, joints_alone, max_bytes, meshes, scale, units, up, " in err
+    assert (
+        "--read: expected one of folder, fps, joints_alone, max_bytes, meshes, scale, units, up, "
+        in err
+    )
     assert "got anim" in err
     assert not list(tmp_path.glob("o.*"))
 
