@@ -9,8 +9,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import logging
-import os
-import subprocess
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -28,20 +26,20 @@ from ..arrays.npz import surface_from
 from ..atomic import atomic_path
 from ..budget import MOST_BYTES
 from ..gltf.writer import write_along_bones
-from ..registry import SaveReport, check_one_rate, choose, mesh_names, pick_clip, reading
+from ..mesh_names import choose, mesh_names
+from ..registry import SaveReport, check_one_rate, pick_clip, reading
 from ..sampling import tell
 from ..scene import Bones, make_skinning
 from ..signatures import describe
 from ..spaces import in_space, transformed, with_space
 from ..storage import StorageError, frame_blocks
 from .finder import command
+from .process import SCRIPT, run
 
 _log = logging.getLogger(__name__)
 _BLENDER = Space(1.0, "z")
 _IMPORT_FPS = 24.0
 _LONGEST_NAME = 63  # bytes in the name of anything in Blender
-_SCRIPT = Path(__file__).with_name("script.py")
-_TOO_OLD = "Blender 4.2 or newer is needed"  # part of an error of script.py
 _listed: dict[Any, dict[str, NDArray[Any]]] = {}
 _MAGIC = {".fbx": (b"Kaydara FBX", b"; FBX"), ".abc": (b"Ogawa", b"\x89HDF")}
 
@@ -247,7 +245,7 @@ def _ask_blender(
     name of a mesh that there is not an InputError.
     """
     _check_limit(time_limit)
-    command(_SCRIPT)  # a missing Blender is reported before a damaged file
+    command(SCRIPT)  # a missing Blender is reported before a damaged file
     suffix = path.suffix.lower()
     with path.open("rb") as stream:
         head = stream.read(64)
@@ -315,7 +313,7 @@ def write_skinning(
     if long:
         raise InputError("thing", f"clip names of at most {_LONGEST_NAME} bytes", long[0])
     check_one_rate(skinning.clips, "as all takes of an FBX file have")
-    command(_SCRIPT)
+    command(SCRIPT)
     with tempfile.TemporaryDirectory(prefix="ssdr-") as folder, atomic_path(path) as temporary:
         source = Path(folder) / "model.glb"
         # In Blender, clips get short names, because it would change some names, and a whole frame
@@ -371,51 +369,3 @@ def write_skinning(
 def _check_limit(time_limit: float) -> None:
     if not (is_real(time_limit) and time_limit > 0):
         raise InputError("time_limit", "seconds > 0", time_limit)
-
-
-def run(job: dict[str, Any], *, time_limit: float = 600.0) -> dict[str, NDArray[Any]]:
-    """Run one job of ``script.py`` in a process of its own and return the arrays that it writes.
-
-    Raises
-    ------
-    InputError, MissingDependencyError
-        If Blender is not found, cannot be started or is older than 4.2.
-    SsdrError
-        If Blender stops with an error, whose text is passed on, or takes more than `time_limit`
-        seconds.
-    """
-    with tempfile.TemporaryDirectory(prefix="ssdr-") as folder:
-        out, order = Path(folder) / "out.npz", Path(folder) / "job.json"
-        order.write_text(json.dumps({**job, "out": str(out)}), encoding="utf-8")
-        words = command(_SCRIPT, str(order))
-        # Blender's Python must see its own packages, not those of this process.
-        hidden = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
-        environment = {k: v for k, v in os.environ.items() if k not in hidden}
-        try:
-            done = subprocess.run(
-                words,
-                stdin=subprocess.DEVNULL,
-                capture_output=True,
-                text=True,
-                errors="replace",
-                timeout=time_limit,
-                cwd=folder,
-                env=environment,
-                check=False,
-            )
-        except subprocess.TimeoutExpired as error:
-            raise SsdrError(f"Blender needed more than {time_limit:g} s") from error
-        except OSError as error:
-            raise MissingDependencyError(f"{words[0]} could not be started: {error}") from error
-        _log.debug("blender: %s%s", done.stdout, done.stderr)
-        if done.returncode != 0 or not out.is_file():
-            lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
-            reason = (lines or ["it said nothing"])[-1][-600:]  # of a traceback, what it ends in
-            if _TOO_OLD in reason or "No module named 'bpy'" in reason:
-                raise MissingDependencyError(f"{words[0]}: {reason}")
-            raise SsdrError(f"Blender failed ({done.returncode}): {reason}")
-        with np.load(out, allow_pickle=False) as archive:
-            arrays = {key: archive[key] for key in archive.files}
-        if "error" in arrays:
-            raise SsdrError(readable(arrays["error"]))
-        return arrays
