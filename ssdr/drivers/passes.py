@@ -28,9 +28,9 @@ from .scan import OnProgress, Scan
 
 __all__ = ["ENTERING", "GAIN", "AllFrames", "carried"]
 
-_SWEEPS = 6  # Gauss–Seidel sweeps after a leap of the bones
-# Leaps in a pass, and in the first pass, whose bones start with transforms of another frame.
-_LEAPS, _FIRST_LEAPS = 2, 4
+# Gauss–Seidel sweeps of the bones in a pass, and in the first, which begins with the transforms of
+# other frames.
+_SWEEPS, _FIRST_SWEEPS = 12, 24
 _ROUNDS = 3  # Gauss–Newton rounds on a vertex
 ENTERING = 3  # number of bones that may enter a vertex's support in a pass
 GAIN = 2e-3  # relative decrease of the objective below which a pass is the last
@@ -138,7 +138,7 @@ class AllFrames:
         y, x2 = np.zeros((n, n_points, 4, n_bones)), np.zeros((n, n_points))
         g = np.zeros((4 * n_bones, 4 * n_bones))
         spans = spans_of(n_frames)
-        leaps = _LEAPS if self.passes else _FIRST_LEAPS
+        sweeps = _SWEEPS if self.passes else _FIRST_SWEEPS
         # each span is sent with its own transforms, and a pass does not read the support
         still = dataclasses.replace(
             model,
@@ -146,7 +146,7 @@ class AllFrames:
             support=model.indices,
             support_weights=model.weights,
         )
-        shared = (still, space.importance, space.scale, space.faces, self.locked, leaps, length)
+        shared = (still, space.importance, space.scale, space.faces, self.locked, sweeps, length)
 
         def of_span(k: int) -> tuple[Array, ...]:
             span = slice(*spans[k])
@@ -193,7 +193,7 @@ def _pass_span(
     scale: float,
     faces: NDArray[np.int32],
     locked: Locked,
-    leaps: int,
+    sweeps: int,
     length: float,
 ) -> tuple[Array, Array, Array, Array]:
     """Solve the bones of a span; return their transforms and the span's part of Y, G and Σ|x|²."""
@@ -227,7 +227,7 @@ def _pass_span(
             error=part.x2.copy(),
             normals=model.normals.copy(),
         )
-        fit_motion(part, piece, locked=locked, sweeps=_SWEEPS, leaps=leaps, length=length)
+        fit_motion(part, piece, locked=locked, sweeps=sweeps, length=length)
         transforms[start:stop] = piece.transforms
         hat = part.stack(piece.transforms)
         g += hat.T @ hat

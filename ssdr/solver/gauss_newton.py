@@ -161,7 +161,7 @@ def fit_motion(
     *,
     locked: Locked,
     sweeps: int,
-    leaps: int,
+    leaps: int = 0,
     length: float = 0.0,
 ) -> None:
     """Fit the transforms of every frame under the model's weights and rest pose (in place).
