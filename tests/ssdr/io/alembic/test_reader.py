@@ -109,6 +109,17 @@ def test_a_mirrored_mesh_faces_outwards(tmp_path, grows):
     assert ((corners * back.surface.normals).sum(axis=2) > 0).all()
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_transforms_that_are_not_finite_are_refused(tmp_path, value):
+    cache = Cache(tmp_path / "a.abc")
+    clock = cache.clock(*uniform(24))
+    above = cache.above("a", [np.eye(4), np.diag([value, 1, 1, 1]), np.eye(4)], clock)
+    cache.mesh("b", moving(3), clock, above)
+    del above
+    with pytest.raises(ssdr.FormatError, match="/a/b: a transform that is not finite"):
+        ssdr.load(cache.close())
+
+
 @pytest.mark.parametrize(
     ("points", "polygons", "text"),
     [
