@@ -80,11 +80,11 @@ def decompose(
         then connected by the tree with the smallest gaps, so that joints may come apart.  The
         bones, parents and names of a :class:`Skeleton` are kept.
     start : Skinning, Start, MeshSequence or int, optional
-        A model to continue from, such as a checkpoint: the error of the result is never above
-        that of this model.  If it has other frames, bones for the given frames are fitted to
-        its weights.  A :class:`Start` holds parts of a model, some of which are kept.  The first
-        frame of a mesh is a rest pose that is kept; a number is the frame that the rest pose
-        resembles.
+        A model to start from, such as a checkpoint: the error of the result is never above that of
+        this model nor, without a `rig` or `smoothness`, above that of a call without it. If it has
+        other frames, bones for the given frames are fitted to its weights. A :class:`Start` holds
+        parts of a model, some of which are kept. The first frame of a mesh is a rest pose that is
+        kept; a number is the frame that the rest pose resembles.
     vertex_importance : (V,) array, optional
         Non-negative; scales each vertex's squared error in the objective.
     frame_importance : (F,) array, optional

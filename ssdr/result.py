@@ -47,6 +47,9 @@ class Decomposition:
         Root mean square distance of the input's vertices from their mean pose once the rigid motion
         of the whole mesh is removed, in the mesh's units, over about 500 frames at most; NaN if it
         is not known.
+    copies : int
+        Number of vertices that coincide with another in every frame, as at seams or in a triangle
+        soup.  They are solved as one vertex, so that the mesh does not crack.
     normals : NormalErrors or None
         Angles, over about 500 frames at most, between the normals of the input's surface and those
         that engines draw of `skinning`; None without triangles.
@@ -70,6 +73,7 @@ class Decomposition:
     warnings: tuple[str, ...] = ()
     normals: NormalErrors | None = None
     motion: float = math.nan
+    copies: int = 0
 
     @property
     def converged(self) -> bool:

@@ -264,6 +264,7 @@ def _print(
         "input": options.inputs[0] if len(options.inputs) == 1 else options.inputs,
         "frames": sum(map(len, shots)),
         "vertices": shots[0].n_vertices,
+        "copies": result.copies,
         "triangles": len(shots[0].faces),
         "clips": clips_document(clips),
         "bones": model.n_bones,
@@ -294,6 +295,10 @@ def _print(
         rows.insert(1, ("clips", clips_text(clips)))
     if not any("meshes" in pair for pair in options.read or ()):
         rows.insert(1, ("meshes", meshes_text(options.inputs[0])))
+    if result.copies:
+        rows.insert(
+            1, ("copies", f"{result.copies:,} vertices lie on others in every frame: solved as one")
+        )
     rows += said
     parsimony = getattr(result, "parsimony", None)
     if parsimony is not None:

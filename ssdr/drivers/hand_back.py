@@ -118,6 +118,7 @@ def outcome_of(
         offsets=problem.offsets,
         normals=normals,
         motion=motion_rms(problem.inputs, executor=problem.executor),
+        copies=problem.copies,
         warnings=(hint,) if idle else (),
     )
 

@@ -120,6 +120,11 @@ class Problem:
         return self.sequences[0].n_vertices
 
     @property
+    def copies(self) -> int:
+        """Number of vertices of `inputs` that stand for another of theirs."""
+        return self.inputs[0].n_vertices - self.n_vertices
+
+    @property
     def offsets(self) -> NDArray[np.int64]:
         """First frame of each of the S shots, followed by the number of frames, (S + 1,)."""
         return np.cumsum([0, *[len(s) for s in self.sequences]])

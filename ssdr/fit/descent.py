@@ -92,4 +92,4 @@ def ssdr2012(
         least = rmse_of(best.error * data.scale**2, data.n_frames)
         if report("descent", iteration=k, rmse=least, fraction=(k + 1) / (iterations + 1)):
             break
-    return fit_of(sequences, data, best.error, skinning_of(sequences, data, best, locked))
+    return fit_of(sequences, skinning_of(sequences, data, best, locked))

@@ -11,21 +11,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..clips import Clip, pick
-from ..errors import FormatError, InputError, SsdrWarning, is_real
+from ..errors import FormatError, InputError, SsdrWarning
 from ..sequence import MeshSequence
 from ..space import Space, Up
 from .atomic import check_beside
+from .paths import as_path, readable_path, writable
 from .references import trusting
 from .registry import (
     FORMATS,
-    Format,
     SaveReport,
     bake,
     call,
     format_of,
-    format_to_read,
-    is_many,
-    refuse_device,
 )
 from .spaces import in_space, ready_to_write, scaled, with_space
 
@@ -103,7 +100,7 @@ def load(
     >>> dancer.vertices.shape, dancer.fps
     ((24, 799, 3), 8.0)
     """
-    source, format_ = _readable(path, fps, scale)
+    source, format_ = readable_path(path, fps, scale)
     space = Space(units, up)
     if format_.list_clips is not None and clip is not None:
         options["clip"] = clip
@@ -145,7 +142,7 @@ def list_clips(
     >>> ssdr.list_clips(ssdr.samples.path("dancer_small"))
     (Clip(name='dancer_small', start=0, stop=24, fps=8.0),)
     """
-    source, format_ = _readable(path, fps)
+    source, format_ = readable_path(path, fps)
     if format_.list_clips is None:
         return (_only_clip(load(source, fps=fps, folder=folder, **options), source),)
     with trusting(folder):
@@ -180,7 +177,7 @@ def list_meshes(
     ...     ssdr.io.list_meshes(f"{place}/dance.glb")
     ('dancer_small',)
     """
-    source, format_ = _readable(path)
+    source, format_ = readable_path(path)
     if format_.list_meshes is None:
         return ()
     with trusting(folder):
@@ -237,7 +234,7 @@ def load_skinning(
     >>> again.n_bones
     4
     """
-    source, format_ = _readable(path, fps, scale, "read_skinning")
+    source, format_ = readable_path(path, fps, scale, "read_skinning")
     space = Space(units, up)
     with trusting(folder):
         skinning: Skinning = call(format_, "read_skinning", source, fps=fps, **options)
@@ -245,31 +242,6 @@ def load_skinning(
     if clip is None:
         return skinning
     return skinning.select(*([clip] if isinstance(clip, (str, int)) else clip))
-
-
-def _readable(
-    path: Any, fps: float | None = None, scale: float = 1.0, function: str = "read"
-) -> tuple[Path, Format]:
-    """Path and format of a file, after checking that it can be read and the options are valid.
-
-    `function` names the function that the format needs, such as ``"read"``.
-    """
-    for argument, value in (("fps", fps), ("scale", scale)):
-        if value is not None and not (is_real(value) and value > 0):
-            raise InputError(argument, "a positive number", repr(value))
-    source = _as_path(path)
-    format_ = format_to_read(source) if function == "read" else format_of(source)[1]
-    if getattr(format_, function) is None:
-        able = ", ".join(sorted(s for s, f in FORMATS.items() if getattr(f, function)))
-        what = "mesh" if function == "read" else "skinning"
-        hint = "; ssdr.io.read_weights reads skin weights" if format_ is FORMATS[".csv"] else ""
-        raise FormatError(
-            f"{source}: no {what} can be read from {source.suffix}, only from {able}{hint}"
-        )
-    if not (function == "read" and is_many(source)) and not source.exists():
-        raise FileNotFoundError(f"{source}: no such file")
-    refuse_device(source)
-    return source, format_
 
 
 def save(
@@ -330,11 +302,11 @@ def save(
     """
     from ..skinning import Skinning, skinning_in
 
-    target = _as_path(path)
+    target = as_path(path)
     try:
         suffix, format_ = format_of(target)
     except FormatError as error:
-        raise InputError("path", f"a suffix of {', '.join(_writable())}", str(target)) from error
+        raise InputError("path", f"a suffix of {', '.join(writable())}", str(target)) from error
     check_beside(target)
     thing = skinning_in(thing)
     if not isinstance(thing, (MeshSequence, Skinning)):
@@ -349,7 +321,7 @@ def save(
                 joined = f"clips are not kept apart: {names}"
             thing = bake(thing)
     if getattr(format_, writer) is None:
-        able = _writable(type(thing))
+        able = writable(type(thing))
         raise InputError(
             "path", f"a suffix of {', '.join(able)} for a {type(thing).__name__}", suffix
         )
@@ -357,7 +329,7 @@ def save(
     space, template = format_.space, options.get("template")
     if template is not None and format_.template_space is not None:
         with trusting(folder):
-            space = call(format_, "template_space", _as_path(template))
+            space = call(format_, "template_space", as_path(template))
     ready, said = ready_to_write(given, format_.title, space)
     if options.get("levels"):
         stated = [with_space(level, given.space) for level in options["levels"]]
@@ -421,7 +393,7 @@ def copy(
     ...     ssdr.io.copy(f"{folder}/dance.glb", f"{folder}/dance.gltf").lost
     ()
     """
-    (source, format_), to = _readable(path), _as_path(target)
+    (source, format_), to = readable_path(path), as_path(target)
     if format_.copy is None or format_of(to)[1] is not format_:
         raise InputError("target", f"a file of the format of {source}", str(to))
     report: SaveReport = call(format_, "copy", source, to, clips=clips)
@@ -449,7 +421,7 @@ def left_out(path: str | os.PathLike[str], **options: Any) -> tuple[str, ...]:
     ...     ssdr.io.left_out(f"{folder}/dance.glb")
     ()
     """
-    source = _as_path(path)
+    source = as_path(path)
     format_ = FORMATS.get(source.suffix.lower())
     if format_ is None or format_.left_out is None:
         return ()
@@ -457,17 +429,3 @@ def left_out(path: str | os.PathLike[str], **options: Any) -> tuple[str, ...]:
     with trusting(options.get("folder")):
         found: tuple[str, ...] = call(format_, "left_out", source, **chosen)
     return found
-
-
-def _writable(kind: type | None = None) -> list[str]:
-    return sorted(
-        suffix
-        for suffix, format_ in FORMATS.items()
-        if format_.write_sequence or (format_.write_skinning and kind is not MeshSequence)
-    )
-
-
-def _as_path(path: Any) -> Path:
-    if not isinstance(path, (str, os.PathLike)) or "\0" in (name := str(os.fspath(path))):
-        raise InputError("path", "a path", repr(path))
-    return Path(name)

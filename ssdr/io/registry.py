@@ -8,7 +8,7 @@ import importlib
 import inspect
 import logging
 import re
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 
 _log = logging.getLogger(__name__)
-_MOST_NAMES = 20  # in a message
 _BUGS: dict[type[Exception], str] = {
     KeyError: "it has no {}",
     IndexError: "it refers to something that is not there",
@@ -271,44 +270,6 @@ def pick_clip(names: Sequence[str], clip: Any, path: Path) -> int:
     if len(names) > 1:
         _log.info("%s: clip %r of %s", path, names[index], list(names))
     return index
-
-
-def mesh_names(meshes: Any) -> list[str]:
-    """Names that the option `meshes` gives, one at least.
-
-    Raises
-    ------
-    InputError
-        If it gives none.
-    """
-    listed = [meshes] if isinstance(meshes, str) else meshes
-    if not (isinstance(listed, (list, tuple, set, frozenset)) and listed):
-        raise InputError("meshes", "the name of a mesh, or several", repr(meshes))
-    for name in listed:
-        if not isinstance(name, str):
-            raise InputError("meshes", "the name of a mesh, or several", repr(name))
-    return list(listed)
-
-
-def choose(meshes: str | Sequence[str] | None, names: Sequence[Collection[str]]) -> list[int]:
-    """Indices of the meshes that have a name in `meshes`; all if that is None.
-
-    `names` are those by which each mesh can be chosen.
-
-    Raises
-    ------
-    InputError
-        If no mesh has one of the names.
-    """
-    if meshes is None:
-        return list(range(len(names)))
-    wanted = set(mesh_names(meshes))
-    known = set().union(*names)
-    for name in sorted(wanted - known):
-        more = f" and {len(known) - _MOST_NAMES} more" if len(known) > _MOST_NAMES else ""
-        expected = f"one of {sorted(known, key=natural_key)[:_MOST_NAMES]}{more}"
-        raise InputError("meshes", expected, repr(name))
-    return [k for k, own in enumerate(names) if wanted.intersection(own)]
 
 
 def check_one_rate(clips: Sequence[Clip], where: str) -> None:

@@ -225,6 +225,7 @@ class Driver:
             offsets=problem.offsets,
             normals=normals,
             motion=motion_rms(problem.inputs, executor=problem.executor),
+            copies=problem.copies,
             warnings=() if held else (self._shortfall(skinning, *worst, reason),),
             parsimony=Parsimony(
                 tolerance=self.asked,

@@ -46,6 +46,7 @@ CALLS: dict[str, Callable[..., Any]] = {
 def test_no_corner_leaves_the_others(name: str, soup: tuple[np.ndarray, ...]) -> None:
     shots, corners, vertex = soup
     result = CALLS[name](shots, corners)
+    assert result.copies == len(vertex) - len(np.unique(vertex))
     for skinning in getattr(result, "levels", (result.skinning,)):
         assert skinning.rest.shape == shots[0].shape
         np.testing.assert_array_equal(skinning.faces, corners)

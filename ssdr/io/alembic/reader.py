@@ -16,8 +16,9 @@ from ...errors import FormatError, InputError, MissingDependencyError, SsdrError
 from ...sequence import MeshSequence
 from ...space import UNKNOWN
 from ...surface import Material
+from ..mesh_names import choose, mesh_names
 from ..process import run_script
-from ..registry import check, choose, mesh_names, reading
+from ..registry import check, reading
 from ..sampling import Missed, Sample
 from ..scene import SceneBudget, join_sequence
 from ..spaces import with_space

@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import logging
-import os
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -27,21 +26,20 @@ from ..arrays.npz import surface_from
 from ..atomic import atomic_path
 from ..budget import MOST_BYTES
 from ..gltf.writer import write_along_bones
-from ..process import run_script
-from ..registry import SaveReport, check_one_rate, choose, mesh_names, pick_clip, reading
+from ..mesh_names import choose, mesh_names
+from ..registry import SaveReport, check_one_rate, pick_clip, reading
 from ..sampling import tell
 from ..scene import Bones, make_skinning
 from ..signatures import describe
 from ..spaces import in_space, transformed
 from ..storage import StorageError, frame_blocks
 from .finder import command
+from .process import SCRIPT, run
 
 _log = logging.getLogger(__name__)
 _BLENDER = Space(1.0, "z")
 _IMPORT_FPS = 24.0
 _LONGEST_NAME = 63  # bytes in the name of anything in Blender
-_SCRIPT = Path(__file__).with_name("script.py")
-_TOO_OLD = "Blender 4.2 or newer is needed"  # part of an error of script.py
 _listed: dict[Any, dict[str, NDArray[Any]]] = {}
 _MAGIC = {".fbx": (b"Kaydara FBX", b"; FBX"), ".abc": (b"Ogawa",)}
 
@@ -250,7 +248,7 @@ def ask_blender(
     `job` holds further settings of the action. An error in the script becomes a FormatError, and a
     name of a mesh that there is not an InputError.
     """
-    command(_SCRIPT)  # a missing Blender is reported before a damaged file
+    command(SCRIPT)  # a missing Blender is reported before a damaged file
     suffix = path.suffix.lower()
     with path.open("rb") as stream:
         head = stream.read(64)
@@ -317,7 +315,7 @@ def write_skinning(
     if long:
         raise InputError("thing", f"clip names of at most {_LONGEST_NAME} bytes", long[0])
     check_one_rate(skinning.clips, "as all takes of an FBX file have")
-    command(_SCRIPT)
+    command(SCRIPT)
     with tempfile.TemporaryDirectory(prefix="ssdr-") as folder, atomic_path(path) as temporary:
         source = Path(folder) / "model.glb"
         # In Blender, clips get short names, because it would change some names, and a whole frame
@@ -368,31 +366,3 @@ def write_skinning(
         between_frames=unit * (stored.between_frames or 0.0),
         lost=(lost,) if dropped else (),
     )
-
-
-def run(job: dict[str, Any], *, time_limit: float = 600.0) -> dict[str, NDArray[Any]]:
-    """Run one job of ``script.py`` in a process of its own and return the arrays that it writes.
-
-    Raises
-    ------
-    InputError, MissingDependencyError
-        If Blender is not found, cannot be started or is older than 4.2.
-    SsdrError
-        If Blender stops with an error, whose text is passed on, or takes more than `time_limit`
-        seconds.
-    """
-    # Blender's Python must see its own packages, not those of this process.
-    hidden = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
-    environment = {k: v for k, v in os.environ.items() if k not in hidden}
-
-    def words(order: str) -> list[str]:
-        return command(_SCRIPT, order)
-
-    try:
-        return run_script(words, job, who="Blender", environment=environment, time_limit=time_limit)
-    except SsdrError as error:
-        reason = str(error)
-        if _TOO_OLD in reason or "No module named 'bpy'" in reason:
-            said = reason.split(": ", 1)[-1]
-            raise MissingDependencyError(f"{words('')[0]}: {said}") from error
-        raise

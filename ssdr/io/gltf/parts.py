@@ -13,7 +13,8 @@ from ...clips import readable
 from ...errors import FormatError
 from ...normals import unit
 from ...surface import Material
-from ..registry import check, choose
+from ..mesh_names import choose
+from ..registry import check
 from ..scene import Bones, Shape, facing, file_weights
 from ..signatures import picture_type
 from .animation import Animation, Nodes, descendants

@@ -19,7 +19,8 @@ from ...errors import is_real, is_whole
 from ...sequence import MeshSequence
 from ...skinning import Skinning
 from ...space import Space
-from ..registry import check, choose, pick_clip, reading
+from ..mesh_names import choose
+from ..registry import check, pick_clip, reading
 from ..rig import frame_rate
 from ..sampling import Missed, Sample, off_frames
 from ..scene import SceneBudget, join_sequence, join_skinning

@@ -1,0 +1,49 @@
+"""Choice of the meshes of a file by their names."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from typing import Any
+
+from ..errors import InputError
+from .registry import natural_key
+
+_MOST_NAMES = 20  # in a message
+
+
+def mesh_names(meshes: Any) -> list[str]:
+    """Names that the option `meshes` gives, one at least.
+
+    Raises
+    ------
+    InputError
+        If it gives none.
+    """
+    listed = [meshes] if isinstance(meshes, str) else meshes
+    if not (isinstance(listed, (list, tuple, set, frozenset)) and listed):
+        raise InputError("meshes", "the name of a mesh, or several", repr(meshes))
+    for name in listed:
+        if not isinstance(name, str):
+            raise InputError("meshes", "the name of a mesh, or several", repr(name))
+    return list(listed)
+
+
+def choose(meshes: str | Sequence[str] | None, names: Sequence[Collection[str]]) -> list[int]:
+    """Indices of the meshes that have a name in `meshes`; all if that is None.
+
+    `names` are those by which each mesh can be chosen.
+
+    Raises
+    ------
+    InputError
+        If no mesh has one of the names.
+    """
+    if meshes is None:
+        return list(range(len(names)))
+    wanted = set(mesh_names(meshes))
+    known = set().union(*names)
+    for name in sorted(wanted - known):
+        more = f" and {len(known) - _MOST_NAMES} more" if len(known) > _MOST_NAMES else ""
+        expected = f"one of {sorted(known, key=natural_key)[:_MOST_NAMES]}{more}"
+        raise InputError("meshes", expected, repr(name))
+    return [k for k, own in enumerate(names) if wanted.intersection(own)]

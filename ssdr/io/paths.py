@@ -1,0 +1,50 @@
+"""Paths that callers give: checked, with the format that reads them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from ..errors import FormatError, InputError, is_real
+from ..sequence import MeshSequence
+from .registry import FORMATS, Format, format_of, format_to_read, is_many, refuse_device
+
+
+def readable_path(
+    path: Any, fps: float | None = None, scale: float = 1.0, function: str = "read"
+) -> tuple[Path, Format]:
+    """Path and format of a file, after checking that it can be read and the options are valid.
+
+    `function` names the function that the format needs, such as ``"read"``.
+    """
+    for argument, value in (("fps", fps), ("scale", scale)):
+        if value is not None and not (is_real(value) and value > 0):
+            raise InputError(argument, "a positive number", repr(value))
+    source = as_path(path)
+    format_ = format_to_read(source) if function == "read" else format_of(source)[1]
+    if getattr(format_, function) is None:
+        able = ", ".join(sorted(s for s, f in FORMATS.items() if getattr(f, function)))
+        what = "mesh" if function == "read" else "skinning"
+        hint = "; ssdr.io.read_weights reads skin weights" if format_ is FORMATS[".csv"] else ""
+        raise FormatError(
+            f"{source}: no {what} can be read from {source.suffix}, only from {able}{hint}"
+        )
+    if not (function == "read" and is_many(source)) and not source.exists():
+        raise FileNotFoundError(f"{source}: no such file")
+    refuse_device(source)
+    return source, format_
+
+
+def writable(kind: type | None = None) -> list[str]:
+    return sorted(
+        suffix
+        for suffix, format_ in FORMATS.items()
+        if format_.write_sequence or (format_.write_skinning and kind is not MeshSequence)
+    )
+
+
+def as_path(path: Any) -> Path:
+    if not isinstance(path, (str, os.PathLike)) or "\0" in (name := str(os.fspath(path))):
+        raise InputError("path", "a path", repr(path))
+    return Path(name)
