@@ -147,7 +147,8 @@ def facing(linear: NDArray[np.floating]) -> tuple[int, bool]:
 
     A mesh that grows from size 0 has no side to see in its first frame.
     """
-    signs = np.sign(np.linalg.det(linear))
+    largest = np.abs(linear).max(axis=(1, 2), keepdims=True)
+    signs = np.sign(np.linalg.det(linear / np.where(largest > 0, largest, 1)))
     mirrored = bool(signs.sum() < 0)
     return int(np.argmax(signs == (-1 if mirrored else 1))), mirrored
 

@@ -112,7 +112,10 @@ class CacheMesh:
         self._transforms, self._above = transforms, int(record["transform"])
         self.points = Track(record, arrays[record["points"]])
         self.clocks = [self.points.times]
-        self.clocks += [transforms.tracks[k].times for k in transforms.chain(self._above)]
+        tracks = [transforms.tracks[k] for k in transforms.chain(self._above)]
+        finite = all(np.isfinite(track.values).all() for track in tracks)
+        check(finite, f"{self.path}: a transform that is not finite")
+        self.clocks += [track.times for track in tracks]
         self.n_points = self.points.values.shape[1]
         self.skeleton: Any = self.path
         self.indices = np.zeros((self.n_points, 1), dtype=np.int32)

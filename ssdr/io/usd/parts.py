@@ -71,19 +71,18 @@ class MeshPrim:
         self.weights = np.ones((self.n_points, 1))
         if self.joints is not None:
             self._read_influences()
-        else:
-            linear = self._transforms_at(_FIRST)[0, :, :3]
-            self._check(np.isfinite(linear).all(), "a transform that is not finite")
-            if self._is_mirrored():
-                # a mirroring transform turns triangles inside out
-                self.corners, self.faces = self.corners[:, ::-1], self.faces[:, ::-1]
+        elif self._is_mirrored():
+            # a mirroring transform turns triangles inside out
+            self.corners, self.faces = self.corners[:, ::-1], self.faces[:, ::-1]
 
     def _is_mirrored(self) -> bool:
         """Whether the mesh's own transform mirrors it; sets the time code at which that is seen."""
         codes = np.unique(self._moves())
         chosen = np.linspace(0, len(codes) - 1, min(len(codes), _MOST_LOOKS)).astype(int)
         times = codes[chosen].tolist() or [_FIRST]
-        frame, mirrored = facing(np.stack([self._transforms_at(t)[0, :, :3] for t in times]))
+        linear = np.stack([self._transforms_at(t)[0, :, :3] for t in times])
+        self._check(np.isfinite(linear).all(), "a transform that is not finite")
+        frame, mirrored = facing(linear)
         self.seen = times[frame]
         return mirrored
 

@@ -109,6 +109,17 @@ def test_a_mirrored_mesh_faces_outwards(tmp_path, grows):
     assert ((corners * back.surface.normals).sum(axis=2) > 0).all()
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_transforms_that_are_not_finite_are_refused(tmp_path, value):
+    cache = Cache(tmp_path / "a.abc")
+    clock = cache.clock(*uniform(24))
+    above = cache.above("a", [np.eye(4), np.diag([value, 1, 1, 1]), np.eye(4)], clock)
+    cache.mesh("b", moving(3), clock, above)
+    del above
+    with pytest.raises(ssdr.FormatError, match="/a/b: a transform that is not finite"):
+        ssdr.load(cache.close())
+
+
 @pytest.mark.parametrize(
     ("points", "polygons", "text"),
     [
@@ -130,7 +141,7 @@ def test_a_changing_topology_is_refused_with_the_object_and_the_frame(
 
 def test_a_subdivision_surface_is_read_as_its_cage(tmp_path, caplog):
     path = one_mesh(tmp_path / "a.abc", moving(3), uniform(24), kind="SubD")
-    with caplog.at_level(logging.INFO):
+    with caplog.at_level(logging.INFO, "ssdr"):
         np.testing.assert_array_equal(ssdr.load(path).vertices, moving(3))
     assert "/ball/ballShape: a subdivision surface" in caplog.text
 
@@ -216,7 +227,7 @@ def test_resampling_is_said_with_its_error(tmp_path, caplog):
     np.testing.assert_allclose(back.vertices, lines(frames, times, points), atol=1e-6)
     off = np.linalg.norm(lines(times, frames, back.vertices) - points, axis=2).max()
     assert f"24 a second: vertices are up to {off:.3g} (" in str(said[0].message)
-    with caplog.at_level(logging.INFO):
+    with caplog.at_level(logging.INFO, "ssdr"):
         assert len(ssdr.load(path, fps=10.0)) == 8  # the caller's choice is no warning
     assert "4 keys of the clip a lie between its frames, which are 10 a second" in caplog.text
 
@@ -246,7 +257,7 @@ def test_what_is_not_shown_is_left_out(tmp_path, caplog):
     cache.mesh("seen", moving(2), clock)
     cache.mesh("unseen", moving(2, 1), clock, hidden=True)
     path = cache.close()
-    with caplog.at_level(logging.INFO):
+    with caplog.at_level(logging.INFO, "ssdr"):
         assert ssdr.load(path).n_vertices == 4
     assert "unseen is not shown" in caplog.text
     path = one_mesh(tmp_path / "b.abc", moving(2), uniform(24), hidden=True)

@@ -145,6 +145,14 @@ def _infinite(stage, mesh):
     UsdGeom.Xformable(mesh).AddTransformOp().Set(matrix)
 
 
+def _infinite_later(stage, mesh):
+    _infinite(stage, mesh)
+    (moved,) = UsdGeom.Xformable(mesh).GetOrderedXformOps()
+    matrix = moved.Get()
+    moved.Set(Gf.Matrix4d(1.0), 0)
+    moved.Set(matrix, 1)
+
+
 def _nan(_, mesh):
     points = np.array(mesh.GetPointsAttr().Get())
     points[3, 1] = np.nan
@@ -159,6 +167,7 @@ def _nan(_, mesh):
         (_faces, "1000000 for 254 points"),
         (_nan, "finite"),
         (_infinite, "a transform that is not finite"),
+        (_infinite_later, "a transform that is not finite"),
         (lambda _, m: m.GetFaceVertexCountsAttr().Set([3, 3]), "add up to 6"),
         (lambda _, m: m.GetPointsAttr().Set([]), "no points"),
         (lambda _, m: m.GetPointsAttr().Set([(0, 0, 0)]), "for 1 points"),
