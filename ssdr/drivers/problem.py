@@ -234,10 +234,7 @@ def check_problem(
     weighted = importance is not None or frame_importance is not None
     inputs, rows = sequences, None
     kept, row = distinct(given.told_apart(labels_of(inputs)))
-    if len(kept) < n:
-        if bones > len(kept):
-            expected = f"at most {len(kept)}, the number of vertices that differ in some frame"
-            raise InputError("bones", expected, bones)
+    if bones <= len(kept) < n:
         sequences, rows = [s.with_vertices(kept, row) for s in inputs], row
         importance = np.bincount(row, weights=importance).astype(np.float64)
         given = given.of_vertices(kept)

@@ -121,8 +121,9 @@ def curve(
     [1, 2, 3]
     """
     sequences = as_sequences(sequence, faces)
-    n = int(labels_of(sequences).max()) + 1  # vertices that differ in some frame
-    most = min(n, _MOST_BONES) if bones is None else bones
+    n = sequences[0].n_vertices
+    differ = int(labels_of(sequences).max()) + 1
+    most = min(differ, _MOST_BONES) if bones is None else bones
     problem = check_problem(
         sequences,
         None,

@@ -157,8 +157,9 @@ def smallest(
     """
     arguments = locals()  # under their own names
     sequences = as_sequences(sequence, faces)
-    n = int(labels_of(sequences).max()) + 1  # vertices that differ in some frame
-    most = min(n, _MOST_BONES) if bones is None else bones
+    n = sequences[0].n_vertices
+    differ = int(labels_of(sequences).max()) + 1
+    most = min(differ, _MOST_BONES) if bones is None else bones
     most = check_whole(most, "bones", 1, n, " (the number of vertices)")
     for name in ("tolerance", "normals_tolerance", "measure", "file"):
         del arguments[name]

@@ -167,6 +167,8 @@ def central_frame(data: Trajectories, *, first: bool = False) -> int:
     ends = np.unique(edges, axis=0)
     if not len(ends):
         ends = _nearest(data, few[:: max(1, len(few) // _FEWER)])
+    if not len(ends):
+        return 0
     ends = ends[:: max(1, len(ends) // _MOST_EDGES)]
     along = [np.diff(data.frame(t)[ends], axis=1)[:, 0] for t in few]
     mean = np.mean(along, axis=0)

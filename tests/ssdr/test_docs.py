@@ -229,6 +229,11 @@ def _meshopt(_: contextlib.ExitStack) -> tuple[dict[str, object], dict[str, str]
     return {"result": ssdr.initialize(SAMPLE, bones=4)}, {}
 
 
+def _torch(_: contextlib.ExitStack) -> tuple[dict[str, object], dict[str, str]]:
+    pytest.importorskip("torch", reason="torch is not installed")
+    return {}, {}
+
+
 SAMPLE = ssdr.samples.load("dancer_small")
 # What blocks need that do not run by themselves, made small: names, and words to replace.
 NEEDS = {
@@ -237,6 +242,7 @@ NEEDS = {
     "the file in.glb that the result was made from": _template,
     "a skinning, displacements (M, V, 3) of its rest pose and amounts (F, M)": _shapes,
     'the package meshoptimizer, pip install "ssdr[meshopt]"': _meshopt,
+    "torch": _torch,
 }
 # Those of garmentnet's own pages run in its tests.
 NEEDING = [
