@@ -31,6 +31,7 @@ __all__ = ["ENTERING", "GAIN", "AllFrames", "carried"]
 # Gauss–Seidel sweeps of the bones in a pass, and in the first, which begins with the transforms of
 # other frames.
 _SWEEPS, _FIRST_SWEEPS = 12, 24
+_SWEEPS_OF_A_LEAP = 6  # for bones of a tree, which leap instead
 _ROUNDS = 3  # Gauss–Newton rounds on a vertex
 ENTERING = 3  # number of bones that may enter a vertex's support in a pass
 GAIN = 2e-3  # relative decrease of the objective below which a pass is the last
@@ -227,7 +228,8 @@ def _pass_span(
             error=part.x2.copy(),
             normals=model.normals.copy(),
         )
-        fit_motion(part, piece, locked=locked, sweeps=sweeps, length=length)
+        leaps = 0 if model.tree is None else sweeps // _SWEEPS_OF_A_LEAP
+        fit_motion(part, piece, locked=locked, sweeps=sweeps, leaps=leaps, length=length)
         transforms[start:stop] = piece.transforms
         hat = part.stack(piece.transforms)
         g += hat.T @ hat
