@@ -27,7 +27,7 @@ def test_vertices_survive(toy_network, joints, tmp_path, suffix):
     p = predict(toy_network, joints)
     path = tmp_path / ("cloth%04d.obj" if suffix == "obj" else f"cloth.{suffix}")
     save_prediction(p, path)
-    read = ssdr.load(path, **({"mesh": p.cloth.faces} if suffix == "pc2" else {}))
+    read = ssdr.load(path, **({"faces": p.cloth.faces} if suffix == "pc2" else {}))
     assert np.abs(np.asarray(read.vertices) - p.cloth.vertices).max() < 1e-5
 
 
