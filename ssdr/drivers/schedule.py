@@ -292,7 +292,7 @@ def on_skeleton(effort: Effort, given: Given, *, rigid: bool) -> Schedule:
 
 def from_model(effort: Effort) -> Schedule:
     """Schedule that starts from a whole model and polishes it."""
-    return (StartFromModel(), Compress(), Polish(steps=6 if effort == "fast" else 60, gain=0.01))
+    return (StartFromModel(), Compress(), Polish(steps=6 if effort == "fast" else 20, gain=0.01))
 
 
 def with_joints(effort: Effort, *, rigid: bool, keeps_tree: bool, smoothed: bool) -> Schedule:
