@@ -63,6 +63,7 @@ def fake_decompose(sequence, *, bones, influences, callback, steps=3, pause=0.0,
         converged=reason == "converged",
         stop_reason=reason,
         history=(SimpleNamespace(iteration=step),),
+        copies=0,
         normals=None,
         compile_seconds=0.0,
     )
