@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib.util
 from pathlib import Path
 from typing import Any
 
@@ -68,8 +69,10 @@ def test_what_is_missing_is_named_at_once(
         words = [*words, "--out", str(out / "rows.json")]
     done = run(ROOT / "benchmarks" / script, *words, data=nowhere)
     assert done.returncode == 1
-    assert done.stderr.startswith(said.replace("NOWHERE", str(nowhere)))
     assert not out.exists()
+    if importlib.util.find_spec("py_dem_bones") is None and done.stderr.startswith("py_dem_bones"):
+        return  # which is missing, too, and is named first
+    assert done.stderr.startswith(said.replace("NOWHERE", str(nowhere)))
 
 
 @pytest.mark.parametrize(
