@@ -47,7 +47,7 @@ def distinct(label: Rows) -> tuple[Rows, Rows]:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Selected:
-    """Some vertices of an array (F, V, 3) that is read on demand, as this is, too."""
+    """Lazy view of some vertices of an array (F, V, 3) that is read on demand."""
 
     source: Any
     kept: Rows

@@ -162,11 +162,10 @@ def _start_as_result(problem: Problem, found: Skinning) -> Skinning:
     given, k = problem.given, problem.influences
     assert problem.start is not None
     start = problem.start.prune(k)
-    skin = (
+    indices, weights = (
         np.pad(a, [(0, 0), (0, k - a.shape[1])])
         for a in (start.indices, np.asarray(start.weights, dtype=np.float64))
     )
-    indices, weights = skin
     parts: dict[str, Any] = {"rest": start.rest, "transforms": given.transforms}
     if found.parents is not None and given.tree is not None:
         parts |= {"parents": given.tree.parents, "joint_positions": given.tree.points}

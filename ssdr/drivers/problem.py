@@ -150,8 +150,8 @@ class Problem:
 
         That is the rest pose of `given`, of its skeleton, or else its rest frame, which is chosen
         unless the caller named it.  That of a model that is tried beside others does not count, as
-        it may be a crumpled mesh.  Bones that stretch need a rest frame in
-        which no part is without size even if the rest pose is free.
+        it may be a crumpled mesh.  Bones that stretch need a rest frame in which no part is without
+        size, even if the rest pose is free.
         """
         keeps_to = self.rest_pose == "surface" and len(data.faces) > 0
         pose = given.tree_pose if given.rest is None or self.beside else given.rest

@@ -156,7 +156,7 @@ def free_bones(effort: Effort, bones: int, size: float, *, stretching: bool) -> 
         return placed
     from_rigid = (*rigid_start, Polish(steps=8), *RELAXED) if stretching else ()
     if effort == "balanced":
-        # which leads bones that stretch to worse minima
+        # a long polish before the relaxation leads bones that stretch to worse minima
         polish = () if stretching else (Polish(steps=60, gain=0.01),)
         return (*placed, *polish, *RELAXED, *from_rigid)
     n = rebuilds(size)

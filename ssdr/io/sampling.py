@@ -81,7 +81,7 @@ class Sample:
     missed: Missed
 
     def tell_missed(self, vertices_of: Callable[..., NDArray[np.floating]]) -> None:
-        """Warn of keys between frames, and say how far vertices are from the file's there.
+        """Warn of keys between frames, with the largest distance of vertices from the file's there.
 
         The distance is that of the vertices at key times, of 256 at most, from those interpolated
         linearly between the two frames around, as players do.

@@ -210,7 +210,7 @@ class Ladder:
             self._level(run.best_model)
 
     def _light(self, model: Model) -> None:
-        """Lower the error of normals, which are part of the objective in this run alone."""
+        """Polish with normals in the objective, as no other run of the ladder does."""
         schedule = (SolveNormals(), _LIGHT)
         run = self.frames.run(schedule, model.n_bones, data=self.frames.tolerant)
         run.begin_with(model.with_restarted_support())

@@ -111,7 +111,7 @@ def read(
 
 
 def list_meshes(path: Path, *, time_limit: float = 600.0) -> tuple[str, ...]:
-    """Names of the objects that hold the meshes that are shown, sorted."""
+    """Sorted names of the objects whose meshes are visible."""
     with reading(path, "time_limit"):
         _check_file(path)
         if not _installed():
