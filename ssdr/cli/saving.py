@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..clips import Clip
-from ..errors import FormatError, InputError, error_text
+from ..errors import FormatError, InputError, MissingDependencyError, error_text
 from ..io.atomic import check_writable
 from ..io.registry import SaveReport, format_of, require
 from ..sequence import MeshSequence
@@ -53,7 +53,10 @@ def check_outputs(
         if format_.extra == "blender":
             from ..io.blender import finder
 
-            finder.command("")
+            try:
+                finder.command("")
+            except MissingDependencyError as error:
+                raise MissingDependencyError(f"{path}: FBX needs Blender. {error}") from error
         if format_.extra in _PACKAGES:
             require(_PACKAGES[format_.extra], format_.extra, f"{path}: {format_.title}")
         write_options(pairs, path)

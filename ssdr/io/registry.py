@@ -26,6 +26,14 @@ if TYPE_CHECKING:
 
 
 _log = logging.getLogger(__name__)
+# Packages of the extras, for pip: ``ssdr`` is in no index, where anyone may take its name.
+PACKAGES = {
+    "alembic": "alembic3d>=1.8.12",
+    "draco": "DracoPy>=2.0",
+    "meshopt": "meshoptimizer>=0.2.30a0",
+    "usd": "usd-core>=24.8",
+    "zarr": "zarr>=3.0",
+}
 _BUGS: dict[type[Exception], str] = {
     KeyError: "it has no {}",
     IndexError: "it refers to something that is not there",
@@ -407,8 +415,8 @@ def natural_key(name: str) -> list[tuple[int, str]]:
 
 
 def require(module: str, extra: str, what: str) -> Any:
-    """Import a package that ``ssdr[extra]`` installs, by :func:`import_optional`."""
-    return import_optional(module, f"ssdr[{extra}]", what)
+    """Import the package of the extra `extra`, by :func:`import_optional`."""
+    return import_optional(module, PACKAGES[extra], what)
 
 
 def import_optional(module: str, requirement: str, what: str) -> Any:
@@ -431,5 +439,5 @@ def import_optional(module: str, requirement: str, what: str) -> Any:
         return importlib.import_module(module)
     except ImportError as error:
         raise MissingDependencyError(
-            f'{what} needs the package {module}: pip install "{requirement}"'
+            f'{what} needs a package that is not installed: pip install "{requirement}"'
         ) from error

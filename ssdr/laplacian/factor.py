@@ -67,7 +67,7 @@ def factor_spd(matrix: Any, *, backend: Backend | None = None) -> tuple[Solve, B
             if backend == "cholmod":
                 raise MissingDependencyError(
                     "CHOLMOD needs scikit-sparse and SuiteSparse with its headers: "
-                    'pip install "ssdr[cholmod]"'
+                    'pip install "scikit-sparse>=0.4.15"'
                 ) from error
     return _superlu(system), "scipy"
 

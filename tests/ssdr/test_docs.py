@@ -241,7 +241,7 @@ NEEDS = {
     "a mask of your own": _mask,
     "the file in.glb that the result was made from": _template,
     "a skinning, displacements (M, V, 3) of its rest pose and amounts (F, M)": _shapes,
-    'the package meshoptimizer, pip install "ssdr[meshopt]"': _meshopt,
+    'the package meshoptimizer, pip install ".[meshopt]"': _meshopt,
     "torch": _torch,
 }
 # Those of garmentnet's own pages run in its tests.

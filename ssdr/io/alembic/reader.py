@@ -174,6 +174,7 @@ def _through_blender(
         arrays = ask_blender("read", path, frames.rate, time_limit, max_bytes, **job)
     except MissingDependencyError as error:
         raise MissingDependencyError(
-            f'Alembic needs the package alembic3d: pip install "ssdr[alembic]". Without it, {error}'
+            f"{path}: Alembic needs the package alembic3d (pip install alembic3d) or Blender. "
+            f"{error}"
         ) from error
     return with_space(sequence_of(arrays, path, path.stem, fps), UNKNOWN)

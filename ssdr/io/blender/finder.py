@@ -96,7 +96,7 @@ def _how() -> str:
     python = "py -3.11" if sys.platform == "win32" else "python3.11"
     make = f'{python} -m venv "{folder}" && "{_scripts(folder) / "pip"}" install bpy'
     return (
-        "FBX, and Alembic without alembic3d, need Blender, 4.2 or newer: put it on the PATH, name "
-        f"it in SSDR_BLENDER, or give it an environment of its own with: {make} "
+        "Blender, 4.2 or newer, was not found: put it on the PATH, name it in SSDR_BLENDER, or "
+        f"give it an environment of its own with: {make} "
         "(bpy 4.2 to 5.0 need Python 3.11)"
     )

@@ -59,7 +59,7 @@ def test_what_a_format_refuses_is_refused_before_the_work(refused, never, clip, 
 def test_a_missing_package_is_named_before_the_work(refused, clip, tmp_path, monkeypatch):
     no_blender(monkeypatch, tmp_path)
     err = refused("decompose", clip, "-b", 2, "-o", tmp_path / "a.fbx", code=4)
-    assert "environment of its own" in err
+    assert "a.fbx: FBX needs Blender. Blender, 4.2 or newer, was not found: put it" in err
 
 
 def test_a_folder_that_takes_no_file_is_refused(refused, never, clip, tmp_path, monkeypatch):
