@@ -32,6 +32,8 @@ def readable_path(
         )
     if not (function == "read" and is_many(source)) and not source.exists():
         raise FileNotFoundError(f"{source}: no such file")
+    if source.is_dir() and format_.read not in (FORMATS[".obj"].read, FORMATS[".zarr"].read):
+        raise FormatError(f"{source}: a folder, not a file")
     refuse_device(source)
     return source, format_
 

@@ -81,6 +81,10 @@ def _check_layers(path: Path) -> None:
         check(file.is_file(), f"refers to {file.name}, which is missing")
         _check_nesting(file)
         layer = Sdf.Layer.FindOrOpen(str(file))
+        check(
+            layer,
+            "not a USD file" if file == path else f"refers to {file.name}, which is no USD file",
+        )
         templates += _templates(layer)
         for asset in itertools.chain(*UsdUtils.ExtractExternalReferences(str(file))):
             named = Sdf.Layer.SplitIdentifier(asset)[0].partition("[")[0]

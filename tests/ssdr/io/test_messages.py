@@ -53,6 +53,17 @@ def test_usd(tmp_path, case):
     assert not FOREIGN.search(str(caught.value))
 
 
+@pytest.mark.parametrize("referred", [False, True])
+def test_what_is_no_usd(tmp_path, referred):
+    pytest.importorskip("pxr")
+    (tmp_path / "a.usd").write_text("hello\n")
+    layer = "#usda 1.0\n( subLayers = [@./a.usd@] )"
+    (tmp_path / "b.usda").write_text(layer)
+    message = r"b\.usda: refers to a.usd, which is no USD file" if referred else "not a USD file"
+    with pytest.raises(ssdr.FormatError, match=message):
+        ssdr.load(tmp_path / ("b.usda" if referred else "a.usd"))
+
+
 @needs_blender
 @pytest.mark.slow
 def test_blender(tmp_path):
