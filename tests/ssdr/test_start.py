@@ -220,6 +220,10 @@ REFUSED: dict[str, tuple[str, dict[str, Any]]] = {
     "bones that are true": ("bones", {"start": still(bones=1), "bones": True}),
     "more bones than vertices": ("start", {"start": still(bones=85)}),
     "too many influences": ("start.weights", {"start": still(**THREE), "influences": 2}),
+    "dense weights": (
+        "start.indices",
+        {"start": ssdr.Start(weights=np.eye(84)[:, :2]), "bones": 2},
+    ),
     "a bone twice": ("start.indices", {"start": still(**TWICE)}),
     "bones that grow": ("start.transforms", {"start": still(**GROWN)}),
     "far away": ("start.rest", {"start": motions.model(np.full((84, 3), 1e155))}),
