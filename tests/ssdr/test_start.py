@@ -233,6 +233,18 @@ REFUSED: dict[str, tuple[str, dict[str, Any]]] = {
 }
 
 
+def test_errors_say_where_a_start_is_found() -> None:
+    for start, said in (
+        (RESULT, r"a Skinning \(a result's \.skinning\)"),
+        (ssdr.Start(weights=np.eye(84)[:, :2]), r"Skinning\.from_dense has both"),
+        (still(**TWICE), r"from_dense of dense_weights\(\) adds them up"),
+    ):
+        with pytest.raises(InputError, match=said):
+            ssdr.decompose(
+                frames(), start=start, bones=2 if isinstance(start, ssdr.Start) else None
+            )
+
+
 @pytest.mark.parametrize("case", REFUSED)
 def test_refuses(case: str) -> None:
     argument, change = REFUSED[case]
