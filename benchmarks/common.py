@@ -236,17 +236,10 @@ def peak_memory(what: str = "VmHWM") -> float:
 
 def fresh(words: Sequence[str], *, threads: int = 1, **environment: str) -> Row:
     """Run Python in a new process; returns its last line of output, which is JSON."""
-    settings = {
-        "PYTHONPATH": str(ROOT),
-        "SSDR_NUM_THREADS": str(threads),
-        "OMP_NUM_THREADS": str(threads),
-        "OPENBLAS_NUM_THREADS": str(threads),
-    }
+    counts = ("SSDR_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+    settings = {"PYTHONPATH": str(ROOT), **dict.fromkeys(counts, str(threads)), **environment}
     done = subprocess.run(
-        [sys.executable, *words],
-        env=os.environ | settings | environment,
-        stdout=subprocess.PIPE,
-        text=True,
+        [sys.executable, *words], env=os.environ | settings, stdout=subprocess.PIPE, text=True
     )
     if done.returncode:
         raise SystemExit(f"{' '.join(words)}: ended with status {done.returncode}")
@@ -288,8 +281,8 @@ def run(
 ) -> None:
     """Measure the cases that the command line names, keep their rows, and report.
 
-    A case is the arguments of ``measure``, which runs in a process of its own.  `check` may end
-    the command before the first case; `own` has the options from which the cases were made.
+    A case is the arguments of ``measure``, in a process of its own, whose death ends the command
+    unless a column is "failed".  `check` may end it before; `own` has the options of the cases.
     """
     own = own or argparse.ArgumentParser(add_help=False)
     parser = argparse.ArgumentParser(description=doc.splitlines()[0], parents=[own])
@@ -305,8 +298,8 @@ def run(
     parser.add_argument("--images", type=Path, default=IMAGES, help="folder of the charts")
     parser.add_argument("--case", help=argparse.SUPPRESS)  # measure one case in this process
     args = parser.parse_args()
-    changes = dict(pair.split("=", 1) for pair in args.set)
-    changes = {k: int(v) if v.isdecimal() else v for k, v in changes.items()}
+    pairs = (pair.split("=", 1) for pair in args.set)
+    changes = {k: int(v) if v.isdecimal() else v for k, v in pairs}
     if args.case:
         print(json.dumps(measure(**cases[args.case] | changes)))
         return
@@ -323,7 +316,12 @@ def run(
     for name in todo:
         case, rates = names[name], machine()
         words = [*mine, *(["--set", *args.set] if changes else [])]
-        row = fresh([script, "--case", case, *words], threads=args.threads)
+        try:
+            row = fresh([script, "--case", case, *words], threads=args.threads)
+        except SystemExit as error:
+            if "failed" not in columns:
+                raise
+            row = {"failed": str(error).rpartition(": ")[2]}
         rows[name] = {"threads": args.threads, "machine": rates, **cases[case], **changes, **row}
         write_rows(args.out, rows)
         shown = {k: v for k, v in row.items() if not isinstance(v, list | dict)}

@@ -158,11 +158,12 @@ def as_array(value: Any, argument: str, expected: str) -> NDArray[Any]:
     Raises
     ------
     InputError
-        If NumPy cannot make an array of it, such as of rows of different lengths.
+        If NumPy cannot make an array of it, such as of rows of different lengths, or of a tensor
+        with a gradient.
     """
     try:
         return np.asarray(value)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, RuntimeError) as error:
         raise InputError(argument, expected, str(error)) from error
 
 

@@ -286,7 +286,9 @@ def native(block: Any) -> NDArray[np.floating]:
 
 
 def _check_vertices(vertices: Any, argument: str, validate: bool) -> Any:
-    if not all(hasattr(vertices, a) for a in ("shape", "dtype", "__getitem__")):
+    # a tensor's dtype is none of NumPy's
+    sliced = all(hasattr(vertices, a) for a in ("shape", "dtype", "__getitem__"))
+    if not sliced or not isinstance(vertices.dtype, np.dtype):
         given = as_array(vertices, argument, "an array of shape (F, V, 3)")
         if given.dtype.kind not in "fiu" and given.ndim == 0:
             raise InputError(

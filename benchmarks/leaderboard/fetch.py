@@ -54,8 +54,10 @@ def download(url: str, most: int) -> bytes:
     try:
         with urllib.request.urlopen(request, timeout=SECONDS) as answer:
             data: bytes = answer.read(most + 1)
-    except (urllib.error.URLError, OSError, ValueError) as error:
-        raise Refused(f"{url}: {error}") from error
+    except (OSError, ValueError) as error:  # of urllib, too
+        answered = isinstance(error, urllib.error.HTTPError)
+        said = error if answered else f"not reached: {getattr(error, 'reason', error)}"
+        raise Refused(f"{url}: {said}") from error
     if len(data) > most:
         raise Refused(f"{url}: expected at most {most:,} bytes, got more")
     return data

@@ -103,10 +103,12 @@ def of_tables(asked: Row) -> Iterator[str]:
     yield from (solver for solver in ("published", *KEPT) if can_answer(solver, asked))
 
 
-def cases(solver: str | None) -> dict[str, Row]:
-    """Cases by name: those of the tables, or of one solver."""
+def cases(solver: str | None, sequence: str | None = None) -> dict[str, Row]:
+    """Cases by name: those of the tables, or of one solver; of all sequences, or of one."""
     found = {}
     for asked in questions():
+        if sequence not in (None, asked["sequence"]):
+            continue
         for one in of_tables(asked) if solver is None else [solver]:
             if can_answer(one, asked):
                 name = f"{describe(asked)}, {Path(one).stem if slot.is_file(one) else one}"
@@ -267,8 +269,6 @@ def before(asked: Row, rows: dict[str, Row]) -> str:
 
 def score_file(path: str, name: str) -> None:
     """Print the score of a model file, and below it what the leaderboard has for its bones."""
-    if name not in SEQUENCES:
-        raise SystemExit(f"--sequence: {name}: there are {', '.join(SEQUENCES)}")
     common.require([name])
     frames, faces, _, _, diagonal = problem(name)
     parts = slot.read(path, frames.shape)
@@ -288,8 +288,10 @@ def main() -> None:
     own = argparse.ArgumentParser(add_help=False)
     own.add_argument("--solver", metavar="FILE|NAME", help="by default those of the tables")
     own.add_argument("--model", metavar="FILE", help="score a model, with --sequence")
-    own.add_argument("--sequence", metavar="NAME", help="what the model is of")
+    own.add_argument("--sequence", metavar="NAME", help="what the model is of; for solvers, all")
     args = own.parse_known_args()[0]
+    if args.sequence and args.sequence not in SEQUENCES:
+        raise SystemExit(f"--sequence: {args.sequence}: there are {', '.join(SEQUENCES)}")
     if args.model:
         if not args.sequence:
             raise SystemExit("--model needs --sequence, the name of what it is a model of")
@@ -309,7 +311,8 @@ def main() -> None:
         found = {"command": command, **measure(**row)}
         return found | ({"before": before(row, known)} if known else {})
 
-    common.run(__file__, __doc__, cases(args.solver), asked, columns, check=check, out=out, own=own)
+    named_cases = cases(args.solver, args.sequence)
+    common.run(__file__, __doc__, named_cases, asked, columns, check=check, out=out, own=own)
 
 
 if __name__ == "__main__":

@@ -132,6 +132,20 @@ def jobs_of(args: argparse.Namespace) -> dict[str, list[Row]]:
     return found
 
 
+def folders(args: argparse.Namespace) -> tuple[Path, Path, Path]:
+    """Folders of the records, of the charts, and of the records that a first run goes on from.
+
+    What a solver of one's own adds lies in `out`, beside a copy of the records that there are.
+    """
+    own = any(map(slot.is_file, args.solvers or ()))
+    results, images = common.RESULTS, common.IMAGES
+    if args.short or own:
+        results = images = common.ROOT / "out" / ("bench-short" if args.short else "race")
+    results = args.results or results
+    copied = own and not args.short and not args.results
+    return results, args.images or images, common.RESULTS if copied else results
+
+
 def require(jobs: list[Row]) -> None:
     """End with a word about what the jobs need and is missing, before any of them starts."""
     for solver in {job["solver"] for job in jobs}:
@@ -253,18 +267,19 @@ def main() -> None:
     parser.add_argument("--results", type=Path, help="folder of the records")
     parser.add_argument("--images", type=Path, help="folder of the charts")
     args = parser.parse_args()
-    here = common.ROOT / "out" / "bench-short"
-    results = args.results or (here if args.short else common.RESULTS)
-    images = args.images or (here if args.short else common.IMAGES)
+    results, images, known = folders(args)
     began = time.perf_counter()
     todo = {} if args.report else jobs_of(args)
+    kept = {
+        part: common.read_rows(results / f"{part}.json") or common.read_rows(known / f"{part}.json")
+        for part in todo
+    }
     for part, jobs in todo.items():
-        rows = common.read_rows(results / f"{part}.json")
+        rows = kept[part]
         todo[part] = [job for job in jobs if args.again or key_of(job) not in rows]
     require([job for jobs in todo.values() for job in jobs])
     for part, missing in todo.items():
-        file = results / f"{part}.json"
-        rows = common.read_rows(file)
+        file, rows = results / f"{part}.json", kept[part]
         for jobs in groups(missing):
             if args.limit and time.perf_counter() - began > args.limit:
                 print(f"out of time, the same command goes on: {part} {key_of(jobs[0])}")

@@ -51,6 +51,8 @@ def solver_of(path: str) -> Callable[..., Parts]:
         spec.loader.exec_module(module)
     except ImportError as error:
         raise SystemExit(f"no solver: {path} needs what is not installed: {error}") from error
+    except Exception as error:
+        raise SystemExit(f"no solver: {path}: {type(error).__name__}: {error}") from error
     solve = getattr(module, "solve", None)
     if not callable(solve):
         raise SystemExit(f"no solver: {path} has no function solve")
@@ -83,7 +85,8 @@ def parts_of(
 ) -> Parts:
     """A model of what a solver returned or a file holds, in float64.
 
-    Ends with a word where the shapes do not fit each other, or the frames' if `shape` is theirs.
+    Ends with a word where numbers are not finite, or the shapes do not fit each other, or the
+    frames' if `shape` is theirs.
     """
     if hasattr(found, "indices"):  # an ssdr.Skinning
         weights = dense(found.indices, found.weights, found.n_bones)
@@ -100,7 +103,11 @@ def parts_of(
         ("transforms", transforms, (n_frames, bones, 3, 4)),
     ):
         if part.shape != expected:
-            raise SystemExit(f"{source}: {name}: expected shape {expected}, got {part.shape}")
+            remedy = "; of 4×4 matrices pass m[..., :3, :]" if part.shape[-2:] == (4, 4) else ""
+            got = f"got {part.shape}{remedy}"
+            raise SystemExit(f"{source}: {name}: expected shape {expected}, {got}")
+        if not np.isfinite(part).all():
+            raise SystemExit(f"{source}: {name}: expected finite numbers, got NaN or Inf")
     return Parts(rest, weights, transforms, bone_model)
 
 
@@ -114,11 +121,17 @@ def read(path: str | Path, shape: tuple[int, ...] | None = None) -> Parts:
     if not Path(path).is_file():
         raise SystemExit(f"no model: {path} is not a file")
     found: Any = None
-    if Path(path).suffix == ".npz":
-        with np.load(path) as archive:
-            if "format_version" not in archive:
-                found = [archive[name] for name in ("rest", "weights", "transforms")]
-    parts = parts_of(ssdr.load_skinning(path) if found is None else found, path, shape)
+    try:
+        if Path(path).suffix == ".npz":
+            with np.load(path) as archive:
+                if "format_version" not in archive:
+                    found = [archive[name] for name in ("rest", "weights", "transforms")]
+        if found is None:
+            found = ssdr.load_skinning(path)
+    except (KeyError, ValueError, ssdr.SsdrError) as error:
+        names = "what ssdr.load_skinning reads, or an npz with rest, weights and transforms"
+        raise SystemExit(f"no model: {path}: expected {names}: {error.args[0]}") from error
+    parts = parts_of(found, path, shape)
     r = parts.transforms[..., :3]
     rigid = np.abs(r.swapaxes(-1, -2) @ r - np.eye(3)).max() < 1e-6
     return parts if rigid else parts._replace(bone_model="affine")

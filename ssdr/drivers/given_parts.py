@@ -82,7 +82,8 @@ def _from_parts(start: Start, shape: tuple[int, int, int, int], bone_model: Bone
     indices, weights, transforms = start.indices, start.weights, start.transforms
     if (indices is None) != (weights is None):
         missing, there = ("weights", "indices") if weights is None else ("indices", "weights")
-        raise InputError(f"start.{missing}", f"an array beside start.{there}", "None")
+        dense = " (Skinning.from_dense has both of dense weights)" if weights is not None else ""
+        raise InputError(f"start.{missing}", f"an array beside start.{there}{dense}", "None")
     locked_vertices = check_mask(start.locked_vertices, "start.locked_vertices", n)
     if weights is not None:
         indices, weights = _sorted_skin(indices, weights, (n, bones, influences))
@@ -200,7 +201,8 @@ def _sorted_skin(indices: Any, weights: Any, size: tuple[int, int, int]) -> Skin
     indices, w = check_skin(indices, weights, n, bones, "start.")
     used = int((w > 0).sum(axis=1).max())
     if used > influences:
-        raise InputError("start.weights", f"at most {influences} influences a vertex", used)
+        wanted = f"at most {influences} influences a vertex (Skinning.prune({influences}) has them)"
+        raise InputError("start.weights", wanted, used)
     w = w.astype(np.float64)
     order = np.argsort(-w, axis=1, kind="stable")
     w, indices = (np.take_along_axis(a, order, axis=1) for a in (w, indices))
@@ -209,7 +211,8 @@ def _sorted_skin(indices: Any, weights: Any, size: tuple[int, int, int]) -> Skin
     if twice.any():
         first = int(twice.argmax())
         came = f"one twice at vertex {first}"
-        raise InputError("start.indices", "no bone twice at a vertex", came)
+        wanted = "no bone twice at a vertex (from_dense of dense_weights() adds them up)"
+        raise InputError("start.indices", wanted, came)
     return np.where(w > 0, indices, 0).astype(np.int32), w / w.sum(axis=1, keepdims=True)
 
 

@@ -212,7 +212,9 @@ def check_problem(
     check_choice(rest_pose, "rest_pose", RestPose)
     start = as_start(start, n_frames)
     if not (start is None or isinstance(start, (Skinning, Start))):
-        expected = "None, a Skinning, a MeshSequence, a Start or the number of a frame"
+        expected = (
+            "None, a Skinning (a result's .skinning), a MeshSequence, a Start or a frame's number"
+        )
         raise InputError("start", expected, type(start).__name__)
     if not (rig is None or isinstance(rig, Skeleton) or _is_kind(rig)):
         raise InputError("rig", "None, 'loose', 'rigid' or a Skeleton", repr(rig))

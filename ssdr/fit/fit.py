@@ -28,6 +28,8 @@ from ..solver.trajectories import Array, Trajectories, gather
 
 __all__ = ["Fit", "Given", "checked", "fit_of"]
 
+_MOST_BONES = 1 << 16  # the largest index decides how many there are; no more take memory
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Fit:
@@ -155,7 +157,10 @@ def _model(
     """A model of the given arrays; what is missing has any values."""
     for name, value in arrays.items():
         if value is None and name != "indices":
-            raise InputError(name, "an array beside the rest pose, or a Skinning for it", "None")
+            wanted = "an array beside the rest pose, or a Skinning for it"
+            if name == "weights" and arrays["indices"] is not None:
+                wanted = "an array beside indices; dense weights (V, B) go in by name, weights="
+            raise InputError(name, wanted, "None")
     options: dict[str, Any] = {"faces": sequences[0].faces, "bone_model": bone_model}
     options |= names_of(sequences)
     weights, indices = arrays.get("weights"), arrays.get("indices")
@@ -171,6 +176,8 @@ def _model(
         else:
             j = as_array(indices, "indices", "integers of shape (V, K)")
             count = int(j.max()) + 1 if j.size and j.dtype.kind in "iu" else 1
+            if count > _MOST_BONES:
+                raise InputError("indices", f"indices of at most {_MOST_BONES:,} bones", count - 1)
         moves = np.broadcast_to(np.eye(3, 4), (n_frames, max(count, 1), 3, 4))
     if indices is None:
         return Skinning.from_dense(rest, weights, moves, **options)

@@ -167,7 +167,7 @@ def _check_allowed(allowed: Any, n_vertices: int, n_bones: int) -> NDArray[np.bo
     """Mask (V, B) of the bones that each vertex may follow; None if all may."""
     if allowed is None:
         return None
-    wanted = f"a mask of shape ({n_vertices}, {n_bones}) or ({n_bones},)"
+    wanted = f"a bool mask of shape ({n_vertices}, {n_bones}) or ({n_bones},)"
     mask = as_array(allowed, "allowed", wanted)
     if mask.dtype != bool or mask.shape not in ((n_vertices, n_bones), (n_bones,)):
         raise InputError("allowed", wanted, f"{mask.dtype} {mask.shape}")

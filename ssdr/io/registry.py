@@ -245,7 +245,8 @@ def call(format_: Format, function: str, *args: Any, **options: Any) -> Any:
         unknown = [n for n in options if n not in known]
         if unknown:
             wanted = ", ".join(known) or "no options"
-            raise InputError("options", f"{wanted} (for {format_.title})", ", ".join(unknown))
+            which = f"for {format_.title}; units and up for all"
+            raise InputError("options", f"{wanted} ({which})", ", ".join(unknown))
     for name, value in options.items():
         if name in parameters:
             _check_option(name, value, str(parameters[name].annotation))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.util
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -80,6 +81,8 @@ def test_what_is_missing_is_named_at_once(
     [
         ("def solver(): ...", "has no function solve"),
         ("import no_such_package", "needs what is not installed: No module named 'no_such_pack"),
+        ("def solve(frames faces): ...", r"no solver: .*mine\.py: SyntaxError: "),
+        ("raise RuntimeError('no licence')", r"no solver: .*mine\.py: RuntimeError: no licence"),
     ],
 )
 def test_a_file_that_is_no_solver_is_refused(text: str, said: str, tmp_path: Path) -> None:
@@ -95,7 +98,8 @@ def test_shapes_that_do_not_fit_are_named(tmp_path: Path) -> None:
     for k, part, said in (
         (0, np.zeros((4, 3)), r"mine.py: rest: expected shape \(5, 3\), got \(4, 3\)"),
         (1, np.zeros((4, 2)), r"weights: expected shape \(5, 2\), got \(4, 2\)"),
-        (2, np.zeros((7, 2, 4, 4)), r"transforms: expected shape \(7, 2, 3, 4\)"),
+        (2, np.zeros((7, 2, 4, 4)), r"expected shape \(7, 2, 3, 4\), .* pass m\[\.\.\., :3, :\]"),
+        (1, np.full((5, 2), np.nan), r"weights: expected finite numbers, got NaN or Inf"),
     ):
         bad = [*good[:k], part, *good[k + 1 :]]
         with pytest.raises(SystemExit, match=said):
@@ -121,6 +125,13 @@ def test_a_model_is_read_from_arrays_and_from_the_packages_files(tmp_path: Path)
     assert slot.read(tmp_path / "plain.npz").bone_model == "affine"
     with pytest.raises(SystemExit, match=r"no model: .*none\.npz is not a file"):
         slot.read(tmp_path / "none.npz")
+    np.savez(tmp_path / "named.npz", rest=model.rest, W=weights, M=model.transforms)
+    np.savez(tmp_path / "objects.npz", **(arrays | {"rest": np.array([None])}))
+    (tmp_path / "text.npz").write_text("no archive")
+    (tmp_path / "text.glb").write_text("no model")
+    for bad in ("named.npz", "objects.npz", "text.npz", "text.glb"):
+        with pytest.raises(SystemExit, match=r"no model: .*what ssdr\.load_skinning reads"):
+            slot.read(tmp_path / bad)
 
 
 # --- scores --------------------------------------------------------------------------------------
@@ -258,6 +269,28 @@ def test_a_model_file_is_scored_beside_what_is_known(
     np.savez(tmp_path / "mine.npz", **(model | {"transforms": moves[:5]}))
     with pytest.raises(SystemExit, match=r"transforms: expected shape \(6, 3, 3, 4\)"):
         score.score_file(str(tmp_path / "mine.npz"), "toy")
+
+
+def test_a_solver_is_asked_about_one_sequence_by_its_name() -> None:
+    some = score.cases("ssdr fast", "ea_bone")
+    assert {row["sequence"] for row in some.values()} == {"ea_bone"}
+    assert some.items() < score.cases("ssdr fast").items()
+
+
+def test_a_solver_whose_process_dies_has_a_row_and_others_go_on(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    script = tmp_path / "script.py"
+    script.write_text("import os, sys\nprint('{}') if 'good' in sys.argv else os._exit(3)\n")
+    monkeypatch.setattr(common, "machine", dict)
+    monkeypatch.setattr(sys, "argv", ["script.py"])
+    cases: dict[str, common.Row] = {"bad": {}, "good": {}}
+    out = tmp_path / "rows.json"
+    with pytest.raises(SystemExit, match="ended with status 3"):
+        common.run(str(script), "Doc.", cases, dict, ["E"], out=out)
+    common.run(str(script), "Doc.", cases, dict, ["E", "failed"], out=out)
+    rows = common.read_rows(out)
+    assert [row.get("failed") for row in rows.values()] == ["ended with status 3", None]
 
 
 def test_solvers_are_asked_what_they_can_answer() -> None:

@@ -152,6 +152,11 @@ def _garble_the_list(server: Server) -> None:
     server.content[tree_path(TOY)] = b"[1, 2]"
 
 
+def test_an_address_that_is_not_reached_is_said_to_be() -> None:
+    with pytest.raises(fetch.Refused, match=r"^http://\S+: not reached: \[Errno \d+\] \w"):
+        fetch.download("http://127.0.0.1:1/nobody", 10)
+
+
 @pytest.mark.parametrize(
     ("damage", "word"),
     [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import subprocess
@@ -159,6 +160,19 @@ def test_a_solver_runs_in_a_process_of_its_own_and_tells_the_truth() -> None:
 
 
 @pytest.mark.slow
+def test_a_solver_of_ones_own_leaves_the_records_of_the_tables_alone() -> None:
+    def folders(*words: str, **given: object) -> tuple[Path, ...]:
+        options = {"short": False, "solvers": [*words], "results": None, "images": None}
+        return race.folders(argparse.Namespace(**(options | given)))
+
+    tables, own = ROOT / "benchmarks" / "results", ROOT / "out" / "race"
+    assert folders("ssdr fast") == (tables, ROOT / "docs" / "images", tables)
+    assert folders("ssdr fast", "mine.py") == (own, own, tables)
+    here = Path("here")
+    assert folders("mine.py", results=here, images=here) == (here, here, here)
+    assert folders("mine.py", short=True)[0] == ROOT / "out" / "bench-short"
+
+
 def test_solvers_take_turns_and_a_crash_is_a_record() -> None:
     good = race.job("race", "ssdr fast", "tube:200:12", 4)
     bad = race.job("race", "ssdr fast", "tube:200:12", -1)

@@ -220,6 +220,10 @@ REFUSED: dict[str, tuple[str, dict[str, Any]]] = {
     "bones that are true": ("bones", {"start": still(bones=1), "bones": True}),
     "more bones than vertices": ("start", {"start": still(bones=85)}),
     "too many influences": ("start.weights", {"start": still(**THREE), "influences": 2}),
+    "dense weights": (
+        "start.indices",
+        {"start": ssdr.Start(weights=np.eye(84)[:, :2]), "bones": 2},
+    ),
     "a bone twice": ("start.indices", {"start": still(**TWICE)}),
     "bones that grow": ("start.transforms", {"start": still(**GROWN)}),
     "far away": ("start.rest", {"start": motions.model(np.full((84, 3), 1e155))}),
@@ -227,6 +231,18 @@ REFUSED: dict[str, tuple[str, dict[str, Any]]] = {
     "another skeleton's": ("start", ON | {"start": other_parents()}),
     "no skeleton's": ("start", ON | {"start": FLAT}),
 }
+
+
+def test_errors_say_where_a_start_is_found() -> None:
+    for start, said in (
+        (RESULT, r"a Skinning \(a result's \.skinning\)"),
+        (ssdr.Start(weights=np.eye(84)[:, :2]), r"Skinning\.from_dense has both"),
+        (still(**TWICE), r"from_dense of dense_weights\(\) adds them up"),
+    ):
+        with pytest.raises(InputError, match=said):
+            ssdr.decompose(
+                frames(), start=start, bones=2 if isinstance(start, ssdr.Start) else None
+            )
 
 
 @pytest.mark.parametrize("case", REFUSED)

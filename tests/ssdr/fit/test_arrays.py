@@ -285,6 +285,49 @@ def test_refuses(function: str, argument: str, change: dict[str, Any]) -> None:
     assert caught.value.argument == argument
 
 
+class Tensor:
+    """What frameworks hand over: their own dtype, an array on request, not with a gradient."""
+
+    dtype = "float64 of a framework"
+
+    def __init__(self, values: np.ndarray, gradient: bool = False) -> None:
+        self.values, self.shape, self.gradient = values, values.shape, gradient
+
+    def __getitem__(self, key: Any) -> Tensor:
+        return Tensor(self.values[key])
+
+    def __array__(self, *_: Any, **__: Any) -> np.ndarray:
+        if self.gradient:
+            raise RuntimeError("requires grad. Use tensor.detach()")
+        return self.values
+
+
+def test_tensors_are_taken_as_arrays_are() -> None:
+    parts = CHAIN.rest, CHAIN.transforms
+    found = ssdr.fit_weights(Tensor(np.asarray(FRAMES.vertices)), *map(Tensor, parts))
+    expected = ssdr.fit_weights(FRAMES.vertices, *parts)
+    assert np.array_equal(found.skinning.weights, expected.skinning.weights)
+    assert ssdr.metrics.rmse(Tensor(found.skinning.skin()), found) == 0
+    tracked = Tensor(FRAMES.vertices, True), Tensor(CHAIN.rest, True)
+    for bad in ((tracked[0], CHAIN.rest), (FRAMES, tracked[1])):
+        with pytest.raises(ssdr.InputError, match=r"Use tensor\.detach\(\)"):
+            ssdr.fit_weights(*bad, CHAIN.transforms)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"indices": DENSE, "weights": None}, r"dense weights \(V, B\) go in by name, weights="),
+        ({"indices": np.full(CHAIN.indices.shape, 10**9)}, r"at most 65,536 bones, got 1000000000"),
+        ({"indices": np.full(CHAIN.indices.shape, 2**63, np.uint64)}, r"at most 65,536 bones"),
+    ],
+)
+def test_an_error_says_what_to_pass(change: dict[str, Any], said: str) -> None:
+    parts = {"indices": CHAIN.indices, "weights": CHAIN.weights} | change
+    with pytest.raises(ssdr.InputError, match=said):
+        ssdr.fit_bones(FRAMES, CHAIN.rest, **parts)
+
+
 def test_a_length_of_half_precision_does_not_overflow() -> None:
     one, other = (
         ssdr.fit_weights(FRAMES, CHAIN.skinning, smoothness=kind(3), iterations=2)

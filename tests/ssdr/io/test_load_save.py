@@ -33,7 +33,9 @@ def test_options_are_checked(tmp_path, wave):
         InputError, match=r"options: expected clip, fps, mmap, max_bytes .*got faces"
     ):
         ssdr.load(tmp_path / "a.npz", faces="b.obj")
-    with pytest.raises(InputError, match=r"options: expected compress .*got level"):
+    with pytest.raises(
+        InputError, match=r"options: expected compress .*units and up for all.*got level"
+    ):
         ssdr.save(wave, tmp_path / "a.npz", level=3)
     for fps in (0, -1, np.nan, "24", True):
         with pytest.raises(InputError, match="fps: expected a positive number"):
