@@ -190,7 +190,9 @@ def free_bones(d: Descent, effort: Effort, size: float, *, stretching: bool) -> 
         return
     # with bones that stretch, a long polish before the relaxation leads to worse minima
     polish(d, steps=60, gain=0.01)
-    relax(d, polish_steps=5)
+    # Five polish steps in place of two end 1 % lower to 2 % higher on six sequences, at 1.2 times
+    # the time.  Smooth motion, such as a cloth's, takes many steps at the end.
+    relax(d, polish_steps=2)
     last_polish(d, steps=200, gain=0.004)
 
 
