@@ -12,8 +12,9 @@ from .drivers.hand_back import with_normals
 from .drivers.problem import check_problem
 from .errors import check_choice
 from .result import Decomposition
-from .search.stages import Compress
-from .search.starts import StartFromModel
+from .search.descent import Descent
+from .search.starts import start_from_model
+from .search.steps import compress, unfold
 from .sequence import MeshSequence
 from .skinning import Skinning, check_skinning
 from .solver.warmup import compile_kernels
@@ -82,10 +83,16 @@ def round_weights(
         rng=0,
     )
     compile_seconds = compile_kernels()
-    outcome = in_memory.solve(problem, (StartFromModel(), Compress()))
+    outcome = in_memory.solve(problem, _begin)
     found = {name: getattr(outcome.skinning, name) for name in _CHANGED}
     rounded = dataclasses.replace(skinning, **found, keyframes=None)
     rounded, normals = with_normals(problem, rounded)
     return dataclasses.replace(
         outcome, skinning=rounded, normals=normals, compile_seconds=compile_seconds, warnings=()
     )
+
+
+def _begin(d: Descent) -> None:
+    start_from_model(d)
+    compress(d)
+    unfold(d)

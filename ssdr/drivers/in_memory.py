@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+import logging
+import math
+from collections.abc import Callable
+from functools import partial
+
+from ..errors import Cancelled
 from ..result import Decomposition
+from ..search.descent import Descent, Schedule, Stop
 from ..search.given import Given
 from ..search.progress import Clock, ProgressReport
-from ..search.run import Beside, Run, Schedule
-from ..search.stages import Unfold
+from ..sequence import MeshSequence
 from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import Trajectories
 from .hand_back import outcome_of, skinning_of
 from .problem import Problem
 from .rounding import rounded_best
-from .schedule import from_model, normals_last, schedule_for
+from .schedules import follow_effort
 
-__all__ = ["begin", "solve"]
+__all__ = ["after_step", "begin", "schedule_of", "solve"]
+
+_logger = logging.getLogger(__name__)
 
 
 def solve(problem: Problem, schedule: Schedule | None = None) -> Decomposition:
@@ -27,53 +35,32 @@ def solve(problem: Problem, schedule: Schedule | None = None) -> Decomposition:
     """
     clock = Clock()
     data = problem.trajectories(problem.sequences, problem.frame_importance)
-    run = begin(problem, data, problem.given.inside(data), clock, schedule)
-    del data  # frees the frames once the run has compressed them
+    d = begin(problem, data, problem.given.inside(data), clock)
+    del data  # frees the frames once they have been compressed
     report = ProgressReport(problem.callback, clock, problem.time_limit)
-    reason = run.make_steps(
-        report,
-        save=lambda: problem.checkpoint.offer(
-            lambda: skinning_of(problem, run.whole, run.best_model)
-        ),
+    reason = d.follow(schedule or schedule_of(problem), after_step(problem, d, report))
+    model, steps, reason = rounded_best(problem, d, report, reason)
+    return outcome_of(problem, d.whole, model, steps, reason=reason, idle=d.idle_bones)
+
+
+def schedule_of(problem: Problem) -> Schedule:
+    """Schedule of the problem's effort."""
+    return partial(
+        follow_effort,
+        effort=problem.effort,
+        rig=problem.rig,
+        placed=problem.placed,
+        tries_model=problem.beside,
     )
-    model, steps, reason = rounded_best(problem, run, report, reason)
-    return outcome_of(problem, run.whole, model, steps, reason=reason, idle=run.idle_bones)
 
 
-def begin(
-    problem: Problem,
-    data: Trajectories,
-    given: Given,
-    clock: Clock,
-    schedule: Schedule | None = None,
-) -> Run:
-    """Begin a run on the frames of `data`, by default with the schedule of the problem's effort.
-
-    The rest pose keeps to the surface that `data` may have.
-    """
+def begin(problem: Problem, data: Trajectories, given: Given, clock: Clock) -> Descent:
+    """A descent on the frames of `data`, whose rest pose keeps to the surface that it may have."""
     if data.surface is None:
         data, given = problem.with_rest_surface(data, given)
     smoothness = WeightSmoothness.build(data, problem.sequences[0].faces, problem.smoothness)
-    whole = schedule is None
-    if schedule is None:
-        schedule = schedule_for(
-            problem.effort,
-            bone_model=problem.locked.bone_model,
-            bones=problem.bones,
-            given=given,
-            placed=problem.placed,
-            smoothed=smoothness is not None,
-            size=float(data.n_vertices) * data.n_frames * problem.bones,
-            rig=problem.rig,
-        )
-    if problem.normals and smoothness is None:
-        schedule = normals_last(schedule)
-    if whole and problem.beside:
-        schedule = (*schedule, Beside(start=from_model(problem.effort)))
-    schedule = (*schedule, Unfold())
-    return Run(
+    return Descent(
         data,
-        schedule,
         bones=problem.bones,
         influences=min(problem.influences, problem.bones),
         rng=problem.rng,
@@ -82,4 +69,45 @@ def begin(
         smoothness=smoothness,
         clock=clock,
         rigid_joints=problem.rig == "rigid",
+        normals=problem.normals and smoothness is None,
     )
+
+
+def after_step(
+    problem: Problem,
+    d: Descent,
+    report: ProgressReport,
+    *,
+    sequences: list[MeshSequence] | None = None,
+    part: tuple[float, float] = (0.0, 1.0),
+) -> Callable[[str], None]:
+    """Function that reports a step and writes checkpoints, and stops the descent if that is asked.
+
+    Parameters
+    ----------
+    problem : Problem
+    d : Descent
+    report : ProgressReport
+    sequences : list of MeshSequence, optional
+        Frames of `d`, if these are not all.
+    part : (float, float)
+        Fractions of the whole work that are done before and after this descent.
+    """
+    unit = d.whole.scale / math.sqrt(d.whole.n_frames * d.whole.n_vertices)
+
+    def told(phase: str) -> None:
+        rmse = unit * math.sqrt(d.best_error)
+        fraction = part[0] + (part[1] - part[0]) * d.fraction
+        said = phase, d.iteration, rmse, 100 * fraction
+        _logger.debug("%s, iteration %d, rmse %.6g, %.0f %% done", *said)
+        if d.best is not None:
+            best = d.best
+            problem.checkpoint.offer(lambda: skinning_of(problem, d.whole, best, sequences))
+        if report(phase, iteration=d.iteration, rmse=rmse, fraction=fraction):
+            if d.best is None:
+                raise Cancelled("stopped by the callback before there was any model")
+            raise Stop("cancelled")
+        if d.best is not None and report.out_of_time:
+            raise Stop("time limit")
+
+    return told

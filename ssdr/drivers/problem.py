@@ -36,7 +36,7 @@ from .checkpoint import Checkpoint
 from .efforts import Effort
 from .given_parts import check_skeleton, check_start, extra_parents, with_skeleton
 from .scan import needs_streaming
-from .schedule import RigKind
+from .schedules import RigKind
 
 __all__ = ["Problem", "check_problem"]
 

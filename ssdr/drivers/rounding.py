@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 
+from ..search.descent import Descent
 from ..search.progress import ProgressReport
-from ..search.run import Run
 from ..solver.model import Model
 from ..solver.rounding import rounded_models
 from .efforts import NUMBERS
@@ -19,19 +19,19 @@ __all__ = ["rounded_best"]
 
 
 def rounded_best(
-    problem: Problem, run: Run, report: ProgressReport, reason: str
+    problem: Problem, d: Descent, report: ProgressReport, reason: str
 ) -> tuple[Model, list[Step], str]:
-    """The best model of a run with the weights that the problem's storage holds.
+    """The best model of a descent with the weights that the problem's storage holds.
 
     Returns
     -------
     Model
     list of Step
-        Steps of the run, and one for the rounding.
+        Steps of the descent, and one for the rounding.
     str
         `reason`, or "cancelled" or "time limit" if that ended the rounding.
     """
-    best, data, steps = run.best_model, run.whole, list(run.records)
+    best, data, steps = d.best_model, d.whole, list(d.records)
     if problem.storage == "float32":
         return best, steps, reason
     unit = data.scale / math.sqrt(data.n_frames * data.n_vertices)
@@ -42,8 +42,8 @@ def rounded_best(
     for model in rounded_models(data, best, problem.storage, locked=locked, rounds=rounds):
         error = model.weighted_error(data)
         rmse = unit * math.sqrt(error)
-        stopped = report(phase, iteration=run.iteration, rmse=rmse, fraction=1.0)
+        stopped = report(phase, iteration=d.iteration, rmse=rmse, fraction=1.0)
         if stopped or report.out_of_time:
             reason = "cancelled" if stopped else "time limit"
             break
-    return model, [*steps, (run.iteration, run.clock.elapsed, error, phase)], reason
+    return model, [*steps, (d.iteration, d.clock.elapsed, error, phase)], reason

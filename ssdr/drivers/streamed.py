@@ -14,25 +14,26 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from functools import partial
 
 import numpy as np
 
 from ..errors import Cancelled, InputError
 from ..result import Decomposition
+from ..search.descent import Descent
 from ..search.given import Given
 from ..search.progress import Clock, ProgressReport
-from ..search.run import Run
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.model import Model
 from ..solver.trajectories import Array, Trajectories
 from .hand_back import Step, outcome_of, skinning_of
-from .in_memory import begin
+from .in_memory import after_step, begin, schedule_of
 from .passes import ENTERING, GAIN, AllFrames, carried
 from .problem import Problem
 from .rounding import rounded_best
 from .scan import Scan, scan, subset
-from .schedule import settling_schedule
+from .schedules import settle
 
 __all__ = ["PASSES", "SCANNED", "scan_of", "solve"]
 
@@ -64,28 +65,30 @@ def solve(problem: Problem) -> Decomposition:
     sequence, data, given = _read_chosen(problem, few, few.importance(importance))
     # normals are solved in the last of the runs
     first = problem if more is None else dataclasses.replace(problem, normals=False)
-    run = begin(first, data, given, clock)
-    del data  # frees the frames once the run has compressed them
-    reason = _make_steps(problem, run, sequence, (SCANNED, _REPRESENTED))
+    d = begin(first, data, given, clock)
+    del data  # frees the frames once they have been compressed
+    report = ProgressReport(problem.callback, clock, problem.time_limit)
+    told = after_step(problem, d, report, sequences=[sequence], part=(SCANNED, _REPRESENTED))
+    reason = d.follow(schedule_of(problem), told)
     # the transforms of a start are dropped if they turned out to be of other frames
     given_later = problem.given
-    if run.given.transforms is None:
+    if d.given.transforms is None:
         given_later = dataclasses.replace(given_later, transforms=None)
     later = dataclasses.replace(problem, given=given_later)
     chosen = few
     if more is not None and reason not in ("cancelled", "time limit"):
         chosen = more
-        run.release()
+        d.release()
         weights = None if importance is None else importance[more.chosen]
         sequence, data, given = _read_chosen(later, more, weights)
-        run = _settling(later, few, more, run, data, given)
-        reason = _make_steps(problem, run, sequence, (_REPRESENTED, _SETTLED))
-    idle = run.idle_bones
-    report = ProgressReport(problem.callback, run.clock, problem.time_limit)
-    model, _, reason = rounded_best(problem, run, report, reason)
-    frames = _all_frames(later, chosen, run, model)
-    run.release()
-    passes, why = _passes(problem, run, frames, hurried=reason == "cancelled")
+        d = _carried(later, few, more, d, data, given)
+        told = after_step(problem, d, report, sequences=[sequence], part=(_REPRESENTED, _SETTLED))
+        reason = d.follow(partial(settle, effort=problem.effort), told)
+    idle = d.idle_bones
+    model, _, reason = rounded_best(problem, d, report, reason)
+    frames = _all_frames(later, chosen, d, model)
+    d.release()
+    passes, why = _passes(problem, d, frames, hurried=reason == "cancelled")
     return outcome_of(
         problem,
         few.alignment,
@@ -122,45 +125,33 @@ def _read_chosen(
     return sequence, data, problem.given.of_frames(chosen.chosen).inside(data)
 
 
-def _make_steps(
-    problem: Problem, run: Run, sequence: MeshSequence, part: tuple[float, float]
-) -> str:
-    def model() -> Skinning:
-        return skinning_of(problem, run.whole, run.best_model, [sequence])
-
-    report = ProgressReport(problem.callback, run.clock, problem.time_limit)
-    return run.make_steps(report, save=lambda: problem.checkpoint.offer(model), part=part)
-
-
-def _settling(
-    problem: Problem, few: Scan, more: Scan, first: Run, data: Trajectories, given: Given
-) -> Run:
-    """Begin a run that settles the model of the representative frames on more frames.
+def _carried(
+    problem: Problem, few: Scan, more: Scan, first: Descent, data: Trajectories, given: Given
+) -> Descent:
+    """A descent that goes on from the model of the representative frames with more frames.
 
     Representative frames are few and extreme; solved on these alone, the weights follow motion that
     other frames do not have.
     """
-    smoothed = problem.smoothness > 0
-    schedule = settling_schedule(problem.effort, smoothed=smoothed)
     ratio = first.whole.scale / data.scale
     if first.whole.surface is not None:
         data = dataclasses.replace(data, surface=first.whole.surface.scaled(ratio))
-    run = begin(problem, data, given, first.clock, schedule)
-    run.iteration = first.iteration
-    run.model = carried(first.best_model, few.nearest[more.chosen], ratio, given, problem.locked)
-    return run
+    d = begin(problem, data, given, first.clock)
+    d.iteration = first.iteration
+    d.model = carried(first.best_model, few.nearest[more.chosen], ratio, given, problem.locked)
+    return d
 
 
-def _all_frames(problem: Problem, chosen: Scan, run: Run, model: Model) -> AllFrames:
-    """Prepare the model of a run on some frames for passes over all frames."""
+def _all_frames(problem: Problem, chosen: Scan, d: Descent, model: Model) -> AllFrames:
+    """Prepare the model of some frames for passes over all frames."""
     locked = problem.locked
-    if run.smoothness is not None or problem.storage != "float32":
-        # a pass knows neither penalty nor rounding, so that it must keep the weights of the run
-        locked = dataclasses.replace(locked, weights=np.ones(run.whole.n_vertices, dtype=bool))
+    if d.smoothness is not None or problem.storage != "float32":
+        # a pass knows neither penalty nor rounding, so that it must keep the weights
+        locked = dataclasses.replace(locked, weights=np.ones(d.whole.n_vertices, dtype=bool))
     return AllFrames(
         problem.sequences,
         chosen,
-        run.whole,
+        d.whole,
         model,
         locked=locked,
         given=problem.given.inside(chosen.alignment),
@@ -170,7 +161,7 @@ def _all_frames(problem: Problem, chosen: Scan, run: Run, model: Model) -> AllFr
 
 
 def _passes(
-    problem: Problem, run: Run, frames: AllFrames, *, hurried: bool
+    problem: Problem, d: Descent, frames: AllFrames, *, hurried: bool
 ) -> tuple[list[Step], str | None]:
     """Make passes over all frames until one gains little; only one if `hurried`.
 
@@ -181,7 +172,7 @@ def _passes(
     str or None
         "cancelled" or "time limit" if that ended the passes.
     """
-    report = ProgressReport(problem.callback, run.clock, problem.time_limit)
+    report = ProgressReport(problem.callback, d.clock, problem.time_limit)
     most = PASSES[problem.effort]
     unit = frames.alignment.scale / math.sqrt(problem.n_frames * problem.n_vertices)
     passes: list[Step] = []
@@ -191,7 +182,7 @@ def _passes(
         nonlocal stopped
         stopped |= report(
             "all frames",
-            iteration=run.iteration + len(passes),
+            iteration=d.iteration + len(passes),
             rmse=unit * math.sqrt(passes[-1][2]) if passes else math.inf,
             fraction=_SETTLED + (1 - _SETTLED) * (len(passes) + done) / most,
         )
@@ -201,15 +192,13 @@ def _passes(
 
     while len(passes) < most:
         before = frames.model.copy() if passes else None
-        value = frames.pass_over(
-            entering=0 if run.smoothness else ENTERING, on_progress=on_progress
-        )
+        value = frames.pass_over(entering=0 if d.smoothness else ENTERING, on_progress=on_progress)
         if before is not None and value >= last:
             frames.model = before
             break
-        step = run.iteration + len(passes) + 1
+        step = d.iteration + len(passes) + 1
         error = frames.model.weighted_error(frames.space)
-        passes.append((step, run.clock.elapsed, error, "all frames"))
+        passes.append((step, d.clock.elapsed, error, "all frames"))
         small, last = value > (1 - GAIN) * last, value
         problem.checkpoint.offer(model)
         if small or hurried or stopped:

@@ -12,9 +12,10 @@ from ..drivers.problem import Problem
 from ..drivers.streamed import PASSES, SCANNED
 from ..errors import Cancelled
 from ..frames.motion import motion_rms
-from ..joints.stages import AttachUnattached
+from ..joints.steps import attach_unattached
+from ..search.descent import Descent
 from ..search.progress import Clock, ProgressReport, Record
-from ..search.starts import StartFromModel
+from ..search.starts import start_from_model
 from ..skinning import Skinning
 from ..solver.model import Model
 from ..solver.trajectories import Trajectories
@@ -148,8 +149,7 @@ class Driver:
     def _start_from_model(self) -> None:
         model, given = self.problem.start, self.frames.given
         if model is not None:
-            attach = (AttachUnattached(),) if self.problem.rig == "rigid" else ()
-            self.ladder.attempt(model.n_bones, (StartFromModel(), *attach), "given", given=given)
+            self.ladder.attempt(model.n_bones, _begin_with_given, "given", given=given)
 
     def _find_bones(self) -> None:
         """Find the fewest bones.
@@ -265,3 +265,9 @@ class Driver:
         where = "reach a" if self.frames.written is None else "reach in the file a"
         reached = f"{skinning.n_bones} bones of at most {most} influences {where} {kind} of"
         return f"{head}: {reached} {text(error, angle)}"
+
+
+def _begin_with_given(d: Descent) -> None:
+    start_from_model(d)
+    if d.rigid_joints:
+        attach_unattached(d)

@@ -11,10 +11,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from functools import partial
 
 from ..drivers.efforts import Effort
-from ..search.stages import Polish
-from .ladder import Ladder
+from ..search.descent import Descent
+from ..search.steps import polish
+from .ladder import Ladder, merge_down, move_some, search_long, start_merged
 
 __all__ = ["FewestBones"]
 
@@ -93,9 +95,7 @@ class FewestBones:
         ladder, least, most, exact = self.ladder, self.least, self.most, self.exact
         bones = least
         while True:
-            polish = Polish(steps=24, gain=0.01)
-            schedule = (*ladder.stages.start(1.6), *ladder.stages.move(_MOVES), polish)
-            ladder.attempt(bones, schedule, "start")
+            ladder.attempt(bones, _climb, "start")
             if (bones == most or least < bones == exact) and not ladder.fits(bones):
                 self.refine(bones)
             if ladder.fewest is not None or bones >= most:
@@ -113,9 +113,8 @@ class FewestBones:
         low = max((b for b in ladder.errors if b < self._held), default=least - 1)
         while (held := self._held) > least:
             bones = max((low + held) // 2, least) if held - low > 1 else held - 1
-            schedule = (*ladder.stages.merge(), Polish(steps=self.spend.polish, gain=0.005))
             wide = ladder.models[held].with_restarted_support()
-            ladder.attempt(bones, schedule, "merged", start=wide)
+            ladder.attempt(bones, self._merge, "merged", start=wide)
             if not ladder.fits(bones):
                 if held - bones > 1:
                     low = bones
@@ -138,32 +137,49 @@ class FewestBones:
         Improve the model, then try new starts, then search for long, as far as the effort allows.
         End early if the tolerance is held or out of reach.
         """
-        ladder, stages, spend = self.ladder, self.ladder.stages, self.spend
+        ladder, spend = self.ladder, self.spend
         lowest = ladder.models[bones].with_restarted_support()
-        improve = (*stages.move(_MOVES), Polish(steps=spend.polish, gain=0.005))
-        ladder.attempt(bones, improve, "improved", start=lowest)
+        ladder.attempt(bones, self._improve, "improved", start=lowest)
         for factor in spend.starts:
             if ladder.fits(bones) or self._hopeless(bones):
                 return
-            schedule = (*stages.start(factor), Polish(steps=8, gain=0.005))
-            ladder.attempt(bones, schedule, "new start")
+            ladder.attempt(bones, partial(_start_anew, factor=factor, steps=8), "new start")
         if ladder.fits(bones) or self._hopeless(bones) or not spend.trials:
             return
         lowest = ladder.models[bones].with_restarted_support()
-        search = stages.search(spend.moves, spend.trials)
+        search = partial(search_long, moves=spend.moves, trials=spend.trials)
         ladder.attempt(bones, search, "searched", start=lowest)
 
     def finish(self) -> None:
         """Lower the error at the fewest bones, so that pruning may add more error."""
         ladder, steps, held = self.ladder, self.spend.finish, self._held
         if steps:
-            polish = Polish(steps=steps, gain=0.005)
-            ladder.attempt(held, (polish,), "polished", start=ladder.models[held], until=0.0)
-            again = (*ladder.stages.start(_AGAIN), polish)
+            last = partial(polish, steps=steps, gain=0.005)
+            ladder.attempt(held, last, "polished", start=ladder.models[held], until=0.0)
+            again = partial(_start_anew, factor=_AGAIN, steps=steps)
             ladder.attempt(held, again, "new start", until=0.0)
+
+    def _merge(self, d: Descent) -> None:
+        merge_down(d)
+        polish(d, steps=self.spend.polish, gain=0.005)
+
+    def _improve(self, d: Descent) -> None:
+        move_some(d, _MOVES)
+        polish(d, steps=self.spend.polish, gain=0.005)
 
     def _hopeless(self, bones: int) -> bool:
         # with exact skinning the error falls abruptly at the right number of bones, so that a large
         # error just below it says nothing
         near = self.exact > 0 or (self.least > 1 and bones < _NEAR_RANK * self.least + 1)
         return not near and self.ladder.errors[bones] > self.spend.give_up * self.ladder.tolerance
+
+
+def _climb(d: Descent) -> None:
+    start_merged(d, 1.6)
+    move_some(d, _MOVES)
+    polish(d, steps=24, gain=0.01)
+
+
+def _start_anew(d: Descent, factor: float, steps: int) -> None:
+    start_merged(d, factor)
+    polish(d, steps=steps, gain=0.005)

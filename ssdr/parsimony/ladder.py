@@ -10,18 +10,26 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..drivers.schedule import merged_start
-from ..joints.stages import AttachToJoints, RemoveBones, SearchTrees
+from ..drivers.schedules import merged_start
+from ..joints.steps import attach, remove_bones, search_trees
+from ..search.changing import merge, move_bones, search
+from ..search.descent import Descent, Schedule, Stop
 from ..search.given import Given
 from ..search.progress import Clock, Record
-from ..search.run import Run, Schedule
-from ..search.sampling import ReturnToBest
-from ..search.stages import Alternate, Merge, MoveBones, Polish, Search, SolveNormals
+from ..search.steps import alternate, polish, return_to_best, solve_normals
 from ..solver.model import Model
 from .report import Attempt
 from .solved_frames import SolvedFrames
 
-__all__ = ["Ladder", "Report", "Stages", "Stopped"]
+__all__ = [
+    "Ladder",
+    "Report",
+    "Stopped",
+    "merge_down",
+    "move_some",
+    "search_long",
+    "start_merged",
+]
 
 # Factor by which the objective has to fall before the error is measured again, since a measurement
 # takes as long as a step, and that of normals as many.
@@ -29,7 +37,6 @@ _RECHECK, _RECHECK_NORMALS = 0.97, 0.5
 # Lawson's reweighting: number of rounds, least factor by which a round scales the importance of a
 # vertex, and largest error, relative to the tolerance, at which the reweighting is tried.
 _LEVEL_ROUNDS, _LEVEL_FLOOR, _LEVELLED = 6, 0.05, 2.0
-_LIGHT = Polish(steps=12, gain=0.005)  # with normals in the objective
 # For the estimate of the work that is done: the fraction at which pruning begins, and the least
 # number of attempts that are taken to share equally what is left until then.
 _PRUNING, _FOLLOWING = 0.95, 4
@@ -48,42 +55,61 @@ class Stopped(Exception):
 Report = Callable[[str, int, float, bool], None]
 
 
-@dataclasses.dataclass(frozen=True)
-class Stages:
-    """Parts of schedules, for free bones or for bones attached at joints.
+# --- parts of schedules, for free bones or for bones attached at joints --------------------------
 
-    Attributes
-    ----------
-    rigid_joints : bool
-        Whether bones are attached at joints.
-    """
 
-    rigid_joints: bool
+def start_merged(d: Descent, factor: float) -> None:
+    """Start with `factor` times the bones asked for and merge them down."""
+    if not d.rigid_joints:
+        merged_start(d, 10, 6, factor=factor)
+        return
+    merged_start(d, factor=factor, influences=1)
+    move_bones(d)
+    attach(d)
+    polish(d, steps=20, gain=0.01)
+    return_to_best(d)
 
-    def start(self, factor: float) -> Schedule:
-        """Schedule that starts with `factor` times the bones asked for and merges them down."""
-        if not self.rigid_joints:
-            return merged_start(10, 6, factor=factor)
-        attach = (AttachToJoints(), Polish(steps=20, gain=0.01), ReturnToBest())
-        return (*merged_start(12, 6, factor=factor, influences=1), MoveBones(), *attach)
 
-    def merge(self) -> Schedule:
-        """Schedule that removes the cheapest bones until as many are left as are asked for."""
-        return (RemoveBones(),) if self.rigid_joints else (Merge(), Alternate(steps=6))
+def merge_down(d: Descent) -> None:
+    """Remove the cheapest bones until as many are left as are asked for."""
+    if d.rigid_joints:
+        remove_bones(d)
+    else:
+        merge(d)
+        alternate(d, steps=6)
 
-    def move(self, count: int) -> Schedule:
-        """Schedule that moves `count` bones or, with joints, changes the tree `count` times."""
-        if self.rigid_joints:
-            return (SearchTrees(steps=count, patience=count),)
-        return (MoveBones(steps=count, patience=max(4, count // 5)),)
 
-    def search(self, moves: int, trials: int) -> Schedule:
-        """Schedule of a long search around a model."""
-        polish = Polish(steps=30, gain=0.005)
-        if self.rigid_joints:
-            return (polish, *self.move(trials))
-        search = Search(steps=trials, patience=trials, gain=0.0)
-        return (*self.move(moves), polish, ReturnToBest(), search)
+def move_some(d: Descent, count: int) -> None:
+    """Move `count` bones or, with joints, change the tree `count` times."""
+    if d.rigid_joints:
+        search_trees(d, steps=count)
+    else:
+        move_bones(d, steps=count, patience=max(4, count // 5))
+
+
+def search_long(d: Descent, moves: int, trials: int) -> None:
+    """A long search around a model."""
+    if d.rigid_joints:
+        polish(d, steps=30, gain=0.005)
+        move_some(d, trials)
+        return
+    move_some(d, moves)
+    polish(d, steps=30, gain=0.005)
+    return_to_best(d)
+    search(d, steps=trials, gain=0.0)
+
+
+def solve_normals_lightly(d: Descent) -> None:
+    """A short polish with normals in the objective."""
+    solve_normals(d)
+    polish(d, steps=12, gain=0.005)
+
+
+def level(d: Descent) -> None:
+    """A few steps after the importance of vertices has changed."""
+    if not d.rigid_joints:
+        alternate(d, steps=2)
+    polish(d, steps=4)
 
 
 class Ladder:
@@ -112,7 +138,6 @@ class Ladder:
         Number of alternations and polish steps so far.
     fraction : float
         Estimated part of the work that is done.
-    stages : Stages
     """
 
     def __init__(
@@ -132,7 +157,6 @@ class Ladder:
         self.held: list[Model] = []
         self.records: list[Record] = []
         self.iteration = 0
-        self.stages = Stages(frames.problem.rig == "rigid")
 
     @property
     def fewest(self) -> int | None:
@@ -176,74 +200,71 @@ class Ladder:
             Error at which the attempt ends; the tolerance by default.
         """
         frames, until = self.frames, self.tolerance if until is None else until
-        run = frames.run(schedule, bones, given=given)
+        d = frames.descent(bones, given=given)
         if start is not None:
-            run.begin_with(start)
+            d.begin_with(start)
         following = max(self.expected - len(self.attempts), _FOLLOWING)
         done, work = self.fraction, (_PRUNING - self.fraction) / following
         # The largest error is at least the RMSE, so that neither measure can be within `until`
         # unless the squared error is within this bound.
         worth_checking = (1 + 1e-9) * frames.squared(until)
 
-        def after_step(phase: str) -> str | None:
+        def after_step(phase: str) -> None:
             nonlocal worth_checking
-            if run.best_error <= worth_checking:
+            if d.best_error <= worth_checking:
                 recheck = _RECHECK_NORMALS if frames.degree else _RECHECK
-                worth_checking = recheck * run.best_error
-                if frames.error(run.best_model) <= until:
-                    return "held"
-            ready = run.best is not None or bool(self.models)
-            self.fraction = done + work * run.fraction
+                worth_checking = recheck * d.best_error
+                if frames.error(d.best_model) <= until:
+                    raise Stop("held")
+            ready = d.best is not None or bool(self.models)
+            self.fraction = done + work * d.fraction
             phase = f"{bones} bone{'s' * (bones > 1)}: {phase}"
-            self.report(phase, self.iteration + run.iteration, self.fraction, ready)
-            return None
+            self.report(phase, self.iteration + d.iteration, self.fraction, ready)
 
         try:
-            run.drive(after_step)
+            d.follow(schedule, after_step)
         finally:
-            self._keep(run, name)
+            self._keep(d, name)
         if self.errors[bones] <= self.tolerance:
             return
-        if frames.degree and frames.error(run.best_model, frames.measure) <= self.tolerance:
-            self._light(run.best_model)
+        if frames.degree and frames.error(d.best_model, frames.measure) <= self.tolerance:
+            self._light(d.best_model)
         elif frames.measure == "max" and self.errors[bones] <= _LEVELLED * self.tolerance:
-            self._level(run.best_model)
+            self._level(d.best_model)
 
     def _light(self, model: Model) -> None:
         """Polish with normals in the objective, as no other run of the ladder does."""
-        schedule = (SolveNormals(), _LIGHT)
-        run = self.frames.run(schedule, model.n_bones, data=self.frames.tolerant)
-        run.begin_with(model.with_restarted_support())
-        run.drive()
-        self._keep(run, "normals")
+        d = self.frames.descent(model.n_bones, data=self.frames.tolerant)
+        d.begin_with(model.with_restarted_support())
+        d.follow(solve_normals_lightly)
+        self._keep(d, "normals")
 
     def _level(self, model: Model) -> None:
         """Lower the largest error: each round scales importance by vertex errors (Lawson 1961)."""
         importance = self.frames.data.importance
-        first = () if self.stages.rigid_joints else (Alternate(steps=2),)
         for _ in range(_LEVEL_ROUNDS):
             size = np.sqrt(np.maximum(model.error, 0.0))
             importance = importance * (_LEVEL_FLOOR + size / max(float(size.max()), 1e-300))
             importance = importance / importance.mean()
             data = dataclasses.replace(self.frames.data, importance=importance)
-            run = self.frames.run((*first, Polish(steps=4)), model.n_bones, data=data)
-            run.begin_with(model.with_restarted_support())
-            run.drive()
-            model = run.best_model
-            self._keep(run, "levelled")
+            d = self.frames.descent(model.n_bones, data=data)
+            d.begin_with(model.with_restarted_support())
+            d.follow(level)
+            model = d.best_model
+            self._keep(d, "levelled")
             if self.fits(model.n_bones):
                 return
             self.report(f"{model.n_bones} bones: level", self.iteration, self.fraction, True)
 
-    def _keep(self, run: Run, name: str) -> None:
-        self.iteration += run.iteration
-        model, fewest = run.best, self.fewest
+    def _keep(self, d: Descent, name: str) -> None:
+        self.iteration += d.iteration
+        model, fewest = d.best, self.fewest
         if model is None:
             return
-        # rest normals are left out, as most runs do without, and found again from bones and weights
+        # without rest normals, which bones and weights determine
         model = dataclasses.replace(model, normals=model.normals[:, :0])
         error, bones = self.frames.error(model), model.n_bones
-        self.attempts.append(Attempt(bones, error, run.iteration, name))
+        self.attempts.append(Attempt(bones, error, d.iteration, name))
         if error < self.errors.get(bones, np.inf):
             self.models[bones], self.errors[bones] = model, error
         if error <= self.tolerance and (fewest is None or bones < fewest):

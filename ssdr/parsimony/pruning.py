@@ -7,17 +7,16 @@ The search is for the highest price at which the model still holds the tolerance
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Iterator
-from typing import ClassVar, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..search.descent import Descent, Schedule, step
 from ..search.moves import drop_influence
-from ..search.run import Run, Schedule, Stage
-from ..search.stages import SolveNormals, Unfold
+from ..search.steps import solve_normals, unfold
 from ..skinning import Skinning
 from ..solver.gauss_newton import GaussNewton
 from ..solver.model import Locked, Model
@@ -105,19 +104,14 @@ class Nested:
         return out
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Settle(Stage):
+@step("settle")
+def settle(d: Descent, *, polish_steps: int = _SETTLE) -> Iterator[None]:
     """Polish under the present influences."""
-
-    phase: ClassVar[str] = "settle"
-    steps: int = _SETTLE
-
-    def apply(self, run: Run) -> Iterator[None]:
-        # given a damping, the polish keeps the supports
-        polish = GaussNewton(run.data, run.present, locked=run.locked, damping=_DAMPING)
-        for _ in range(self.steps):
-            polish.step(entering=0)
-        yield
+    # given a damping, the polish keeps the supports
+    newton = GaussNewton(d.data, d.model, locked=d.locked, damping=_DAMPING)
+    for _ in range(polish_steps):
+        newton.step(entering=0)
+    yield
 
 
 class Pruned(NamedTuple):
@@ -163,11 +157,20 @@ class Pruner:
         self.locked, self.offsets = frames.problem.locked, frames.problem.offsets
         self.nested = Nested(*frames.with_normals(model), self.locked)
         # a polish may raise the largest error
-        settle: Schedule = (Settle(),) if frames.measure == "rmse" else ()
-        self.usual: Schedule = (SolveNormals(), *settle) if frames.degree else settle
-        self.endings: list[Schedule] = [(*self.usual, Unfold())] if len(frames.data.faces) else []
-        if self.endings and settle and frames.problem.normals:
-            self.endings.insert(0, (*settle, SolveNormals(), Settle(steps=_LIGHT), Unfold()))
+        self.settles = frames.measure == "rmse"
+        self.endings: list[Schedule] = [self._usual_unfolded] if len(frames.data.faces) else []
+        if self.endings and self.settles and frames.problem.normals:
+            self.endings.insert(0, _with_normals)
+
+    def _usual(self, d: Descent) -> None:
+        if self.frames.degree:
+            solve_normals(d)
+        if self.settles:
+            settle(d)
+
+    def _usual_unfolded(self, d: Descent) -> None:
+        self._usual(d)
+        unfold(d)
 
     def run(self, skinning: Skinning) -> tuple[Skinning, list[Pruning]]:
         """Smallest skinning found, and records of the prunings of influences and of keyframes.
@@ -181,7 +184,7 @@ class Pruner:
         low = high = None
         streamed = self.frames.scan is not None
         for _ in range(_FEW_PRICES if streamed else _PRICES):
-            trial = self._pruned(price, self.usual)
+            trial = self._pruned(price, self._usual)
             if max(trial.error, trial.kept_error) > self.tolerance:
                 high = price
             else:
@@ -233,10 +236,10 @@ class Pruner:
         storage = self.frames.problem.storage
         influence = influence_bytes(nested.models[0].n_bones, storage) / data.scale**2
         model = nested.build(nested.choose(price * influence)[0])
-        run = self.frames.run(schedule, model.n_bones, data=self.frames.tolerant)
-        run.begin_with(model)
-        run.drive()
-        fewer = self.skinning_of_all(run.best_model, run.whole)
+        d = self.frames.descent(model.n_bones, data=self.frames.tolerant)
+        d.begin_with(model)
+        d.follow(schedule)
+        fewer = self.skinning_of_all(d.best_model, d.whole)
         error = self.frames.error_of_all(fewer)
         if error > self.tolerance:
             return Pruned(fewer, fewer, error, error, 0, error)
@@ -261,3 +264,10 @@ class Pruner:
 
         size_a, size_b = (self.frames.size(s).total for s in (a, b))
         return Pruning(what, count(a), count(b), size_a, size_b, before, after)
+
+
+def _with_normals(d: Descent) -> None:
+    settle(d)
+    solve_normals(d)
+    settle(d, polish_steps=_LIGHT)
+    unfold(d)

@@ -15,11 +15,12 @@ from ..drivers.efforts import Effort
 from ..drivers.problem import check_problem
 from ..errors import Cancelled
 from ..representation import short_repr
+from ..search.descent import Descent
 from ..search.moves import add_bone
 from ..search.progress import Callback, Clock, ProgressReport
-from ..search.stages import Polish
+from ..search.steps import polish
 from ..sequence import MeshSequence, as_sequences, labels_of
-from .ladder import Ladder
+from .ladder import Ladder, merge_down, move_some, start_merged
 from .solved_frames import SolvedFrames
 
 __all__ = ["Curve", "curve", "knee"]
@@ -163,12 +164,24 @@ def _fill(ladder: Ladder, rungs: list[int], effort: Effort) -> None:
     Bones are merged from the largest number down.  Then, from the smallest number up, a model with
     more error than the one before is replaced by a copy of that one with bones added.
     """
-    stages, (moves, polish) = ladder.stages, _STEPS[effort]
-    improve = (*stages.move(moves), Polish(steps=polish, gain=0.01))
-    ladder.attempt(rungs[-1], (*stages.start(1.3), *improve), "start")
+    moves, steps = _STEPS[effort]
+
+    def improve(d: Descent) -> None:
+        move_some(d, moves)
+        polish(d, steps=steps, gain=0.01)
+
+    def begin(d: Descent) -> None:
+        start_merged(d, 1.3)
+        improve(d)
+
+    def merged(d: Descent) -> None:
+        merge_down(d)
+        improve(d)
+
+    ladder.attempt(rungs[-1], begin, "start")
     for larger, bones in itertools.pairwise(rungs[::-1]):
         start = ladder.models[larger].with_restarted_support()
-        ladder.attempt(bones, (*stages.merge(), *improve), "merged", start=start)
+        ladder.attempt(bones, merged, "merged", start=start)
     data, locked = ladder.frames.data, ladder.frames.problem.locked
     for smaller, larger in itertools.pairwise(rungs):
         if ladder.errors[larger] > ladder.errors[smaller]:

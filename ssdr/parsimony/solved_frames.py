@@ -23,9 +23,9 @@ from ..errors import InputError
 from ..frames.error import largest_error, rmse
 from ..frames.normals import with_fitted_normals
 from ..metrics.normal_angles import errors_of_model
+from ..search.descent import Descent
 from ..search.given import Given
 from ..search.progress import Clock
-from ..search.run import Run, Schedule
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.model import Model
@@ -94,38 +94,31 @@ class SolvedFrames:
         """Convert an RMSE to the squared error in the solver's space, summed over these frames."""
         return (rmse / self.data.scale) ** 2 * self.data.n_frames * self.data.n_vertices
 
-    def run(
-        self,
-        schedule: Schedule,
-        bones: int,
-        *,
-        data: Trajectories | None = None,
-        given: Given | None = None,
-    ) -> Run:
-        """Begin a run on these frames, or on a changed copy `data` of them."""
+    def descent(
+        self, bones: int, *, data: Trajectories | None = None, given: Given | None = None
+    ) -> Descent:
+        """A descent on these frames, or on a changed copy `data` of them."""
         problem = self.problem
-        if given is None:
-            given = self.given.beside_model()
-        return Run(
+        return Descent(
             self.data if data is None else data,
-            schedule,
             bones=bones,
             influences=problem.influences,
             rng=problem.rng,
             locked=problem.locked,
-            given=given,
+            given=self.given.beside_model() if given is None else given,
             rigid_joints=problem.rig == "rigid",
+            normals=True,
         )
 
     @property
     def tolerant(self) -> Trajectories:
-        """Trajectories for runs in which normals gain what errors of positions may lose."""
+        """Trajectories for descents in which normals gain what errors of positions may lose."""
         return dataclasses.replace(self.data, slack=self.slack)
 
     def with_normals(self, model: Model) -> tuple[Trajectories, Model]:
         """The trajectories and a model, with normals if these have a tolerance and bones are rigid.
 
-        Like the stage :class:`~ssdr.search.stages.SolveNormals`, which begins a run with them.
+        Like the step :func:`~ssdr.search.steps.solve_normals`, which later steps need.
         """
         if not self.degree or self.problem.locked.bone_model != "rigid":
             return self.data, model

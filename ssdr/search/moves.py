@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from ..kernels.polish import polish_vertices
 from ..parallel import chunk_bounds, run_chunks, serial_blas
-from ..solver.alternation import alternate, bone_costs, bone_step, vertex_step
+from ..solver.alternation import bone_costs, bone_step, repeat_alternation, vertex_step
 from ..solver.gauge import free_gauge
 from ..solver.gauss_newton import GaussNewton
 from ..solver.initialization import fit_patches
@@ -80,7 +80,7 @@ def merge_bones(
     drop = np.argsort(cost, kind="stable")[: max(1, -(-excess // 3))]
     smaller = model.without(drop)
     vertex_step(data, smaller, locked=locked)
-    alternate(data, smaller, alternations, locked)
+    repeat_alternation(data, smaller, alternations, locked)
     return smaller
 
 
@@ -107,7 +107,7 @@ def move_cheapest_bone(
     members = patch_of_most_error(data, model, rng, _PATCH_SIZE)
     moved = _with_patch(data, model.without(np.array([drop])), members, locked)
     vertex_step(data, moved, locked=locked)
-    alternate(data, moved, alternations, locked)
+    repeat_alternation(data, moved, alternations, locked)
     return moved
 
 
@@ -123,7 +123,7 @@ def add_and_merge_bones(
     most = max(least + 1, min(most, model.n_bones // 4))
     count = int(rng.integers(least, most + 1))
     changed = _with_more_bones(data, model.with_restarted_support(), count, rng, locked)
-    alternate(data, changed, alternations, locked)
+    repeat_alternation(data, changed, alternations, locked)
     while changed.n_bones > model.n_bones:
         changed = merge_bones(data, changed, model.n_bones, alternations, locked)
     return changed
@@ -164,7 +164,7 @@ def add_bone(data: Trajectories, model: Model, *, alternations: int, locked: Loc
     members = _neighbourhood_of_most_error(model.rest, error, seeds, size)
     grown = _with_patch(data, model.with_restarted_support(), members, locked)
     vertex_step(data, grown, locked=locked)
-    alternate(data, grown, alternations, locked)
+    repeat_alternation(data, grown, alternations, locked)
     if grown.weighted_error(data) <= before:
         return grown
     return model.with_bone(model.transforms[:, -1])

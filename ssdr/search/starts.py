@@ -1,23 +1,22 @@
-"""Stages that make a first model: from motion, from parts of a model, or from a whole model."""
+"""Steps of a descent that make a model: from motion, from parts of a model, from a whole model."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..solver.alternation import alternate, bone_step, vertex_step
+from ..solver.alternation import bone_step, repeat_alternation, vertex_step
 from ..solver.gauss_newton import fit_motion
 from ..solver.initialization import fit_patches, single_bone_errors, start_model
 from ..solver.model import Model
 from ..solver.rest_normals import with_rest_normals
 from ..solver.trajectories import Array
-from .run import Run, Stage
+from .descent import Descent, step
 
-__all__ = ["QuickStart", "Spread", "StartFromModel", "StartFromMotion"]
+__all__ = ["fit_copied_bones", "quick_start", "start", "start_from_model"]
 
 # Number of frames that a quick start uses if there are at least twice as many, and of alternations
 # on them: 64 frames tell which bones there are, and 16 alternations place them.
@@ -27,143 +26,120 @@ _FEW_FRAMES, _FEW_ALTERNATIONS = 64, 16
 _FIRST_SWEEPS, _FIRST_LEAPS = 6, 4
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class StartFromMotion(Stage):
+@step("start", cost=8)
+def start(d: Descent, *, factor: float = 1.0, influences: int | None = None) -> Iterator[None]:
     """Make bones from motion, or take those that the caller gave, and solve their first weights.
 
-    Attributes
-    ----------
-    factor : float
-        Number of bones to start with, relative to the number asked for; a merge removes the excess.
-        If it is above 1, all bones are made from motion, unless the caller locked some.
-    influences : int or None
-        Influences per vertex at the start; None for as many as asked for.
+    There are `factor` times the bones asked for; a merge removes the excess.  If the factor is
+    above 1, all bones are made from motion, unless the caller locked some.
     """
-
-    phase: ClassVar[str] = "start"
-    cost: float = 8
-    factor: float = 1.0
-    influences: int | None = None
-
-    def apply(self, run: Run) -> Iterator[None]:
-        run.model = self._model(run)
-        vertex_step(run.data, run.model, locked=run.locked)
-        yield
-
-    def _model(self, run: Run, *, quick: bool = False) -> Model:
-        data, given = run.data, run.present_parts
-        influences = self.influences or run.influences
-        rest, bones = given.first_pose(data), given.transforms
-        if self.factor > 1 and run.locked.bones is None:
-            bones = None  # given bones that are not locked have served as a start already
-        if given.indices is not None and given.weights is not None:
-            if bones is None:
-                bones = _patches_of_weights(run, rest, given.indices)
-            return Model.with_weights(bones.copy(), rest, given.indices, given.weights, influences)
-        if bones is not None and bones.shape[1] == run.bones:
-            every = np.arange(data.n_vertices)
-            cost, positions = single_bone_errors(data, given.rest, bones, every)
-            label = cost.argmin(axis=1)
-            if positions is not None:
-                rest = np.ascontiguousarray(positions[every, :, label])
-            return Model.start(bones.copy(), rest, label, influences)
-        count = min(data.n_vertices, max(run.bones, round(run.bones * self.factor)))
-        kind = run.locked.bone_model
-        return start_model(data, rest, count, influences, run.rng, bones, kind, quick=quick)
+    d.model = _first_model(d, factor, influences)
+    vertex_step(d.data, d.model, locked=d.locked)
+    yield
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class QuickStart(StartFromMotion):
+@step("quick", cost=8)
+def quick_start(d: Descent, *, influences: int | None = None) -> Iterator[None]:
     """Make a first model quickly: on 64 frames if there are many more, then fitted to all."""
-
-    phase: ClassVar[str] = "quick"
-
-    def apply(self, run: Run) -> Iterator[None]:
-        data, given = run.data, run.present_parts
-        if data.n_frames < 2 * _FEW_FRAMES or given.transforms is not None:
-            run.model = self._model(run, quick=True)
-            vertex_step(data, run.model, locked=run.locked)
-            yield
-            return
-        chosen = np.linspace(0, data.n_frames - 1, _FEW_FRAMES).round().astype(np.intp)
-        few = data.select_frames(chosen)
-        rest = given.first_pose(data)
-        influences, kind = self.influences or run.influences, run.locked.bone_model
-        model = start_model(few, rest, run.bones, influences, run.rng, None, kind, quick=True)
-        vertex_step(few, model, locked=run.locked)
-        alternate(few, model, _FEW_ALTERNATIONS, run.locked)
-        between = 0.5 * (chosen[1:] + chosen[:-1])
-        nearest = np.searchsorted(between, np.arange(data.n_frames))
-        model.transforms = np.ascontiguousarray(model.transforms[nearest])
-        bone_step(data, model, sweeps=_FIRST_SWEEPS, locked=run.locked)
-        vertex_step(data, model, locked=run.locked)
-        run.model = model
+    data, given = d.data, d.given_parts
+    if data.n_frames < 2 * _FEW_FRAMES or given.transforms is not None:
+        d.model = _first_model(d, 1.0, influences, quick=True)
+        vertex_step(data, d.model, locked=d.locked)
         yield
+        return
+    chosen = np.linspace(0, data.n_frames - 1, _FEW_FRAMES).round().astype(np.intp)
+    few, rest = data.select_frames(chosen), given.first_pose(data)
+    k, kind = influences or d.influences, d.locked.bone_model
+    model = start_model(few, rest, d.bones, k, d.rng, None, kind, quick=True)
+    vertex_step(few, model, locked=d.locked)
+    repeat_alternation(few, model, _FEW_ALTERNATIONS, d.locked)
+    between = 0.5 * (chosen[1:] + chosen[:-1])
+    nearest = np.searchsorted(between, np.arange(data.n_frames))
+    model.transforms = np.ascontiguousarray(model.transforms[nearest])
+    bone_step(data, model, sweeps=_FIRST_SWEEPS, locked=d.locked)
+    vertex_step(data, model, locked=d.locked)
+    d.model = model
+    yield
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class StartFromModel(Stage):
+def _first_model(
+    d: Descent, factor: float, influences: int | None, *, quick: bool = False
+) -> Model:
+    data, given, k = d.data, d.given_parts, influences or d.influences
+    rest, bones = given.first_pose(data), given.transforms
+    if factor > 1 and d.locked.bones is None:
+        bones = None  # given bones that are not locked have served as a start already
+    if given.indices is not None and given.weights is not None:
+        if bones is None:
+            bones = _patches_of_weights(d, rest, given.indices)
+        return Model.with_weights(bones.copy(), rest, given.indices, given.weights, k)
+    if bones is not None and bones.shape[1] == d.bones:
+        every = np.arange(data.n_vertices)
+        cost, positions = single_bone_errors(data, given.rest, bones, every)
+        label = cost.argmin(axis=1)
+        if positions is not None:
+            rest = np.ascontiguousarray(positions[every, :, label])
+        return Model.start(bones.copy(), rest, label, k)
+    count = min(data.n_vertices, max(d.bones, round(d.bones * factor)))
+    return start_model(data, rest, count, k, d.rng, bones, d.locked.bone_model, quick=quick)
+
+
+@step("start", cost=8)
+def start_from_model(d: Descent) -> Iterator[None]:
     """Start from a whole model that the caller gave.
 
     Its transforms are taken to be of other frames if the bones have less error when each is fitted
     to the vertices that it moves most.  In that case the bones are fitted anew to the weights, and
-    a later stage attaches them to their joints again.
+    a later step attaches them to their joints again.
     """
-
-    phase: ClassVar[str] = "start"
-    cost: float = 8
-
-    def apply(self, run: Run) -> Iterator[None]:
-        data, given = run.data, run.given
-        own = self._model(run, None)
-        model = own if given.transforms is None else self._model(run, given.transforms.copy())
-        tree = given.tree if run.rigid_joints else None
-        if own is model or own.weighted_error(data) < model.weighted_error(data):
-            model = own
-            fit_motion(data, model, locked=run.locked, sweeps=_FIRST_SWEEPS, leaps=_FIRST_LEAPS)
-            _measure_error(run, model)
-            tree = None if tree is None else dataclasses.replace(tree, rigid=False)
-            run.given = dataclasses.replace(given, transforms=None)
-        if data.normals is not None:
-            model = with_rest_normals(data, model)
-        model.tree = tree
-        run.model = model
-        yield
-
-    def _model(self, run: Run, bones: Array | None) -> Model:
-        given = run.given
-        assert given.rest is not None
-        assert given.indices is not None
-        assert given.weights is not None
-        if bones is None:
-            bones = _patches_of_weights(run, given.rest, given.indices)
-        parts = (given.rest, given.indices, given.weights)
-        model = Model.with_weights(bones, *parts, run.influences)
-        _measure_error(run, model)
-        return model
+    data, given = d.data, d.given
+    own = _given_model(d, None)
+    model = own if given.transforms is None else _given_model(d, given.transforms.copy())
+    tree = given.tree if d.rigid_joints else None
+    if own is model or own.weighted_error(data) < model.weighted_error(data):
+        model = own
+        _fit_motion(d, model)
+        tree = None if tree is None else dataclasses.replace(tree, rigid=False)
+        d.given = dataclasses.replace(given, transforms=None)
+    if data.normals is not None:
+        model = with_rest_normals(data, model)
+    model.tree = tree
+    d.model = model
+    yield
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Spread(Stage):
-    """Fit bones whose transforms were copied from other frames, and measure the error."""
-
-    phase: ClassVar[str] = "spread"
-    cost: float = 12
-
-    def apply(self, run: Run) -> Iterator[None]:
-        model = run.present
-        fit_motion(run.data, model, locked=run.locked, sweeps=_FIRST_SWEEPS, leaps=_FIRST_LEAPS)
-        _measure_error(run, model)
-        yield
+@step("spread", cost=12)
+def fit_copied_bones(d: Descent) -> Iterator[None]:
+    """Fit bones whose transforms were copied from other frames."""
+    _fit_motion(d, d.model)
+    yield
 
 
-def _patches_of_weights(run: Run, rest: Array, indices: NDArray[np.int32]) -> Array:
+def _given_model(d: Descent, bones: Array | None) -> Model:
+    given = d.given
+    assert given.rest is not None
+    assert given.indices is not None
+    assert given.weights is not None
+    if bones is None:
+        bones = _patches_of_weights(d, given.rest, given.indices)
+    model = Model.with_weights(bones, given.rest, given.indices, given.weights, d.influences)
+    _measure_error(d, model)
+    return model
+
+
+def _patches_of_weights(d: Descent, rest: Array, indices: NDArray[np.int32]) -> Array:
     """Transforms (F, B, 3, 4) of bones that are each fitted to the vertices that they move most."""
-    label, kind = indices[:, 0].astype(np.intp), run.locked.bone_model
-    return fit_patches(run.data, rest, label, run.bones, kind)
+    label, kind = indices[:, 0].astype(np.intp), d.locked.bone_model
+    return fit_patches(d.data, rest, label, d.bones, kind)
 
 
-def _measure_error(run: Run, model: Model) -> None:
+def _fit_motion(d: Descent, model: Model) -> None:
+    """Fit bones that are far from where they belong (in place), and compute the errors."""
+    fit_motion(d.data, model, locked=d.locked, sweeps=_FIRST_SWEEPS, leaps=_FIRST_LEAPS)
+    _measure_error(d, model)
+
+
+def _measure_error(d: Descent, model: Model) -> None:
     """Compute the error of every vertex (in place), without moving anything."""
-    every = np.ones(run.data.n_vertices, dtype=bool)
-    vertex_step(run.data, model, locked=dataclasses.replace(run.locked, rest=True, weights=every))
+    every = np.ones(d.data.n_vertices, dtype=bool)
+    vertex_step(d.data, model, locked=dataclasses.replace(d.locked, rest=True, weights=every))

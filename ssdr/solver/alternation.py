@@ -15,10 +15,10 @@ from .moments import bone_sums, coupled_bones, transform_sums
 from .objective import normal_length, rest_pulls
 from .trajectories import Array, Trajectories
 
-__all__ = ["alternate", "bone_costs", "bone_step", "sweep", "vertex_step"]
+__all__ = ["bone_costs", "bone_step", "repeat_alternation", "sweep", "vertex_step"]
 
 
-def alternate(data: Trajectories, model: Model, count: int, locked: Locked) -> None:
+def repeat_alternation(data: Trajectories, model: Model, count: int, locked: Locked) -> None:
     """Take `count` alternations of bones, weights and rest pose (in place).
 
     The error never increases, except when a vertex's influences are reduced to K: that keeps the

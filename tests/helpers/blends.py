@@ -6,7 +6,7 @@ import numpy as np
 
 import ssdr
 from helpers import motions, naive
-from ssdr.solver.alternation import alternate, vertex_step
+from ssdr.solver.alternation import repeat_alternation, vertex_step
 from ssdr.solver.initialization import start_model
 from ssdr.solver.model import FREE, Model
 from ssdr.solver.trajectories import Trajectories, gather
@@ -23,7 +23,7 @@ def problem(seed: int, noise: float = 0.01) -> tuple[Trajectories, Model]:
     data = gather([ssdr.MeshSequence(frames)], bones=99)
     model = start_model(data, data.frame(0), BONES, INFLUENCES, rng)
     vertex_step(data, model)
-    alternate(data, model, 6, FREE)
+    repeat_alternation(data, model, 6, FREE)
     return data, model
 
 

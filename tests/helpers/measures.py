@@ -14,10 +14,10 @@ import pytest
 import ssdr
 from helpers import motions
 from helpers.stretches import check_kind
+from ssdr.search.descent import Descent, Schedule
 from ssdr.search.given import Given
-from ssdr.search.run import Run, Stage
-from ssdr.search.stages import Alternate
-from ssdr.search.starts import StartFromMotion
+from ssdr.search.starts import start
+from ssdr.search.steps import alternate
 from ssdr.solver.model import Locked, Model
 from ssdr.solver.trajectories import Trajectories
 
@@ -44,19 +44,17 @@ def small() -> ssdr.Decomposition:
     return ssdr.smallest(wavy(), tolerance="0.8%", effort="fast")
 
 
-def run_of(
+def descent_of(
     data: Trajectories,
-    schedule: Sequence[Stage],
     bones: int,
     influences: int = 4,
     *,
     locked: Locked | None = None,
     given: Given | None = None,
-) -> Run:
-    """A run that has not begun."""
-    return Run(
+) -> Descent:
+    """A descent that has not begun."""
+    return Descent(
         data,
-        schedule,
         bones=bones,
         influences=influences,
         rng=np.random.default_rng(0),
@@ -65,12 +63,17 @@ def run_of(
     )
 
 
+def start_and_alternate(d: Descent, steps: int = 8) -> None:
+    start(d)
+    alternate(d, steps=steps)
+
+
 def solved(
-    data: Trajectories, bones: int, influences: int = 4, schedule: Sequence[Stage] | None = None
+    data: Trajectories, bones: int, influences: int = 4, schedule: Schedule = start_and_alternate
 ) -> Model:
-    run = run_of(data, schedule or [StartFromMotion(), Alternate(steps=8)], bones, influences)
-    run.drive()
-    return run.best_model
+    d = descent_of(data, bones, influences)
+    d.follow(schedule)
+    return d.best_model
 
 
 def diagonal(array: np.ndarray) -> float:

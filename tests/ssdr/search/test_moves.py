@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,7 +13,8 @@ from hypothesis import strategies as st
 import ssdr
 from helpers import naive
 from helpers.blends import BONES, INFLUENCES, problem, squared_error
-from helpers.measures import rmse_of, run_of, solved
+from helpers.measures import descent_of, rmse_of, solved
+from ssdr.search import steps as search_steps
 from ssdr.search.moves import (
     add_and_merge_bones,
     add_bone,
@@ -23,7 +25,6 @@ from ssdr.search.moves import (
     move_cheapest_bone,
     polish_steps,
 )
-from ssdr.search.stages import Relax
 from ssdr.solver.model import FREE, Locked, Model
 from ssdr.solver.trajectories import Trajectories, gather
 
@@ -78,12 +79,12 @@ def test_fewer_influences_keep_the_largest() -> None:
 def relax(
     data: Trajectories, model: Model, locked: Locked, *, extra: int, steps: int
 ) -> tuple[Model, int]:
-    """A relaxed copy, and the steps of the stage."""
-    run = run_of(data, [Relax(steps=extra, polish_steps=steps)], BONES, INFLUENCES, locked=locked)
-    run.model = model.copy()
+    """A relaxed copy, and the number of steps."""
+    d = descent_of(data, BONES, INFLUENCES, locked=locked)
+    d.model = model.copy()
     phases: list[str] = []
-    run.drive(phases.append)
-    return run.present, len(phases)
+    d.follow(partial(search_steps.relax, steps=extra, polish_steps=steps), phases.append)
+    return d.model, len(phases)
 
 
 @pytest.mark.parametrize("extra", [0, 1, 4, 50])

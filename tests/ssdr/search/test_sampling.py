@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import ssdr
-from helpers.measures import run_of
-from ssdr.drivers.schedule import FIRST_MODEL, merged_start
+from helpers.measures import descent_of
+from ssdr.drivers.schedules import first_model, merged_start
+from ssdr.search.changing import move_bones
+from ssdr.search.descent import Descent, Schedule
 from ssdr.search.given import Given
-from ssdr.search.run import Run
-from ssdr.search.sampling import AllVertices, ReturnToBest, SampleVertices
-from ssdr.search.stages import Alternate, MoveBones
+from ssdr.search.steps import all_vertices, alternate, return_to_best, sample_vertices
 from ssdr.solver.model import Locked, Model
 from ssdr.solver.trajectories import Trajectories, gather
 
@@ -27,11 +27,22 @@ def strip(frames: int = 12, columns: int = 150) -> np.ndarray:
     return np.concatenate([flat, z[..., None]], -1).reshape(frames, -1, 3)
 
 
-def new_run(*stages: object, rest: bool = False) -> Run:
+def few_vertices(d: Descent) -> None:
+    sample_vertices(d, least=EACH, most=EACH)
+
+
+def followed(*parts: Schedule, rest: bool = False) -> Descent:
+    """A descent that has made a first model and followed some schedules."""
     data = gather([ssdr.MeshSequence(strip())], bones=BONES, compress=False)
     given = Given(rest=data.frame(3).copy() if rest else None)
-    stages = (*FIRST_MODEL, *stages)
-    return run_of(data, stages, BONES, INFLUENCES, locked=Locked(rest=rest), given=given)
+    d = descent_of(data, BONES, INFLUENCES, locked=Locked(rest=rest), given=given)
+
+    def schedule(d: Descent) -> None:
+        for part in (first_model, *parts):
+            part(d)
+
+    d.follow(schedule)
+    return d
 
 
 def true_error(data: Trajectories, model: Model) -> float:
@@ -47,61 +58,55 @@ def true_error(data: Trajectories, model: Model) -> float:
 
 
 def test_a_sample_is_spread_from_still_to_wild_vertices() -> None:
-    run = new_run(SampleVertices(least=EACH, most=EACH))
-    run.drive()
-    assert run.chosen is not None
-    assert len(run.chosen) == EACH * BONES == len(np.unique(run.chosen))
-    rank = np.argsort(np.argsort(run.whole.x2))[run.chosen]
-    assert np.diff(np.sort(rank)).max() <= -(-run.whole.n_vertices // (EACH * BONES)) + 1
-    assert run.data.n_vertices == EACH * BONES
-    np.testing.assert_array_equal(run.data.z, run.whole.z[run.chosen])
-    np.testing.assert_array_equal(run.present.rest, run.best_model.rest[run.chosen])
-    assert run.present.weighted_error(run.data) == pytest.approx(
-        float(run.best_model.error[run.chosen].sum())
+    d = followed(few_vertices)
+    assert d.chosen is not None
+    assert len(d.chosen) == EACH * BONES == len(np.unique(d.chosen))
+    rank = np.argsort(np.argsort(d.whole.x2))[d.chosen]
+    assert np.diff(np.sort(rank)).max() <= -(-d.whole.n_vertices // (EACH * BONES)) + 1
+    assert d.data.n_vertices == EACH * BONES
+    np.testing.assert_array_equal(d.data.z, d.whole.z[d.chosen])
+    np.testing.assert_array_equal(d.model.rest, d.best_model.rest[d.chosen])
+    assert d.model.weighted_error(d.data) == pytest.approx(
+        float(d.best_model.error[d.chosen].sum())
     )
 
 
 def test_a_small_mesh_stays_whole() -> None:
-    run = new_run(SampleVertices(least=80), AllVertices())
-    before = run.whole.n_vertices
-    run.drive()
-    assert run.chosen is None
-    assert run.data.n_vertices == before
+    d = followed(lambda d: sample_vertices(d, least=80), all_vertices)
+    assert d.chosen is None
+    assert d.data.n_vertices == strip().shape[1]
 
 
 @pytest.mark.parametrize("rest", [False, True])
 def test_the_way_back_ends_on_a_model_of_all_vertices(rest: bool) -> None:
-    search = (*merged_start(12, 6), MoveBones(steps=4))
-    run = new_run(SampleVertices(least=EACH, most=EACH), *search, AllVertices(), rest=rest)
-    run.drive()
-    model = run.present
+    def search(d: Descent) -> None:
+        merged_start(d)
+        move_bones(d, steps=4)
+
+    d = followed(few_vertices, search, all_vertices, rest=rest)
+    model = d.model
     assert model.n_bones == BONES
-    assert len(model.rest) == run.whole.n_vertices
-    assert run.chosen is None
-    value = model.weighted_error(run.whole)  # in a basis that loses a little
-    assert value == pytest.approx(true_error(run.whole, model), rel=0.02)
+    assert len(model.rest) == d.whole.n_vertices
+    assert d.chosen is None
+    value = model.weighted_error(d.whole)  # in a basis that loses a little
+    assert value == pytest.approx(true_error(d.whole, model), rel=0.02)
     # as good as a search among all vertices, about
-    alone = new_run(*search, rest=rest)
-    alone.drive()
+    alone = followed(search, rest=rest)
     assert value < 1.3 * alone.best_value
     if rest:
-        np.testing.assert_array_equal(model.rest, run.given.rest)
+        np.testing.assert_array_equal(model.rest, d.given.rest)
 
 
 def test_nothing_is_recorded_on_a_sample() -> None:
-    run = new_run(SampleVertices(least=EACH, most=EACH), Alternate(steps=5))
-    run.drive()
-    assert len(run.best_model.rest) == run.whole.n_vertices
-    assert run.records == [r for r in run.records if r[3] in ("quick", "alternate", "compress")]
-    seen = len(run.records)
-    again = new_run()
-    again.drive()
+    d = followed(few_vertices, lambda d: alternate(d, steps=5))
+    assert len(d.best_model.rest) == d.whole.n_vertices
+    assert d.records == [r for r in d.records if r[3] in ("quick", "alternate", "compress")]
+    seen = len(d.records)
+    again = followed()
     assert len(again.records) == seen
-    assert again.best_value == run.best_value
+    assert again.best_value == d.best_value
 
 
 def test_the_way_back_leads_to_the_best_model_of_all_vertices() -> None:
-    stages = (Alternate(steps=2), AllVertices(), ReturnToBest())
-    run = new_run(SampleVertices(least=EACH, most=EACH), *stages)
-    run.drive()
-    assert run.present.weighted_error(run.data) == run.best_value
+    d = followed(few_vertices, lambda d: alternate(d, steps=2), all_vertices, return_to_best)
+    assert d.model.weighted_error(d.data) == d.best_value

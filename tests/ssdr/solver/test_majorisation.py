@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 import pytest
 
 from helpers import terms
-from helpers.measures import run_of
+from helpers.measures import descent_of
 from helpers.terms import Case
-from ssdr.search.stages import Alternate
-from ssdr.solver.alternation import alternate, vertex_step
+from ssdr.search.descent import Descent
+from ssdr.search.steps import alternate
+from ssdr.solver.alternation import repeat_alternation, vertex_step
 from ssdr.solver.gauss_newton import GaussNewton
 from ssdr.solver.model import FREE, Locked, Model
 from ssdr.solver.objective import Objective, rest_pulls
@@ -33,7 +35,7 @@ CASES = {
 }
 STEPS = {
     "vertex step": lambda data, model, locked: vertex_step(data, model, locked=locked),
-    "alternation": lambda data, model, locked: alternate(data, model, 1, locked),
+    "alternation": lambda data, model, locked: repeat_alternation(data, model, 1, locked),
     "vertices": lambda data, model, locked: optimise_vertices(data, model, locked=locked),
     "polish": lambda data, model, locked: GaussNewton(data, model, locked=locked).step(entering=1),
 }
@@ -63,13 +65,17 @@ def test_no_alternation_raises_it_with_a_penalty_on_weights(case: str) -> None:
     for seed in range(3):
         small = {} if chosen.compressed else {"n": 30, "frames": 8}
         data, model = terms.problem(chosen, seed, **small)
-        run = run_of(data, [Alternate(steps=8)], 3, 3)
+        d = descent_of(data, 3, 3)
         penalty = WeightSmoothness.build(data, data.faces, 0.3)
-        run.smoothness, run.objective = penalty, Objective(FREE, penalty)
-        run.begin_with(model)
-        assert run.best_value > 1.05 * Objective().value(data, model)
-        values = [run.best_value]
-        run.drive(lambda _, run=run, values=values: values.append(run.value(run.present)))
+        d.smoothness, d.objective = penalty, Objective(FREE, penalty)
+        d.begin_with(model)
+        assert d.best_value > 1.05 * Objective().value(data, model)
+        values = [d.best_value]
+
+        def after_step(_: str, d: Descent = d, values: list[float] = values) -> None:
+            values.append(d.value(d.model))
+
+        d.follow(partial(alternate, steps=8), after_step)
         assert (np.diff(values) <= 1e-12 * values[0]).all()
         fell = max(fell, 1 - values[-1] / values[0])
     assert fell > 1e-3

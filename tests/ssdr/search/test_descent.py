@@ -1,4 +1,4 @@
-"""Runs: what they accept, several starts, and `best` that is no worse than `balanced`."""
+"""Descents: what they accept, several starts, and `best` that is no worse than `balanced`."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import pytest
 
 import ssdr
 from helpers import motions
-from helpers.measures import run_of
-from ssdr.search.run import Lowest, Run, Stage
+from helpers.measures import descent_of
+from ssdr.search.descent import Descent, Schedule, Stop, step
+from ssdr.search.steps import lowest
 from ssdr.solver.model import Model
 from ssdr.solver.trajectories import gather
 
@@ -62,48 +63,51 @@ def test_bones_that_are_given_and_not_locked_are_no_more_than_a_start() -> None:
     assert np.allclose(kept.skinning.transforms[:, 1], poor[:, 1], atol=1e-9)
 
 
-def start_at(error: float, seen: list[float]) -> Stage:
+def start_at(error: float, seen: list[float]) -> Schedule:
     """A start whose vertices all have this error."""
 
-    class Made(Stage):
-        phase = "start"
+    @step("start")
+    def made(d: Descent) -> Iterator[None]:
+        seen.append(error)
+        moves = np.tile(np.eye(3, 4), (d.data.n_frames, 3, 1, 1))
+        label = np.arange(d.data.n_vertices) % 3
+        d.model = Model.start(moves, d.data.frame(0), label, 2)
+        d.model.error[:] = error
+        yield
 
-        def apply(self, run: Run) -> Iterator[None]:
-            seen.append(error)
-            moves = np.tile(np.eye(3, 4), (run.data.n_frames, 3, 1, 1))
-            label = np.arange(run.data.n_vertices) % 3
-            run.model = Model.start(moves, run.data.frame(0), label, 2)
-            run.model.error[:] = error
-            yield
-
-    return Made()
+    return made
 
 
-@pytest.mark.parametrize("lowest", [0, 1, 2])
-def test_the_lowest_of_several_starts_goes_on(lowest: int) -> None:
+@pytest.mark.parametrize("least", [0, 1, 2])
+def test_the_lowest_of_several_starts_goes_on(least: int) -> None:
     data = gather([ssdr.MeshSequence(motions.chain(bones=3, frames=8).frames)], bones=3)
     seen: list[float] = []
-    errors = [1.0 if k == lowest else 2.0 + k for k in range(3)]
-    starts = tuple((start_at(error, seen),) for error in errors)
-    run = run_of(data, [Lowest(starts=starts)], 3, 2)
-    assert run.drive() is None
-    assert run.finished
+    errors = [1.0 if k == least else 2.0 + k for k in range(3)]
+    d = descent_of(data, 3, 2)
+    reason = d.follow(lambda d: lowest(d, *[start_at(error, seen) for error in errors]))
+    assert reason == "effort spent"
     assert seen == errors
-    assert (run.present.error == 1.0).all()
-    assert run.best_value == run.value(run.present)
-    assert run.fraction == 1.0
+    assert (d.model.error == 1.0).all()
+    assert d.best_value == d.value(d.model)
+    assert d.fraction == 1.0
 
 
-def test_a_run_ends_early_where_nothing_is_left_or_a_reason_is_given() -> None:
+def test_a_descent_ends_early_where_nothing_is_left_or_it_is_stopped() -> None:
     data = gather([ssdr.MeshSequence(motions.chain(bones=3, frames=8).frames)], bones=3)
     seen: list[float] = []
-    schedule = [start_at(5.0, seen), start_at(0.0, seen), start_at(7.0, seen)]
-    run = run_of(data, schedule, 3, 2)
-    assert run.drive() is None
+
+    def schedule(d: Descent) -> None:
+        for error in (5.0, 0.0, 7.0):
+            start_at(error, seen)(d)
+
+    d = descent_of(data, 3, 2)
+    assert d.follow(schedule) == "converged"
     assert seen == [5.0, 0.0]
-    assert run.converged
-    assert run.finished
-    assert [error for _, _, error, _ in run.records] == [5.0 * data.n_vertices, 0.0]
-    run = run_of(data, schedule, 3, 2)
-    assert run.drive(lambda phase: "enough") == "enough"
-    assert not run.finished
+    assert [error for _, _, error, _ in d.records] == [5.0 * data.n_vertices, 0.0]
+
+    def stop(phase: str) -> None:
+        raise Stop(f"enough of {phase}")
+
+    d = descent_of(data, 3, 2)
+    assert d.follow(schedule, stop) == "enough of start"
+    assert 0 < d.fraction < 1

@@ -1,0 +1,118 @@
+"""Trials of changes: whose turn it is; the step that unfolds a rest pose."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+import ssdr
+from helpers import motions
+from helpers.blends import BONES, INFLUENCES, problem
+from helpers.measures import descent_of, solved
+from ssdr.search.changing import STEPS_OF_A_TRIAL, tried
+from ssdr.search.descent import Descent, step
+from ssdr.search.steps import unfold
+from ssdr.solver.model import Locked, Model
+from ssdr.solver.objective import Objective
+from ssdr.solver.rest_surface import RestSurface
+from ssdr.solver.smoothness import WeightSmoothness
+from ssdr.solver.trajectories import gather
+from ssdr.solver.vertex_newton import optimise_vertices
+
+
+def searched(paying: set[int], *, steps: int) -> tuple[list[int], Descent]:
+    """Which of four changes were tried, where those named lower the objective by 1 %."""
+    data, model = problem(6)
+    drawn: list[int] = []
+
+    def change(kind: int) -> Any:
+        def changed(_: object, model: Model, *others: object) -> Model:
+            drawn.append(kind)
+            return model.copy()
+
+        return changed
+
+    def polished_value(d: Descent, trial: Model, base: float) -> float:
+        trial.error *= 0.99 if drawn[-1] in paying else 1.01
+        return d.value(trial)
+
+    @step("search")
+    def counted(d: Descent) -> Iterator[None]:
+        changes = tuple(change(kind) for kind in range(4))
+        return tried(d, changes, polished_value, steps=steps, gain=1e-3)
+
+    d = descent_of(data, BONES, INFLUENCES)
+    d.model = model
+    d.follow(counted)
+    assert d.iteration == STEPS_OF_A_TRIAL * len(drawn)
+    successes = sum(kind in paying for kind in drawn)
+    assert d.value(d.model) == pytest.approx(0.99**successes * d.value(model), rel=1e-9)
+    return drawn, d
+
+
+def test_changes_that_pay_have_more_turns() -> None:
+    drawn, _ = searched({0, 1, 2, 3}, steps=40)
+    assert drawn == 10 * [0, 1, 2, 3]
+    drawn, _ = searched({2}, steps=400)
+    share = np.bincount(drawn[40:], minlength=4) / 360
+    # seven times as many, and none is given up for good
+    assert share[2] == pytest.approx(0.7, abs=0.01)
+    assert np.delete(share, 2) == pytest.approx([0.1] * 3, abs=0.01)
+
+
+@pytest.mark.parametrize("steps", [1, 3, 7])
+def test_a_search_without_a_success_has_converged(steps: int) -> None:
+    assert searched(set(), steps=steps)[1].converged
+    assert not searched({0}, steps=steps)[1].converged
+
+
+def folded(*, smoothness: float = 0.0) -> Descent:
+    """A descent whose best model has two triangles of the rest pose turned over."""
+    rig = motions.chain(bones=3, rows=16, ring=8, frames=10)
+    data = gather([ssdr.MeshSequence(motions.wobble(rig, 0.05), rig.faces)], bones=3)
+    data = dataclasses.replace(data, surface=RestSurface.build(data, data.frame(0)))
+    model = solved(data, 3)
+    model.rest[60] += 1.5 * (model.rest[61] - model.rest[60])
+    optimise_vertices(data, model, locked=Locked(rest=True), entering=0)
+    d = descent_of(data, 3)
+    d.smoothness = WeightSmoothness.build(data, data.faces, smoothness)
+    d.objective = Objective(Locked(), d.smoothness)
+    d.begin_with(model)
+    return d
+
+
+@pytest.mark.parametrize("smoothness", [0.0, 0.1])
+def test_triangles_that_are_turned_over_turn_back(smoothness: float) -> None:
+    d = folded(smoothness=smoothness)
+    before, surface = d.best_model.copy(), d.whole.surface
+    assert surface is not None
+    turned = surface.turned(before.rest, d.whole.faces)
+    assert 0 < turned.sum() < 6
+    d.follow(unfold)
+    assert not surface.turned(d.best_model.rest, d.whole.faces).any()
+    # it is the model that is returned, and what follows keeps to the stiffer edges
+    assert d.best_value == pytest.approx(d.value(d.best_model), rel=1e-12)
+    assert d.whole.surface is d.data.surface is not surface
+    far = np.linalg.norm(before.rest - before.rest[60], axis=1) > 1.5
+    np.testing.assert_allclose(d.best_model.rest[far], before.rest[far], atol=0.02)
+    if smoothness:  # the solve would not know of it
+        np.testing.assert_array_equal(d.best_model.weights, before.weights)
+
+
+def test_a_rest_pose_without_folds_or_surface_stays_as_it_is() -> None:
+    for surface in (True, False):
+        d = folded()
+        model = d.best_model.copy()
+        if surface:
+            assert d.whole.surface is not None
+            model.rest = d.whole.surface.pose.copy()
+        else:
+            d.whole = d.data = dataclasses.replace(d.whole, surface=None)
+        d.begin_with(model)
+        d.follow(unfold)
+        np.testing.assert_array_equal(d.best_model.rest, model.rest)
+        np.testing.assert_array_equal(d.best_model.weights, model.weights)
