@@ -20,13 +20,12 @@ from ..checks import (
     check_smoothness,
     check_whole,
 )
-from ..copies import distinct
 from ..errors import InputError, check_choice, check_flag, is_real, is_whole
 from ..frames.executor import Executor, Local, executor_for
 from ..quantisation import WeightStorage
 from ..search.given import Given
 from ..search.progress import Callback
-from ..sequence import MeshSequence, as_sequences, labels_of
+from ..sequence import MeshSequence, as_sequences, labels_of, without_copies
 from ..skinning import Skinning
 from ..solver.model import Locked
 from ..solver.rest_surface import RestPose, RestSurface, central_frame
@@ -233,10 +232,9 @@ def check_problem(
     importance = check_importance(vertex_importance, "vertex_importance", n)
     weighted = importance is not None or frame_importance is not None
     inputs, rows = sequences, None
-    kept, row = distinct(given.told_apart(labels_of(inputs)))
-    if bones <= len(kept) < n:
-        sequences, rows = [s.with_vertices(kept, row) for s in inputs], row
-        importance = np.bincount(row, weights=importance).astype(np.float64)
+    label = given.told_apart(labels_of(inputs))
+    if bones <= label.max() + 1 < n:
+        sequences, importance, kept, rows = without_copies(inputs, label, importance)
         given = given.of_vertices(kept)
     kept_rest = given.rest is not None and not given.free
     skeleton = isinstance(rig, Skeleton)
