@@ -195,8 +195,12 @@ def check_problem(
     time_limit: Any = None,
     checkpoint: Any = None,
     callback: Any = None,
+    most_bones: int | None = None,
 ) -> Problem:
     """Check the arguments of ``decompose``, or of a function that offers some of them.
+
+    With `most_bones`, `bones` may be None without a model, too: then there are that many, or as
+    many as there are vertices that differ if these are fewer.
 
     Raises
     ------
@@ -211,11 +215,12 @@ def check_problem(
     check_choice(rest_pose, "rest_pose", RestPose)
     start = as_start(start, n_frames)
     if not (start is None or isinstance(start, (Skinning, Start))):
-        expected = "None, a Skinning, a MeshSequence, a Start or the number of a frame"
+        expected = "None, a Skinning or a result, a MeshSequence, a Start or the number of a frame"
         raise InputError("start", expected, type(start).__name__)
     if not (rig is None or isinstance(rig, Skeleton) or _is_kind(rig)):
         raise InputError("rig", "None, 'loose', 'rigid' or a Skeleton", repr(rig))
-    bones = _count_bones(bones, n, rig, start)
+    by_default = bones is None and most_bones is not None
+    bones = _count_bones(min(n, most_bones or n) if by_default else bones, n, rig, start)
     given, whole = check_start(start, (n_frames, n, bones, influences), bone_model)
     names: tuple[str, ...] = ()
     kind: RigKind = "none"
@@ -233,7 +238,10 @@ def check_problem(
     weighted = importance is not None or frame_importance is not None
     inputs, rows = sequences, None
     label = given.told_apart(labels_of(inputs))
-    if bones <= label.max() + 1 < n:
+    differ = int(label.max()) + 1
+    if by_default:
+        bones = min(bones, differ)
+    if bones <= differ < n:
         sequences, importance, kept, rows = without_copies(inputs, label, importance)
         given = given.of_vertices(kept)
     kept_rest = given.rest is not None and not given.free
