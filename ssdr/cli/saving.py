@@ -57,15 +57,22 @@ def check_outputs(
         if format_.extra in _PACKAGES:
             require(_PACKAGES[format_.extra], format_.extra, f"{path}: {format_.title}")
         write_options(pairs, path)
-        check_file(path, "--output", others=seen)
+        # the folder of numbered files is made with them
+        made = format_.title.startswith("numbered") and "%" in path.name
+        check_file(path, "--output", others=seen, with_folder=made)
         seen.append(path)
 
 
-def check_file(path: Path, option: str, *, others: Iterable[Path]) -> None:
-    """Raise an InputError if a file is in `others` or cannot be written."""
+def check_file(
+    path: Path, option: str, *, others: Iterable[Path], with_folder: bool = False
+) -> None:
+    """Raise an InputError if a file is in `others` or cannot be written.
+
+    `with_folder`: its folder is made if it is missing.
+    """
     if not (path.suffix.lower() == ".zarr" and path.is_dir()):
         try:
-            check_writable(path)
+            check_writable(path.parent if with_folder and not path.parent.exists() else path)
         except InputError as error:
             raise InputError(option, error.expected, error.got) from error
     if path.resolve() in [other.resolve() for other in others]:

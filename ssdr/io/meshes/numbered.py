@@ -92,7 +92,7 @@ def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> Sav
     """
     several = _PRINTF.findall(path.name)
     if len(several) > 1 or (not several and sequence.n_frames > 1):
-        expected = f"one number such as %04d in the name, for {sequence.n_frames} files"
+        expected = "one number such as %04d in the name, for a file a frame"
         raise InputError("path", expected, path.name)
     if start < 0:
         raise InputError("start", "a number >= 0", start)
