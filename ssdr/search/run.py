@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ..errors import Cancelled
 from ..parallel import serial_blas
 from ..solver.alternation import bone_costs
+from ..solver.initialization import by_motion
 from ..solver.model import Locked, Model
 from ..solver.objective import Objective
 from ..solver.rest_normals import with_rest_normals
@@ -371,7 +372,7 @@ class Run:
         """
         n = self.whole.n_vertices
         if 2 * count < n:
-            order = np.argsort(self.whole.x2, kind="stable")
+            order = by_motion(self.whole)
             every = np.linspace(0, n - 1, count).round().astype(np.intp)
             self.chosen = np.sort(order[every])
             self.data = self.whole.select_vertices(self.chosen)
