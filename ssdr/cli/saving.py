@@ -15,7 +15,8 @@ import numpy as np
 from ..clips import Clip
 from ..errors import FormatError, InputError, error_text
 from ..io.atomic import check_writable
-from ..io.registry import SaveReport, format_of, require
+from ..io.optional import require
+from ..io.registry import SaveReport, format_of
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from .format_options import write_options

@@ -13,7 +13,8 @@ import numpy as np
 from ...errors import FormatError, InputError, SsdrWarning
 from ...sequence import MeshSequence
 from ...space import METRES_Y_UP, UNKNOWN
-from ..registry import SaveReport, check, natural_key, reading
+from ..mesh_names import natural_key
+from ..registry import SaveReport, check, reading
 from .obj import ObjWriter, parse_obj
 from .off_stl import parse_off, parse_stl
 from .ply import parse_ply, write_ply
