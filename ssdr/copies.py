@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Selected", "coincident", "distinct"]
+__all__ = ["Selected", "coincident", "distinct", "told_apart"]
 
 Rows = NDArray[np.intp]
 
@@ -43,6 +43,15 @@ def distinct(label: Rows) -> tuple[Rows, Rows]:
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
     return kept[order], rank[row.ravel()]
+
+
+def told_apart(label: Rows, *arrays: NDArray[Any] | None) -> Rows:
+    """Labels ``(V,)`` of vertices that have one of `label` and equal rows of arrays (V, ...)."""
+    parts = [np.reshape(a, (len(label), -1)) for a in arrays if a is not None]
+    if not parts or label.max() + 1 == len(label):
+        return label
+    every = np.concatenate([label[:, None], *parts], axis=1)
+    return np.unique(every, axis=0, return_inverse=True)[1].ravel()
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -34,7 +34,7 @@ def decompose(
     effort: Effort = "balanced",
     bone_model: BoneModel = "rigid",
     rig: str | Skeleton | None = None,
-    start: Skinning | Start | MeshSequence | int | None = None,
+    start: Skinning | Decomposition | Start | MeshSequence | int | None = None,
     vertex_importance: Any = None,
     frame_importance: Any = None,
     smoothness: float = 0.0,
@@ -79,7 +79,7 @@ def decompose(
         be posed; only roots translate freely.  "loose": bones are found without a hierarchy and
         then connected by the tree with the smallest gaps, so that joints may come apart.  The
         bones, parents and names of a :class:`Skeleton` are kept.
-    start : Skinning, Start, MeshSequence or int, optional
+    start : Skinning, Decomposition, Start, MeshSequence or int, optional
         A model to start from, such as a checkpoint: the error of the result is never above that of
         this model nor, without a `rig` or `smoothness`, above that of a call without it. If it has
         other frames, bones for the given frames are fitted to its weights. A :class:`Start` holds

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from .checks import check_rng, check_whole, names_arguments
-from .copies import distinct
 from .decomposition import decompose
 from .drivers.efforts import Effort
 from .errors import Cancelled, InputError
@@ -20,7 +19,7 @@ from .metrics.normal_angles import errors_of_model
 from .result import Decomposition
 from .search.nested import nested_models
 from .search.progress import Callback, Progress
-from .sequence import MeshSequence, as_sequences, labels_of
+from .sequence import MeshSequence, as_sequences, labels_of, without_copies
 from .skinning import Skinning
 from .solver.alternation import vertex_step
 from .solver.model import Locked, Model
@@ -155,9 +154,7 @@ def _nest(
     """Levels made from the decompositions `alone`, the finest of which comes first."""
     best = alone[0]
     counts = [one.skinning.n_bones for one in alone]
-    kept, row = distinct(labels_of(sequences))
-    merged = [s.with_vertices(kept, row) for s in sequences]
-    copies = np.bincount(row).astype(np.float64)
+    merged, copies, kept, row = without_copies(sequences, labels_of(sequences))
     data = gather(merged, bones=counts[0], vertex_importance=copies, compress=False)
     rest, transforms = data.from_world(best.skinning.rest[kept], best.skinning.transforms)
     # each level has a rest pose of its own, which resembles that of the finest

@@ -272,6 +272,23 @@ def labels_of(sequences: Sequence[MeshSequence]) -> NDArray[np.intp]:
     return coincident(blocks(), sequences[0].n_vertices)
 
 
+def without_copies(
+    sequences: list[MeshSequence],
+    label: NDArray[np.intp],
+    importance: NDArray[np.float64] | None = None,
+) -> tuple[list[MeshSequence], NDArray[np.float64] | None, NDArray[np.intp], NDArray[np.intp]]:
+    """Shots of the first vertex of each label, and the `importance` of all that it stands for.
+
+    Returns also these vertices (U,), and which of them stands for each vertex (V,).  Where all
+    labels differ, shots and importance are the given ones.
+    """
+    kept, row = distinct(label)
+    if len(kept) < len(row):
+        sequences = [s.with_vertices(kept, row) for s in sequences]
+        importance = np.bincount(row, weights=importance).astype(np.float64)
+    return sequences, importance, kept, row
+
+
 def _chunks(vertices: Any, max_bytes: int) -> Iterator[tuple[int, NDArray[np.floating]]]:
     n_frames, n_vertices = int(vertices.shape[0]), int(vertices.shape[1])
     step = max(1, max_bytes // max(1, n_vertices * 3 * vertices.dtype.itemsize))

@@ -10,7 +10,7 @@ from .checks import check_whole
 from .errors import is_whole
 from .representation import short_repr
 from .sequence import MeshSequence
-from .skinning import Skinning
+from .skinning import Skinning, skinning_in
 
 __all__ = ["JointKind", "Skeleton", "Start"]
 
@@ -62,10 +62,15 @@ class Start:
 
 
 def as_start(start: Any, n_frames: int) -> Any:
-    """A `Start` of the number of one of the frames, or of a mesh; anything else as it is."""
+    """A `Start` of the number of one of the frames, or of a mesh; of a result, its model.
+
+    Anything else is returned as it is.
+    """
     if is_whole(start):
         return Start(rest_frame=check_whole(start, "start", 0, n_frames - 1))
-    return Start(rest=start.frames(0)) if isinstance(start, MeshSequence) else start
+    if isinstance(start, MeshSequence):
+        return Start(rest=start.frames(0))
+    return start if isinstance(start, Skeleton) else skinning_in(start)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -74,7 +79,7 @@ class Skeleton:
 
     Parameters
     ----------
-    skinning : Skinning
+    skinning : Skinning, or a result that has one
         A model with a hierarchy, such as :func:`load_skinning` reads.  If it moves another mesh,
         its joints are taken to lie in the rest frame and its weights are not used.
     joints : {"rigid", "loose"}
@@ -101,3 +106,6 @@ class Skeleton:
     joints: JointKind = "rigid"
     extra_bones: int | Mapping[str, int] = 0
     locked_joints: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "skinning", skinning_in(self.skinning))

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ssdr.errors import FormatError, InputError
 from ssdr.io.atomic import atomic_path
-from ssdr.io.registry import import_optional as require
+from ssdr.io.optional import import_optional as require
 from ssdr.io.registry import reading
 
 __all__ = [

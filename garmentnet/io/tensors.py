@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssdr.errors import FormatError, InputError
-from ssdr.io.registry import import_optional as require
+from ssdr.io.optional import import_optional as require
 from ssdr.io.registry import reading
 
 __all__ = ["SHIPPED", "load_arrays"]

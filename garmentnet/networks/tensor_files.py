@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from ssdr.io.atomic import atomic_path
-from ssdr.io.registry import import_optional as require
+from ssdr.io.optional import import_optional as require
 
 from ..io.files import writing
 from ..io.tensors import load_arrays

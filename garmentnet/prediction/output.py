@@ -14,8 +14,8 @@ import ssdr
 from ssdr import MeshSequence, Skinning
 from ssdr.errors import InputError
 from ssdr.io.atomic import atomic_path
+from ssdr.io.optional import import_optional as require
 from ssdr.io.registry import FORMATS
-from ssdr.io.registry import import_optional as require
 from ssdr.render import write_picture
 from ssdr.render.film import Film
 from ssdr.rigid import nearest_rotation

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssdr.errors import InputError
-from ssdr.io.registry import import_optional as require
+from ssdr.io.optional import import_optional as require
 
 from ..data.parameters import RANGES
 from ..io.files import write_file

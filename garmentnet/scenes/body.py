@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 import ssdr
 from ssdr.errors import InputError
+from ssdr.io.optional import import_optional as require
 from ssdr.io.registry import check, reading
-from ssdr.io.registry import import_optional as require
 from ssdr.skinning import Skinning
 
 from ..data.skeleton import Skeleton

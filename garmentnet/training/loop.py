@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from ssdr.errors import InputError
-from ssdr.io.registry import import_optional as require
+from ssdr.io.optional import import_optional as require
 
 from ..configs.config import TrainOptions
 from ..networks.tensor_files import load_tensors, part_of, save_tensors

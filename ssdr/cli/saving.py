@@ -15,7 +15,8 @@ import numpy as np
 from ..clips import Clip
 from ..errors import FormatError, InputError, MissingDependencyError, error_text
 from ..io.atomic import check_writable
-from ..io.registry import SaveReport, format_of, require
+from ..io.optional import require
+from ..io.registry import SaveReport, format_of
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from .format_options import write_options
@@ -60,15 +61,22 @@ def check_outputs(
         if format_.extra in _PACKAGES:
             require(_PACKAGES[format_.extra], format_.extra, f"{path}: {format_.title}")
         write_options(pairs, path)
-        check_file(path, "--output", others=seen)
+        # the folder of numbered files is made with them
+        made = format_.title.startswith("numbered") and "%" in path.name
+        check_file(path, "--output", others=seen, with_folder=made)
         seen.append(path)
 
 
-def check_file(path: Path, option: str, *, others: Iterable[Path]) -> None:
-    """Raise an InputError if a file is in `others` or cannot be written."""
+def check_file(
+    path: Path, option: str, *, others: Iterable[Path], with_folder: bool = False
+) -> None:
+    """Raise an InputError if a file is in `others` or cannot be written.
+
+    `with_folder`: its folder is made if it is missing.
+    """
     if not (path.suffix.lower() == ".zarr" and path.is_dir()):
         try:
-            check_writable(path)
+            check_writable(path.parent if with_folder and not path.parent.exists() else path)
         except InputError as error:
             raise InputError(option, error.expected, error.got) from error
     if path.resolve() in [other.resolve() for other in others]:

@@ -20,13 +20,12 @@ from ..checks import (
     check_smoothness,
     check_whole,
 )
-from ..copies import distinct
 from ..errors import InputError, check_choice, check_flag, is_real, is_whole
 from ..frames.executor import Executor, Local, executor_for
 from ..quantisation import WeightStorage
 from ..search.given import Given
 from ..search.progress import Callback
-from ..sequence import MeshSequence, as_sequences, labels_of
+from ..sequence import MeshSequence, as_sequences, labels_of, without_copies
 from ..skinning import Skinning
 from ..solver.model import Locked
 from ..solver.rest_surface import RestPose, RestSurface, central_frame
@@ -196,8 +195,12 @@ def check_problem(
     time_limit: Any = None,
     checkpoint: Any = None,
     callback: Any = None,
+    most_bones: int | None = None,
 ) -> Problem:
     """Check the arguments of ``decompose``, or of a function that offers some of them.
+
+    With `most_bones`, `bones` may be None without a model, too: then there are that many, or as
+    many as there are vertices that differ if these are fewer.
 
     Raises
     ------
@@ -212,13 +215,12 @@ def check_problem(
     check_choice(rest_pose, "rest_pose", RestPose)
     start = as_start(start, n_frames)
     if not (start is None or isinstance(start, (Skinning, Start))):
-        expected = (
-            "None, a Skinning (a result's .skinning), a MeshSequence, a Start or a frame's number"
-        )
+        expected = "None, a Skinning or a result, a MeshSequence, a Start or the number of a frame"
         raise InputError("start", expected, type(start).__name__)
     if not (rig is None or isinstance(rig, Skeleton) or _is_kind(rig)):
         raise InputError("rig", "None, 'loose', 'rigid' or a Skeleton", repr(rig))
-    bones = _count_bones(bones, n, rig, start)
+    by_default = bones is None and most_bones is not None
+    bones = _count_bones(min(n, most_bones or n) if by_default else bones, n, rig, start)
     given, whole = check_start(start, (n_frames, n, bones, influences), bone_model)
     names: tuple[str, ...] = ()
     kind: RigKind = "none"
@@ -235,10 +237,12 @@ def check_problem(
     importance = check_importance(vertex_importance, "vertex_importance", n)
     weighted = importance is not None or frame_importance is not None
     inputs, rows = sequences, None
-    kept, row = distinct(given.told_apart(labels_of(inputs)))
-    if bones <= len(kept) < n:
-        sequences, rows = [s.with_vertices(kept, row) for s in inputs], row
-        importance = np.bincount(row, weights=importance).astype(np.float64)
+    label = given.told_apart(labels_of(inputs))
+    differ = int(label.max()) + 1
+    if by_default:
+        bones = min(bones, differ)
+    if bones <= differ < n:
+        sequences, importance, kept, rows = without_copies(inputs, label, importance)
         given = given.of_vertices(kept)
     kept_rest = given.rest is not None and not given.free
     skeleton = isinstance(rig, Skeleton)

@@ -156,7 +156,7 @@ def fit_bones(
     # no step may turn a bone inside out, which blocks some paths of affine bones from their own
     # fit; from rigid bones these paths are open
     kinds: list[BoneModel] = [kind]
-    used, amounts = skinning.indices, given.weights
+    used, amounts = given.indices, given.weights
     if start is None:
         if kind == "affine":
             kinds = ["rigid", "affine"]

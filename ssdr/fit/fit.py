@@ -18,11 +18,12 @@ from ..checks import (
     check_transforms,
 )
 from ..clips import names_of
+from ..copies import told_apart
 from ..errors import InputError
 from ..frames.error import rmse_of, squared_error
 from ..frames.normals import with_fitted_normals
 from ..representation import short_repr
-from ..sequence import MeshSequence, as_sequences
+from ..sequence import MeshSequence, as_sequences, labels_of, without_copies
 from ..skinning import Skinning, skinning_in
 from ..solver.trajectories import Array, Trajectories, gather
 
@@ -68,8 +69,10 @@ class Given:
         The shots.
     skinning : Skinning
         The model; parts that are fitted have any values if arrays were given.
-    rest, weights : (V, 3), (V, K) float64
+    rest, indices, weights : (V, 3) float64, (V, K) int32, (V, K) float64
         Those of the model; rows of weights sum to 1.
+    faces : (T, 3) int32
+        Those of the sequence or, without any, of the model.
     prefix : str
         What stands before the names of the model's arrays in errors.
     """
@@ -77,7 +80,9 @@ class Given:
     sequences: list[MeshSequence]
     skinning: Skinning
     rest: Array
+    indices: NDArray[np.int32]
     weights: Array
+    faces: NDArray[np.int32]
     prefix: str
 
     @property
@@ -88,6 +93,20 @@ class Given:
         """The model's transforms, checked to be of its bone model and of these frames."""
         kind = self.skinning.bone_model
         return check_transforms(self.skinning.transforms, self.n_frames, kind, self.prefix)
+
+    def without_copies(
+        self, importance: Array | None, *kept: NDArray[Any] | None
+    ) -> tuple[Given, Array | None, NDArray[np.intp], NDArray[np.intp]]:
+        """These arguments for the vertices that differ in some frame, or in one of `kept` (V, ...).
+
+        Returns also their importance, these vertices (U,), and which of them stands for each (V,).
+        """
+        label = told_apart(labels_of(self.sequences), *kept)
+        sequences, importance, first, row = without_copies(self.sequences, label, importance)
+        few = {name: getattr(self, name)[first] for name in ("rest", "indices", "weights")}
+        faces = row[self.faces].astype(np.int32)
+        given = dataclasses.replace(self, sequences=sequences, faces=faces, **few)
+        return given, importance, first, row
 
     def gathered(
         self, vertex_importance: Array | None = None, frame_importance: Array | None = None
@@ -142,7 +161,9 @@ def checked(
         sequences=sequences,
         skinning=model,
         rest=position,
+        indices=model.indices,
         weights=weights / weights.sum(axis=1, keepdims=True),
+        faces=sequences[0].faces if len(sequences[0].faces) else model.faces,
         prefix=prefix,
     )
 

@@ -89,16 +89,16 @@ def fit_rest_pose(
     sequences, skinning, outer = given.sequences, given.skinning, given.rest
     stay = check_mask(locked_vertices, "locked_vertices", len(outer))
     check_choice(rest_pose, "rest_pose", RestPose)
-    data, inner, bones = given.gathered()
-    model = Model.start(bones, inner, skinning.indices[:, 0], skinning.n_influences)
-    model.indices, model.weights = skinning.indices.copy(), given.weights
-    every = np.ones(len(outer), dtype=bool)
+    each, importance, _, row = given.without_copies(None, given.indices, given.weights, stay)
+    data, inner, bones = each.gathered(importance)
+    model = Model.start(bones, inner, each.indices[:, 0], skinning.n_influences)
+    model.indices, model.weights = each.indices.copy(), each.weights
+    every = np.ones(len(inner), dtype=bool)
     if rest_pose == "surface":
-        faces = sequences[0].faces if len(sequences[0].faces) else skinning.faces
-        data = dataclasses.replace(data, faces=faces)
+        data = dataclasses.replace(data, faces=each.faces)
         data = dataclasses.replace(data, surface=RestSurface.build(data, inner))
     _settle(data, model, Locked(weights=every))
-    found = data.points_to_world(model.rest)
+    found = data.points_to_world(model.rest)[row]
     if stay is not None:
         found[stay] = outer[stay]
     return fit_of(sequences, dataclasses.replace(skinning, rest=found))

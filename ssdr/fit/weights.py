@@ -116,32 +116,35 @@ def fit_weights(
     may = _check_allowed(allowed, n, skinning.n_bones)
     target, length = _check_prior(prior, prior_length, n, skinning.n_bones)
     iterations = check_whole(iterations, "iterations", 1)
-    faces = sequences[0].faces if len(sequences[0].faces) else skinning.faces
-    smoothness = check_smoothness(smoothness, faces)
-    data, inner, bones = given.gathered(
-        vertex_importance=check_importance(vertex_importance, "vertex_importance", n),
-        frame_importance=check_frame_importance(frame_importance, given.n_frames),
-    )
-    cost, _ = single_bone_errors(data, inner, bones, np.arange(n))
+    smoothness = check_smoothness(smoothness, given.faces)
+    importance = check_importance(vertex_importance, "vertex_importance", n)
+    frame_importance = check_frame_importance(frame_importance, given.n_frames)
+    each, importance, first, row = given.without_copies(importance, given.rest, may, target)
+    may = None if may is None else may[first]
+    target = None if target is None else target[first]
+    data, inner, bones = each.gathered(importance, frame_importance)
+    cost, _ = single_bone_errors(data, inner, bones, np.arange(len(inner)))
     if may is not None:
         data = _Barred(**vars(data), allowed=may)
         cost[~may] = np.inf
     model = Model.start(bones, inner, cost.argmin(axis=1), min(k, bones.shape[1]))
     locked = Locked(rest=True)
-    smooth = WeightSmoothness.build(data, faces, smoothness)
+    smooth = WeightSmoothness.build(data, each.faces, smoothness)
     if smooth is None and target is None:
         vertex_step(data, model, locked=locked)
         # the K largest are not always the K best: exchange bones wherever that pays
         optimise_vertices(data, model, locked=locked)
     else:
-        stiffness = strength_of(data, length) / np.maximum(data.importance, 1e-6)
+        stands_for = np.bincount(row) * (len(inner) / n)  # vertices, relative to the mean
+        stiffness = strength_of(data, length) * stands_for / np.maximum(data.importance, 1e-6)
         constant = 0.0 if target is None else stiffness[:, None] * target
         for _ in range(1 if smooth is None else iterations):
             pull, stiff = (0.0, 0.0) if smooth is None else smooth.terms(model)
             pulls = np.ascontiguousarray(pull + constant)
             vertex_step(data, model, locked=locked, pull=pulls, stiff=stiff + stiffness)
     padded = model.with_influences(k)
-    found = dataclasses.replace(skinning, indices=padded.indices, weights=padded.weights)
+    indices, weights = padded.indices[row], padded.weights[row]
+    found = dataclasses.replace(skinning, indices=indices, weights=weights)
     return fit_of(sequences, found)
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Sequence
 from typing import Any
 
 from ..errors import InputError
-from .registry import natural_key
 
 _MOST_NAMES = 20  # in a message
 
@@ -47,3 +47,9 @@ def choose(meshes: str | Sequence[str] | None, names: Sequence[Collection[str]])
         expected = f"one of {sorted(known, key=natural_key)[:_MOST_NAMES]}{more}"
         raise InputError("meshes", expected, repr(name))
     return [k for k, own in enumerate(names) if wanted.intersection(own)]
+
+
+def natural_key(name: str) -> list[tuple[int, str]]:
+    """Sorting key that compares numbers in names by value: ``bone_2`` before ``bone_10``."""
+    parts = re.split(r"([0-9]+)", name)
+    return [(int(p), "") if p.isdecimal() else (-1, p) for p in parts]

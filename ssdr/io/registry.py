@@ -7,7 +7,6 @@ import dataclasses
 import importlib
 import inspect
 import logging
-import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..clips import Clip, one_rate, pick
-from ..errors import FormatError, InputError, MissingDependencyError, SsdrError, is_real, is_whole
+from ..errors import FormatError, InputError, SsdrError, is_real, is_whole
 from ..sequence import MeshSequence
 from ..space import METRES_Y_UP, UNKNOWN, Space
 from .budget import afford
@@ -26,14 +25,6 @@ if TYPE_CHECKING:
 
 
 _log = logging.getLogger(__name__)
-# Packages of the extras, for pip: ``ssdr`` is in no index, where anyone may take its name.
-PACKAGES = {
-    "alembic": "alembic3d>=1.8.12",
-    "draco": "DracoPy>=2.0",
-    "meshopt": "meshoptimizer>=0.2.30a0",
-    "usd": "usd-core>=24.8",
-    "zarr": "zarr>=3.0",
-}
 _BUGS: dict[type[Exception], str] = {
     KeyError: "it has no {}",
     IndexError: "it refers to something that is not there",
@@ -407,38 +398,3 @@ def seconds(frames: NDArray[np.integer], fps: float) -> NDArray[np.float64]:
     if times.size and not times.max() <= np.finfo(np.float32).max:
         raise InputError("fps", "a rate whose times float32 can hold", f"{fps:g}")
     return times
-
-
-def natural_key(name: str) -> list[tuple[int, str]]:
-    """Sorting key that compares numbers in names by value: ``bone_2`` before ``bone_10``."""
-    parts = re.split(r"([0-9]+)", name)
-    return [(int(p), "") if p.isdecimal() else (-1, p) for p in parts]
-
-
-def require(module: str, extra: str, what: str) -> Any:
-    """Import the package of the extra `extra`, by :func:`import_optional`."""
-    return import_optional(module, PACKAGES[extra], what)
-
-
-def import_optional(module: str, requirement: str, what: str) -> Any:
-    """Import a package that may be missing.
-
-    Parameters
-    ----------
-    module : str
-    requirement : str
-        Argument of ``pip install`` that installs the package.
-    what : str
-        What needs the package; the error message begins with it.
-
-    Raises
-    ------
-    MissingDependencyError
-        If the package is not installed; the message says how to install it.
-    """
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        raise MissingDependencyError(
-            f'{what} needs a package that is not installed: pip install "{requirement}"'
-        ) from error

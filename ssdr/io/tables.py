@@ -18,7 +18,8 @@ from ..errors import FormatError, InputError
 from ..representation import short_repr
 from .atomic import write_bytes
 from .budget import afford
-from .registry import SaveReport, check, natural_key, read_file, reading, written_vertices
+from .mesh_names import natural_key
+from .registry import SaveReport, check, read_file, reading, written_vertices
 
 if TYPE_CHECKING:
     from ..skinning import Skinning

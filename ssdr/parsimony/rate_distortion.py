@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import check_whole
 from ..drivers.efforts import Effort
 from ..drivers.problem import check_problem
 from ..errors import Cancelled
@@ -19,7 +18,7 @@ from ..search.descent import Descent
 from ..search.moves import add_bone
 from ..search.progress import Callback, Clock, ProgressReport
 from ..search.steps import polish
-from ..sequence import MeshSequence, as_sequences, labels_of
+from ..sequence import MeshSequence
 from .ladder import Ladder, merge_down, move_some, start_merged
 from .solved_frames import SolvedFrames
 
@@ -121,14 +120,11 @@ def curve(
     >>> curve.bones.tolist()
     [1, 2, 3]
     """
-    sequences = as_sequences(sequence, faces)
-    n = sequences[0].n_vertices
-    differ = int(labels_of(sequences).max()) + 1
-    most = min(differ, _MOST_BONES) if bones is None else bones
     problem = check_problem(
-        sequences,
-        None,
-        bones=check_whole(most, "bones", 1, n, " (the number of vertices)"),
+        sequence,
+        faces,
+        bones=bones,
+        most_bones=_MOST_BONES,
         influences=influences,
         effort=effort,
         rng=rng,

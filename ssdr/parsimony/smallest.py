@@ -16,9 +16,10 @@ from ..drivers.problem import Problem, check_problem
 from ..errors import InputError, check_choice, is_real
 from ..io.load_save import compact_size
 from ..quantisation import WeightStorage
+from ..result import Decomposition
 from ..search.progress import Callback
-from ..sequence import MeshSequence, as_sequences, labels_of
-from ..skinning import Skinning
+from ..sequence import MeshSequence
+from ..skinning import Skinning, skinning_in
 from ..solver.rest_surface import RestPose
 from ..start import Skeleton, Start
 from .driver import Driver
@@ -46,7 +47,7 @@ def smallest(
     effort: Effort = "balanced",
     bone_model: BoneModel = "rigid",
     rig: str | None = None,
-    start: Skinning | Start | MeshSequence | int | None = None,
+    start: Skinning | Decomposition | Start | MeshSequence | int | None = None,
     vertex_importance: Any = None,
     frame_importance: Any = None,
     rest_pose: RestPose = "surface",
@@ -92,7 +93,7 @@ def smallest(
         As in :func:`decompose`.
     rig : {"loose", "rigid"}, optional
         As in :func:`decompose`; a skeleton cannot be kept.
-    start : Skinning, Start, MeshSequence or int, optional
+    start : Skinning, Decomposition, Start, MeshSequence or int, optional
         A model to begin from, such as a checkpoint, with at most `bones` bones: if it holds the
         tolerance, the result is no larger.  All else, as in :func:`decompose`, may give a rest pose
         only.
@@ -156,20 +157,22 @@ def smallest(
     (True, 'tolerance held')
     """
     arguments = locals()  # under their own names
-    sequences = as_sequences(sequence, faces)
-    n = sequences[0].n_vertices
-    differ = int(labels_of(sequences).max()) + 1
-    most = min(differ, _MOST_BONES) if bones is None else bones
-    most = check_whole(most, "bones", 1, n, " (the number of vertices)")
     for name in ("tolerance", "normals_tolerance", "measure", "file"):
         del arguments[name]
-    arguments["bones"] = None if isinstance(start, Skinning) else most
-    problem = check_problem(**arguments)
+    if isinstance(skinning_in(start), Skinning):
+        arguments["bones"] = None  # those of the model, which may be fewer
+        problem = check_problem(**arguments)
+        most = min(problem.n_vertices, _MOST_BONES) if bones is None else bones
+        n = problem.inputs[0].n_vertices
+        most = check_whole(most, "bones", 1, n, " (the number of vertices)")
+    else:
+        problem = check_problem(**arguments, most_bones=_MOST_BONES)
+        most = problem.bones
     check_choice(measure, "measure", Measure)
     parse_tolerance(tolerance, 1.0)
     _check_normals_tolerance(normals_tolerance, problem)
     _check_beside_tolerance(problem, rig, most)
-    length = parse_tolerance(tolerance, max(s.diagonal() for s in sequences))
+    length = parse_tolerance(tolerance, max(s.diagonal() for s in problem.inputs))
     # a joint that the motion does not determine need not lie near the skin: there is no penalty
     locked = dataclasses.replace(problem.locked, near_skin=False)
     sought = dataclasses.replace(problem, bones=most, locked=locked)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..copies import told_apart
 from ..hierarchy.tree import Tree
 from ..solver.trajectories import Alignment, Array, Trajectories
 
@@ -86,11 +87,7 @@ class Given:
     def told_apart(self, label: NDArray[np.intp]) -> NDArray[np.intp]:
         """Labels (V,) of vertices that have one of `label` and in what is kept of them."""
         kept = [] if self.free else [self.rest, self.indices, self.weights, self.locked_vertices]
-        parts = [np.reshape(a, (len(label), -1)) for a in kept if a is not None]
-        if not parts:
-            return label
-        every = np.concatenate([label[:, None], *parts], axis=1)
-        return np.unique(every, axis=0, return_inverse=True)[1].ravel()
+        return told_apart(label, *kept)
 
     def of_vertices(self, kept: NDArray[np.intp]) -> Given:
         """A copy for the vertices `kept` alone."""

@@ -17,7 +17,7 @@ from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..solver.alternation import bone_costs, bone_step, repeat_alternation, vertex_step
 from ..solver.gauge import free_gauge
 from ..solver.gauss_newton import GaussNewton
-from ..solver.initialization import fit_patches
+from ..solver.initialization import by_motion, fit_patches
 from ..solver.model import CHUNK, SOLVED, Locked, Model
 from ..solver.moments import transform_sums
 from ..solver.objective import normal_length, rest_pulls
@@ -312,8 +312,7 @@ def patch_of_most_error(
     (V,) selects any vertices, seeds and patches consist of these alone.
     """
     n = data.n_vertices
-    # vertices are sorted by their motion, so that the draw does not depend on their numbering
-    order = np.argsort(data.x2, kind="stable")
+    order = by_motion(data)
     error = model.error * data.importance
     there = np.arange(n)
     if among is not None and among.any():

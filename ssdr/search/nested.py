@@ -22,6 +22,7 @@ from scipy.spatial import cKDTree
 
 from ..solver.alternation import bone_costs, vertex_step
 from ..solver.gauss_newton import GaussNewton
+from ..solver.initialization import by_motion
 from ..solver.model import ARRAYS, FREE, Model
 from ..solver.trajectories import Array, Trajectories
 from ..solver.vertex_newton import optimise_vertices
@@ -194,7 +195,7 @@ def nested_models(
     n = whole.n_vertices
     size = min(n, _MOST * counts[0], max(_LEAST * counts[0], n // 3))
     every = np.linspace(0, n - 1, size).round().astype(np.intp)
-    chosen = np.sort(np.argsort(whole.x2, kind="stable")[every])
+    chosen = np.sort(by_motion(whole)[every])
     # a sample spread evenly over the motion has about its share of the error
     few = Nested(whole.select_vertices(chosen), targets * (size / n), influences, rng)
     levels = _removed(few, finest.select_vertices(chosen), counts)

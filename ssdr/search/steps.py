@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from ..solver.alternation import bone_step, repeat_alternation, vertex_step
 from ..solver.gauge import free_gauge
 from ..solver.gauss_newton import GaussNewton
+from ..solver.initialization import by_motion
 from ..solver.objective import normal_length
 from ..solver.rest_normals import with_rest_normals
 from ..solver.vertex_newton import optimise_vertices
@@ -169,7 +170,7 @@ def sample_vertices(d: Descent, *, least: int = 48, most: int = 128) -> Iterator
     n = d.whole.n_vertices
     count = min(most * d.bones, max(least * d.bones, n // 3))
     if 2 * count < n:
-        order = np.argsort(d.whole.x2, kind="stable")
+        order = by_motion(d.whole)
         every = np.linspace(0, n - 1, count).round().astype(np.intp)
         d.chosen = np.sort(order[every])
         d.data = d.whole.select_vertices(d.chosen)

@@ -14,13 +14,22 @@ from .affine_fit import PATCH_RIDGE, solve_affine
 from .model import CHUNK, Model
 from .trajectories import Array, Trajectories
 
-__all__ = ["farthest_points", "fit_patches", "start_model"]
+__all__ = ["by_motion", "farthest_points", "fit_patches", "start_model"]
 
 _PATCHES_PER_BONE = 8  # candidates for each bone: more take longer and offer more choice
 _SAMPLE = 20_000  # vertices by whose error patches are chosen
 _REFITS = 3  # rounds of assigning vertices to bones and fitting these (Lloyd's iteration)
 _FEWEST_STRETCHED = 6  # vertices of a patch whose bone may stretch: fewer hardly determine how
+# Relative difference up to which distances count as equal, as many are in symmetric meshes: if
+# rounding chose among these, another unit of length would lead to another model.
+_TIED = 1e-9
 _SKETCH = 32  # dimensions of a random projection in which trajectories are compared
+
+
+def by_motion(data: Trajectories) -> NDArray[np.intp]:
+    """Vertices (V,) by the length of their trajectories, so that numbering does not matter."""
+    size = max(float(data.x2.max()), 1e-300)
+    return np.argsort(np.rint(data.x2 / (_TIED * size)), kind="stable")
 
 
 def farthest_points(x: Array, count: int, first: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -38,11 +47,12 @@ def farthest_points(x: Array, count: int, first: int) -> tuple[NDArray[np.intp],
     distance = norm - 2.0 * (x @ x[first]) + norm[first]
     floor = 1e-14 * max(float(norm.max()), 1e-300)
     for k in range(1, min(count, len(x))):
-        far = int(distance.argmax())
-        if not distance[far] > floor:
+        most = float(distance.max())
+        if not most > floor:
             break
+        far = int((distance >= (1 - _TIED) * most).argmax())
         new = norm - 2.0 * (x @ x[far]) + norm[far]
-        closer = new < distance
+        closer = new < (1 - _TIED) * distance
         label[closer] = k
         distance[closer] = new[closer]
         distance[far] = -1.0
@@ -212,8 +222,7 @@ def start_model(
     n = data.n_vertices
     n_given = 0 if given is None else given.shape[1]
     everyone = np.arange(n)
-    # sorted by motion, so that the numbering of the vertices does not matter
-    rows = np.argsort(data.x2, kind="stable")
+    rows = by_motion(data)
     patches_per_bone, sample = _PATCHES_PER_BONE, _SAMPLE
     if quick:
         patches_per_bone, sample = patches_per_bone // 2, sample // 5

@@ -30,7 +30,6 @@ from numpy.typing import NDArray
 from scipy.sparse import block_diag, coo_array, csr_array
 from scipy.spatial import cKDTree
 
-from ..copies import coincident, distinct
 from ..kernels.normals import normals_range
 from ..parallel import serial_blas
 from .trajectories import Array, Trajectories
@@ -54,9 +53,6 @@ _MOST_EDGES = 4096  # of the mesh, evenly spread over its list, that decide abou
 class RestSurface:
     """Edges of the pose that a rest pose is to resemble.
 
-    Vertices that coincide in every frame, as at seams, are neighbours of each other and of all
-    neighbours of the others.
-
     Attributes
     ----------
     pose : (V, 3) array
@@ -76,8 +72,7 @@ class RestSurface:
     def build(data: Trajectories, pose: Array) -> RestSurface | None:
         """The surface of `pose` under the triangles of the data; None without any edge."""
         ends = data.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-        label = _coincident(data)
-        ends = np.unique(np.sort(label[ends], axis=1), axis=0).astype(np.int64)
+        ends = np.unique(np.sort(ends, axis=1), axis=0).astype(np.int64)
         ends = ends[ends[:, 0] != ends[:, 1]]
         squared = ((pose[ends[:, 0]] - pose[ends[:, 1]]) ** 2).sum(axis=1)
         if not squared.any():
@@ -86,16 +81,8 @@ class RestSurface:
         weight /= weight @ squared
         n = len(pose)
         i, j = ends.T
-        one_each = coo_array((np.r_[weight, weight], (np.r_[i, j], np.r_[j, i])), shape=(n, n))
-        edges = csr_array(one_each)
-        count = np.bincount(label, minlength=n)
-        if count.max() > 1:
-            share = csr_array((1.0 / count[label], (np.arange(n), label)), shape=(n, n))
-            copies = csr_array(coo_array((edges.sum(axis=1), (np.arange(n),) * 2), shape=(n, n)))
-            copies.data[count <= 1] = 0.0
-            edges = csr_array(share @ (edges + copies) @ share.T)
-            edges.setdiag(0.0)
-            edges.eliminate_zeros()
+        both = (np.r_[weight, weight], (np.r_[i, j], np.r_[j, i]))
+        edges = csr_array(coo_array(both, shape=(n, n)))
         return RestSurface(pose.copy(), edges, np.asarray(edges.sum(axis=1), dtype=float).ravel())
 
     def factor(self, rest: Array) -> float:
@@ -195,16 +182,3 @@ def _turned(points: Array, faces: NDArray[np.int32]) -> NDArray[np.bool_]:
     a, b, c = points[faces].transpose(1, 0, 2)
     own = np.cross(b - a, c - a)
     return np.asarray((own * around[0][faces].sum(axis=1)).sum(axis=1) < 0)
-
-
-def _coincident(data: Trajectories) -> NDArray[np.intp]:
-    """First vertex (V,) of those that have the same position as each vertex in every frame.
-
-    Each vertex stands for itself in compressed trajectories.
-    """
-    n = data.n_vertices
-    if data.q is not None:  # compression rounds, and may part what coincides
-        return np.arange(n)
-    frames = data.z.reshape(n, -1, 3).transpose(1, 0, 2)
-    kept, row = distinct(coincident((frames[:1], frames), n))
-    return kept[row]

@@ -28,6 +28,13 @@ def packed(path, document, binary):
     return path
 
 
+def rebuild(source, target, change):
+    """Write a .glb anew after `change` has edited its JSON (and perhaps its buffer)."""
+    document, binary = opened(source)
+    change(document, binary)
+    return packed(target, document, binary)
+
+
 def values_of(document, binary, number):
     """Numbers of an accessor, (count, width)."""
     item = document["accessors"][number]

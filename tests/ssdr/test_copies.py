@@ -53,6 +53,85 @@ def test_no_corner_leaves_the_others(name: str, soup: tuple[np.ndarray, ...]) ->
         assert crack(skinning, vertex) == 0
 
 
+FITS: dict[str, Callable[..., Any]] = {
+    "weights": lambda s, m: ssdr.fit_weights(s, m),
+    "smooth weights": lambda s, m: ssdr.fit_weights(s, m, smoothness=0.05),
+    "weights near others": lambda s, m: ssdr.fit_weights(s, m, prior=m, prior_length=0.05),
+    "rest pose": lambda s, m: ssdr.fit_rest_pose(s, m),
+    "free rest pose": lambda s, m: ssdr.fit_rest_pose(s, m, rest_pose="free"),
+    "bones": lambda s, m: ssdr.fit_bones(s, m, max_sweeps=3),
+}
+
+
+@pytest.mark.parametrize("name", FITS)
+def test_no_corner_leaves_the_others_in_a_fit(name: str, soup: tuple[np.ndarray, ...]) -> None:
+    shots, corners, vertex = soup
+    sequence = ssdr.MeshSequence(shots, corners)
+    start = ssdr.initialize(sequence, bones=4)
+    found = FITS[name](sequence, start)
+    assert found.skinning.rest.shape == shots[0].shape
+    assert found.squared_error.shape == vertex.shape
+    np.testing.assert_array_equal(found.skinning.faces, corners)
+    assert crack(found.skinning, vertex) == 0
+    assert crack(start, vertex) == 0
+
+
+def test_no_corner_of_a_real_soup_leaves_the_others(
+    real: Callable[[str], ssdr.MeshSequence],
+) -> None:
+    horse = real("horse_gallop")
+    vertex, corners = horse.faces.ravel(), np.arange(horse.faces.size).reshape(-1, 3)
+    start = ssdr.initialize(horse, bones=12)
+    parts = start.rest[vertex], start.indices[vertex], start.weights[vertex], start.transforms
+    sequence = ssdr.MeshSequence(horse.vertices[:, vertex], corners)
+    smooth = ssdr.fit_weights(sequence, ssdr.Skinning(*parts), smoothness=0.01 * horse.diagonal())
+    solved = ssdr.fit_rest_pose(sequence, smooth)
+    assert crack(smooth.skinning, vertex) == crack(solved.skinning, vertex) == 0
+
+
+def test_a_fit_of_copies_is_that_of_one_vertex() -> None:
+    """Smoothness sees the importance of all copies, and what a vertex resembles has as much."""
+    shots, faces = motions.wings(frames=8, rows=9, columns=4)
+    n = shots.shape[1]
+    start = ssdr.initialize(shots, faces, bones=3)
+    rows = np.r_[np.arange(n), :5]
+    parts = start.rest[rows], start.indices[rows], start.weights[rows], start.transforms
+    twice = ssdr.MeshSequence(shots[:, rows], faces), ssdr.Skinning(*parts)
+    once = ssdr.MeshSequence(shots, faces), start
+    count = np.bincount(rows)
+    smooth = ssdr.fit_weights(*once, smoothness=0.05, vertex_importance=count).skinning
+    found = ssdr.fit_weights(*twice, smoothness=0.05).skinning
+    np.testing.assert_array_equal(found.weights, smooth.weights[rows])
+    target = np.eye(3)[np.arange(n) % 3]
+    near = ssdr.fit_weights(*once, prior=target, prior_length=0.05).skinning
+    found = ssdr.fit_weights(*twice, prior=target[rows], prior_length=0.05).skinning
+    np.testing.assert_allclose(found.dense_weights(), near.dense_weights()[rows], atol=1e-9)
+    rest = ssdr.fit_rest_pose(*twice).skinning.rest
+    np.testing.assert_array_equal(rest[n:], rest[:5])
+
+
+def test_what_a_fit_keeps_tells_copies_apart(soup: tuple[np.ndarray, ...]) -> None:
+    """A torn rest pose is the caller's: each vertex is fitted to its own, as if it were alone."""
+    shots, corners, vertex = soup
+    start = ssdr.initialize(shots, corners, bones=4)
+    rng = np.random.default_rng(0)
+    torn = start.rest + rng.normal(scale=0.05, size=start.rest.shape)
+    found = ssdr.fit_weights(shots, torn, start.transforms).skinning
+    np.testing.assert_array_equal(found.rest, torn)
+    some = np.unique(vertex, return_index=True)[1]
+    alone = ssdr.fit_weights(shots[:, some], torn[some], start.transforms).skinning
+    np.testing.assert_allclose(found.dense_weights()[some], alone.dense_weights(), atol=1e-6)
+    locked = vertex == vertex[0]
+    model = ssdr.Skinning(torn, start.indices, start.weights, start.transforms, faces=corners)
+    rest = ssdr.fit_rest_pose(shots, model, locked_vertices=locked).skinning.rest
+    np.testing.assert_array_equal(rest[locked], torn[locked])
+    free = vertex != vertex[0]
+    first = np.unique(vertex[free], return_index=True)[1]
+    np.testing.assert_array_equal(
+        rest[free], rest[free][first][np.unique(vertex[free], return_inverse=True)[1]]
+    )
+
+
 def test_the_error_counts_every_copy(soup: tuple[np.ndarray, ...]) -> None:
     shots, corners, _ = soup
     result = ssdr.decompose(shots, corners, bones=4, effort="fast")

@@ -149,7 +149,11 @@ def _armature(context: Any, source: Any, model: dict[str, Any], place: Any) -> A
 
 
 def _heads_and_tails(model: dict[str, Any]) -> tuple[Any, Any]:
-    """Heads and tails (B, 3) of the bones: a joint, and the mean of the child joints if any."""
+    """Heads and tails (B, 3) of the bones: a joint, and the mean of the child joints if any.
+
+    Near the direction opposite to the parent's, Blender computes rest matrices that are off from
+    rotations by 4e-5; a bone that would point there points exactly the opposite way.
+    """
     rest, count = model["rest"], len(model["names"])
     length = 0.05 * np.linalg.norm(np.ptp(rest, axis=0))
     up = np.array([0, length, 0])  # the bone's own axes are then those of the mesh
@@ -162,15 +166,16 @@ def _heads_and_tails(model: dict[str, Any]) -> tuple[Any, Any]:
     heads, parents = model["joint_positions"], model["parents"]
     tails = heads + up
     for k in _from_roots(parents):
-        below = np.flatnonzero(parents == k)
-        way = heads[below].mean(axis=0) - heads[k] if len(below) else np.zeros(3)
-        if not len(below) and parents[k] >= 0:  # a leaf has its parent's direction
-            way = tails[parents[k]] - heads[parents[k]]
-            way *= length / np.linalg.norm(way)
-        if -way[1] > 0.8 * np.linalg.norm(way):  # where Blender's rest matrices lose digits
-            way *= [0, 1, 0]
-        if np.linalg.norm(way) > 0.1 * length:
-            tails[k] = heads[k] + way
+        along, below = np.array([0.0, 1.0, 0.0]), np.flatnonzero(parents == k)
+        if parents[k] >= 0:
+            along = tails[parents[k]] - heads[parents[k]]
+            along /= np.linalg.norm(along)
+        way = heads[below].mean(axis=0) - heads[k] if len(below) else length * along
+        if np.linalg.norm(way) <= 0.1 * length:
+            way = up
+        if -(way @ along) > 0.8 * np.linalg.norm(way):
+            way = (way @ along) * along
+        tails[k] = heads[k] + way
     return heads, tails
 
 

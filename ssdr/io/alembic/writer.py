@@ -12,7 +12,8 @@ from ...clips import unique_names
 from ...normals import corner_normals
 from ...sequence import MeshSequence
 from ..atomic import atomic_path
-from ..registry import SaveReport, require
+from ..optional import require
+from ..registry import SaveReport
 from ..storage import StorageError
 
 

@@ -15,7 +15,8 @@ from ...sequence import MeshSequence
 from ..atomic import free_name, naming, remove
 from ..budget import afford, refuse_bomb
 from ..companion import over_mesh
-from ..registry import SaveReport, check, reading, refuse_device, require
+from ..optional import require
+from ..registry import SaveReport, check, reading, refuse_device
 
 _CHUNK = 8 << 20  # bytes of a stored chunk: larger ones make reading single frames slower
 _METADATA = ("zarr.json", ".zarray", ".zattrs", ".zgroup", ".zmetadata")

@@ -25,7 +25,7 @@ from ...normals import unit
 from ...parsimony.keyframes import Tracks
 from ...skinning import Skinning
 from ..corners import Corners
-from ..registry import require
+from ..optional import require
 from ..rig import Rig, build_rig
 from .builder import ARRAY, CODES, ELEMENTS, Builder
 from .compression import MESHOPT

@@ -13,7 +13,8 @@ import numpy as np
 from ...errors import FormatError, InputError, SsdrWarning
 from ...sequence import MeshSequence
 from ...space import METRES_Y_UP, UNKNOWN
-from ..registry import SaveReport, check, natural_key, reading
+from ..mesh_names import natural_key
+from ..registry import SaveReport, check, reading
 from .obj import ObjWriter, parse_obj
 from .off_stl import parse_off, parse_stl
 from .ply import parse_ply, write_ply
@@ -92,7 +93,7 @@ def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> Sav
     """
     several = _PRINTF.findall(path.name)
     if len(several) > 1 or (not several and sequence.n_frames > 1):
-        expected = f"one number such as %04d in the name, for {sequence.n_frames} files"
+        expected = "one number such as %04d in the name, for a file a frame"
         raise InputError("path", expected, path.name)
     if start < 0:
         raise InputError("start", "a number >= 0", start)

@@ -3,6 +3,6 @@
 Importing this package raises a :class:`~ssdr.MissingDependencyError` if usd-core is not installed.
 """
 
-from ..registry import require
+from ..optional import require
 
 require("pxr.UsdSkel", "usd", "USD")

@@ -21,7 +21,8 @@ def _agrees(folder: Path) -> ssdr.Skinning:
     diagonal = np.linalg.norm(np.ptp(before.reshape(-1, 3), axis=0))
     distance = np.linalg.norm(model.skin(dtype=np.float64) - shown, axis=2).max() / diagonal
     print(f"largest distance {distance:.2e} of the diagonal")
-    assert distance < 1e-6
+    # Blender multiplies single-precision matrices along a chain of bones, rounding by 2^-24 each.
+    assert distance < (1e-6 if model.parents is None else 3e-6)
     # An independent witness of axes and place: the error against the animation, through the world.
     was = np.einsum("fij,fvj->fvi", origin[:, :3, :3], before) + origin[:, None, :3, 3]
     now = np.einsum("fij,fvj->fvi", place[:, :3, :3], shown) + place[:, None, :3, 3]

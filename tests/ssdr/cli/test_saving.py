@@ -24,6 +24,8 @@ def test_bad_outputs_are_found_before_a_file_is_read(refused, never, clip, tmp_p
         (["-o", tmp_path / "a.stl"], "can be written"),
         (["-o", tmp_path / "a.glb", "--write", "gbl:weights=uint8"], "suffix of a format"),
         (["-o", tmp_path / "no" / "a.npz"], "folder that exists"),
+        (["-o", tmp_path / "no" / "way" / "a_%02d.obj"], "folder that exists"),
+        (["-o", clip / "a_%02d.obj"], "folder that exists"),
         (["-o", clip], "no input"),
         (["-o", good, "-o", good], "no other output"),
         (["-o", good, "--write", "red"], "KEY=VALUE"),
@@ -44,7 +46,7 @@ def test_bad_outputs_are_found_before_a_file_is_read(refused, never, clip, tmp_p
 
 def test_what_a_format_refuses_is_refused_before_the_work(refused, never, clip, tmp_path):
     for arguments, text in (
-        (["-o", tmp_path / "x.obj"], "one number such as %04d in the name"),
+        (["-o", tmp_path / "x.obj"], "one number such as %04d in the name, for a file a frame"),
         (["-o", tmp_path / "x.glb", "--write", "up=q"], "up: expected"),
         (["-o", tmp_path / "x.glb", "--write", "influences=0"], "influences: expected"),
         (["-o", tmp_path / "x.pc2", "--write", "unweld=true"], "unweld: expected"),
@@ -84,6 +86,13 @@ def test_an_output_is_overwritten_as_in_python(faked, done, clip, wave, tmp_path
     ssdr.load(out)
     (tmp_path / "m_s.npz").write_bytes(b"")
     done("decompose", clip, "-b", 2, "-o", tmp_path / "m_%s.npz")
+
+
+def test_the_folder_of_numbered_files_is_made_as_in_python(faked, done, clip, tmp_path):
+    done("decompose", clip, "-b", 2, "-o", tmp_path / "new" / "a_%02d.obj")
+    done("convert", clip, tmp_path / "newer" / "a_%02d.ply")
+    for folder in ("new", "newer"):
+        assert len(ssdr.load(tmp_path / folder)) == len(ssdr.load(clip))
 
 
 def test_a_file_beside_the_output_that_is_another_s_is_not_overwritten(refused, clip, tmp_path):

@@ -12,7 +12,7 @@ import pytest
 import ssdr
 from ssdr import FormatError, InputError
 from ssdr.io import FORMATS
-from ssdr.io.registry import PACKAGES
+from ssdr.io.optional import PACKAGES
 
 
 def test_every_row_of_the_table_says_what_it_can():

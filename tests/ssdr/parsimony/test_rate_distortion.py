@@ -8,8 +8,8 @@ import pytest
 import ssdr
 from helpers import motions
 from helpers.measures import diagonal, wavy
-from ssdr import parsimony
-from ssdr.drivers import scan
+from ssdr import parsimony, sequence
+from ssdr.drivers import problem, scan
 from ssdr.parsimony.rate_distortion import knee
 
 
@@ -39,6 +39,22 @@ def test_curve_of_streamed_frames_has_the_bytes_of_all(monkeypatch: pytest.Monke
         known = 84 * 12 + bones * (12 + 15 * 28)
         assert known + least <= stored <= known + most
     assert curve.diagonal == pytest.approx(diagonal(frames))
+
+
+def test_copies_are_looked_for_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Looking for them is a pass over all frames, which may have to be read from a disk."""
+    looked: list[int] = []
+
+    def labels_of(sequences: list[ssdr.MeshSequence]) -> np.ndarray:
+        looked.append(len(sequences))
+        return sequence.labels_of(sequences)
+
+    monkeypatch.setattr(problem, "labels_of", labels_of)
+    twice = np.repeat(wavy()[:, :3], 2, axis=1)
+    assert parsimony.curve(twice).bones.tolist() == [1, 2, 3]
+    assert ssdr.smallest(twice, tolerance="1%", effort="fast").copies == 3
+    assert parsimony.curve(twice, bones=4).bones.tolist() == [1, 2, 3, 4]
+    assert len(looked) == 3
 
 
 def test_knee() -> None:

@@ -92,3 +92,17 @@ def test_choice_is_greedy(seed: int, count: int, held: bool) -> None:
             totals.append(np.inf if j in chosen else (importance * near).sum())
         chosen.append(int(np.argmin(totals)))
     assert got == chosen
+
+
+def test_rounding_does_not_choose_among_vertices_that_move_alike() -> None:
+    """A flag with waves that come round: many vertices move as far as another, to rounding."""
+    x, y = (a.ravel() for a in np.meshgrid(np.linspace(0, 1.5, 31), np.linspace(-0.5, 0.5, 21)))
+    t = np.linspace(0, 2 * np.pi, 40, endpoint=False)[:, None]
+    waves = 0.18 * x * np.sin(6 * x - 2 * t + 1.5 * y)
+    out = x - 0.06 * x**2 * (1 + np.sin(2 * t))
+    shots = np.stack([out, y + 0.03 * x * np.cos(3 * t), waves], axis=2)
+    one = ssdr.initialize(shots, bones=12)
+    for unit in (1000.0, 2.54, 1e-6):
+        other = ssdr.initialize(unit * shots, bones=12)
+        np.testing.assert_allclose(other.dense_weights(), one.dense_weights(), atol=1e-6)
+        np.testing.assert_allclose(other.rest, unit * one.rest, atol=1e-6 * unit)

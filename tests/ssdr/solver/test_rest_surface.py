@@ -26,11 +26,6 @@ def _sheet(rng: np.random.Generator, size: int = 4) -> tuple[RestSurface, np.nda
     return surface, faces
 
 
-def _soup(frames: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same triangles with three vertices of their own each."""
-    return frames[:, faces.ravel()], np.arange(faces.size, dtype=np.int32).reshape(-1, 3)
-
-
 def test_the_strain_is_that_of_the_edges(rng: np.random.Generator) -> None:
     surface, faces = _sheet(rng)
     pose = surface.pose
@@ -79,41 +74,6 @@ def test_without_edges_there_is_no_surface(rng: np.random.Generator) -> None:
         data = _data(frames, np.array(faces, dtype=np.int32))
         assert RestSurface.build(data, data.frame(0)) is None
     assert central_frame(_data(points, np.zeros((0, 3), np.int32)), first=True) == 0
-
-
-def test_copies_at_seams_belong_together(rng: np.random.Generator) -> None:
-    points, faces = surfaces.grid(3, 4, jitter=0.1, rng=rng)
-    frames = np.stack([points, points + 0.1 * rng.standard_normal(points.shape)])
-    data, soup = _data(frames, faces), _data(*_soup(frames, faces))
-    whole = RestSurface.build(data, data.frame(0))
-    parts = RestSurface.build(soup, soup.frame(0))
-    assert whole is not None
-    assert parts is not None
-    rest = whole.pose + 0.1 * rng.standard_normal(whole.pose.shape)
-    # the two spaces differ in size, since vertices of many triangles count more in the soup
-    scaled = whole.scaled(data.scale / soup.scale)
-    gap = parts.pose - scaled.pose[faces.ravel()]
-    np.testing.assert_allclose(gap, np.broadcast_to(gap[0], gap.shape), atol=1e-12)
-    apart = parts.pose + (data.scale / soup.scale) * (rest - whole.pose)[faces.ravel()]
-    assert parts.factor(apart) == pytest.approx(whole.factor(rest), rel=1e-9)
-    torn = apart.copy()
-    torn[0] += 0.1
-    assert parts.factor(torn) > parts.factor(apart)
-
-
-def test_only_what_coincides_in_every_frame_is_a_seam(rng: np.random.Generator) -> None:
-    frames = rng.standard_normal((3, 6, 3))
-    frames[:, 3] = frames[:, 0]
-    frames[:2, 4] = frames[:2, 1]  # it leaves in the last frame
-    data = _data(frames, np.array([[0, 1, 2], [3, 4, 5]], dtype=np.int32))
-    surface = RestSurface.build(data, data.frame(0))
-    assert surface is not None
-    joined = surface.edges.toarray() > 0
-    assert joined[0, 3]
-    assert joined[[0, 3], 1].all()
-    assert joined[[0, 3], 4].all()
-    assert not joined[1, 4]
-    np.testing.assert_array_equal(surface.edges.toarray(), surface.edges.toarray().T)
 
 
 def test_more_vertices_are_free_and_copies_of_the_mesh_count_alike(
