@@ -234,7 +234,9 @@ def peak_memory(what: str = "VmHWM") -> float:
 # --- a script's command line ---------------------------------------------------------------------
 
 
-def fresh(words: Sequence[str], *, threads: int = 1, **environment: str) -> Row:
+def fresh(
+    words: Sequence[str], *, threads: int = 1, python: str = sys.executable, **environment: str
+) -> Row:
     """Run Python in a new process; returns its last line of output, which is JSON."""
     settings = {
         "PYTHONPATH": str(ROOT),
@@ -243,7 +245,7 @@ def fresh(words: Sequence[str], *, threads: int = 1, **environment: str) -> Row:
         "OPENBLAS_NUM_THREADS": str(threads),
     }
     done = subprocess.run(
-        [sys.executable, *words],
+        [python, *words],
         env=os.environ | settings | environment,
         stdout=subprocess.PIPE,
         text=True,
