@@ -234,12 +234,14 @@ def peak_memory(what: str = "VmHWM") -> float:
 # --- a script's command line ---------------------------------------------------------------------
 
 
-def fresh(words: Sequence[str], *, threads: int = 1, **environment: str) -> Row:
+def fresh(
+    words: Sequence[str], *, threads: int = 1, python: str = sys.executable, **environment: str
+) -> Row:
     """Run Python in a new process; returns its last line of output, which is JSON."""
     counts = ("SSDR_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
     settings = {"PYTHONPATH": str(ROOT), **dict.fromkeys(counts, str(threads)), **environment}
     done = subprocess.run(
-        [sys.executable, *words], env=os.environ | settings, stdout=subprocess.PIPE, text=True
+        [python, *words], env=os.environ | settings, stdout=subprocess.PIPE, text=True
     )
     if done.returncode:
         raise SystemExit(f"{' '.join(words)}: ended with status {done.returncode}")

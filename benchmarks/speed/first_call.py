@@ -1,12 +1,14 @@
 """How long does a user wait for the first result, with nothing compiled and with all cached?
 
     python benchmarks/speed/first_call.py
+    python benchmarks/speed/first_call.py --only call --out out/wheel.json --set python=PYTHON
 
 Each figure is the median of processes from their start to their end, in seconds and in CPU seconds
-(compiling is work of one core, whatever else the machine does): Python alone, `import ssdr`,
-the first `decompose` with an empty cache of kernels, the same with a filled one.  Then the time
+(of all processes, whatever else the machine does): Python alone, `import ssdr`, the command
+`ssdr decompose` with an empty cache of kernels, the same with a filled one.  Then the time
 that each kernel takes to compile in one process, from Numba's own events; what a kernel calls is
-compiled with the first kernel that needs it.
+compiled with the first kernel that needs it.  The second line measures the ssdr of another Python,
+such as one where a wheel with machine code is installed.
 """
 
 from __future__ import annotations
@@ -24,25 +26,25 @@ from benchmarks import common
 from benchmarks.common import Row, fresh
 
 REPEATS = 5
-FIRST = """
-import json, time
-import ssdr
-seq = ssdr.samples.load("dancer_small")
-began = time.perf_counter()
-result = ssdr.decompose(seq, bones=12, effort="fast")
-seconds = time.perf_counter() - began
-print(json.dumps({"kernels": result.compile_seconds, "solve": seconds - result.compile_seconds}))
+COMMAND = """
+import contextlib, io, json, tempfile
+from ssdr.cli import main
+with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()) as said:
+    words = f"decompose sample:dancer_small --bones 12 --effort fast --json -o {folder}/a.npz"
+    assert main(words.split()) == 0
+document = json.loads(said.getvalue())
+print(json.dumps({"kernels": document["compile_seconds"], "solve": document["seconds"]}))
 """
 CASES = {
     "python alone": "print({})",
     "import ssdr": "import ssdr; print({})",
-    "first call, nothing compiled": FIRST,
-    "first call, kernels cached": FIRST,
+    "first call, nothing compiled": COMMAND,
+    "first call, kernels cached": COMMAND,
     "kernels": "",
 }
 
 
-def measure(what: str) -> Row:
+def measure(what: str, python: str = "") -> Row:
     if what == "kernels":
         with tempfile.TemporaryDirectory() as empty:
             return fresh([__file__, "--kernels"], NUMBA_CACHE_DIR=empty)
@@ -51,7 +53,8 @@ def measure(what: str) -> Row:
         for k in range(REPEATS + (what.endswith("cached"))):
             folder = cache if what.endswith("cached") else str(Path(cache, str(k)))
             began, before = time.perf_counter(), os.times()
-            said = fresh(["-c", CASES[what]], threads=2, NUMBA_CACHE_DIR=folder)
+            other = {"python": python, "PYTHONPATH": ""} if python else {}
+            said = fresh(["-P", "-c", CASES[what]], threads=2, NUMBA_CACHE_DIR=folder, **other)
             seconds, after = time.perf_counter() - began, os.times()
             cpu = sum(after[2:4]) - sum(before[2:4])  # user and system, of ended children
             runs.append({"process": seconds, "cpu": cpu, **said})

@@ -93,6 +93,8 @@ def fit(
     Cancelled
         If a signal stopped the solver; the best model is saved before.
     """
+    from ..solver.warmup import begin_compiling
+
     output = Output.start(options)
     influences, storage = options.influences or (_INFLUENCES, None)
     if storage:
@@ -100,6 +102,7 @@ def fit(
     options.influences = influences, storage or "float32"
     began = time.perf_counter()
     _check_files(options)
+    begin_compiling()  # while the files are read
     own = arguments()
     shots, start, settings = _read(options, output)
     _place(own, shots[0].space)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from ..hierarchy.tree import Tree
 from ..solver.initialization import fit_patches
@@ -86,6 +85,8 @@ def matched_bones(place: Array, gap: Array, tree: Tree) -> NDArray[np.intp]:
     First, the sum of `place` alone is minimised; then two bones at a time swap their matches while
     that lowers the sum of `place` and `gap`.
     """
+    from scipy.optimize import linear_sum_assignment
+
     n, n_bones = place.shape
     hung, above = tree.non_roots, tree.parents[tree.non_roots]
     # one more free bone, which costs nothing and stands for none

@@ -3,23 +3,52 @@
 from __future__ import annotations
 
 import logging
+import os
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import numpy as np
 
 from ..frames.error import squared_error
 from ..frames.normals import drawn_angles, with_fitted_normals
+from ..kernels.policy import SHIPPED, is_cached
+from ..kernels.polish import polish_vertices
+from ..parallel import get_threads
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from .alternation import bone_costs, bone_step, vertex_step
 from .gauss_newton import GaussNewton
 from .model import Model
-from .trajectories import gather
+from .trajectories import Trajectories, gather
 
-__all__ = ["compile_kernels"]
+__all__ = ["begin_compiling", "compile_kernels", "compile_polish"]
 
 _logger = logging.getLogger(__name__)
-_ready = False
+_ready = bool(SHIPPED)
+_beside: subprocess.Popen[bytes] | None = None
+
+
+def begin_compiling() -> None:
+    """Start a process that compiles the polish into the cache, unless it is there.
+
+    A compiler uses one core: what it leaves to a second process takes no time of its own.  If the
+    process fails, :func:`compile_kernels` compiles everything.
+    """
+    global _beside
+    # inside another program, this is the program and no Python
+    python = Path(sys.executable or "").name.startswith("python")
+    if _ready or _beside or not python or get_threads() < 2 or is_cached(polish_vertices):
+        return
+    code = f"from {__name__} import compile_polish; compile_polish()"
+    _beside = subprocess.Popen(
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
 
 
 def compile_kernels() -> float:
@@ -28,11 +57,8 @@ def compile_kernels() -> float:
     if _ready:
         return 0.0
     began = time.perf_counter()
-    sequence = MeshSequence(np.random.default_rng(0).standard_normal((3, 8, 3)), [[0, 1, 2]])
-    data = gather([sequence], bones=2)
-    transforms = np.zeros((3, 2, 3, 4))
-    transforms[..., :3] = np.eye(3)
-    model = Model.start(transforms, data.frame(0), np.arange(8) % 2, 2)
+    begin_compiling()
+    sequence, data, model = _toy()
     vertex_step(data, model)
     bone_step(data, model)
     bone_costs(data, model)
@@ -40,8 +66,24 @@ def compile_kernels() -> float:
     squared_error([sequence], *parts)
     skinning = Skinning(*parts, faces=sequence.faces)
     drawn_angles([sequence], with_fitted_normals([sequence], skinning))
-    GaussNewton(data, model).step(entering=1)
+    if _beside is not None:
+        _beside.wait()
+    compile_polish()
     _ready = True
     seconds = time.perf_counter() - began
     _logger.info("kernels ready after %.2f s", seconds)
     return seconds
+
+
+def compile_polish() -> None:
+    """Load or compile the kernels of the polish, which take almost half of the time of all."""
+    _, data, model = _toy()
+    GaussNewton(data, model).step(entering=1)
+
+
+def _toy() -> tuple[MeshSequence, Trajectories, Model]:
+    sequence = MeshSequence(np.random.default_rng(0).standard_normal((3, 8, 3)), [[0, 1, 2]])
+    data = gather([sequence], bones=2)
+    transforms = np.zeros((3, 2, 3, 4))
+    transforms[..., :3] = np.eye(3)
+    return sequence, data, Model.start(transforms, data.frame(0), np.arange(8) % 2, 2)

@@ -53,10 +53,30 @@ def test_nothing_is_left_to_compile(effort: str, rng: np.random.Generator) -> No
     assert signatures() == before
 
 
+@pytest.mark.parametrize("why", ["cached", "one thread", "inside another program"])
+def test_no_process_is_started_in_vain(why: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    started = []
+    monkeypatch.setattr(warmup, "_ready", False)
+    monkeypatch.setattr(warmup, "_beside", None)
+    monkeypatch.setattr(warmup, "is_cached", lambda kernel: why == "cached")
+    monkeypatch.setattr(warmup, "get_threads", lambda: 1 if why == "one thread" else 2)
+    program = "/opt/maya/bin/maya.bin" if why.startswith("inside") else sys.executable
+    monkeypatch.setattr(sys, "executable", program)
+    monkeypatch.setattr(subprocess, "Popen", lambda *args, **kwargs: started.append(args))
+    warmup.begin_compiling()
+    assert not started
+    monkeypatch.setattr(warmup, "is_cached", lambda kernel: False)
+    monkeypatch.setattr(warmup, "get_threads", lambda: 2)
+    monkeypatch.setattr(sys, "executable", "/usr/bin/python3")
+    warmup.begin_compiling()
+    assert len(started) == 1
+
+
 def test_what_one_process_compiles_the_next_one_loads(tmp_path: Path) -> None:
     environment = {
         **os.environ,
         "NUMBA_CACHE_DIR": str(tmp_path),
+        "SSDR_NUM_THREADS": "2",
         "PYTHONPATH": os.pathsep.join(sys.path),
     }
     first, second = (
@@ -73,5 +93,5 @@ def test_what_one_process_compiles_the_next_one_loads(tmp_path: Path) -> None:
         for _ in range(2)
     )
     assert "solve_vertices" in first["compiled"]
-    assert "polish_vertices" in first["compiled"]
+    assert "polish_vertices" not in first["compiled"]  # but by a process beside it
     assert second["compiled"] == []
