@@ -205,7 +205,9 @@ def build_rig(
         )
     parents, transforms = skinning.parents, np.asarray(skinning.transforms, dtype=np.float64)
     scales = _scales_of(transforms[..., :3])
-    scaled = skinning.bone_model != "rigid" and np.abs(scales - 1).max() >= 1e-6
+    # what calls itself rigid may be off by rounding, but a scale that would be seen is kept
+    rounding = 1e-3 if skinning.bone_model == "rigid" else 1e-6
+    scaled = np.abs(scales - 1).max() >= rounding
     at = skinning.centroids() if parents is None else skinning.joint_positions
     centers = np.asarray(at, dtype=np.float32)
     local = transforms.copy()

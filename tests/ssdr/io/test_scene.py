@@ -62,6 +62,12 @@ def test_a_tube_comes_back(path, options):
     np.testing.assert_allclose(back.surface.materials[1].base_color, [0.1, 0.6, 0.2, 1])
 
 
+def test_bones_keep_a_scale_that_their_model_does_not_name(path):
+    model = dataclasses.replace(tube(scaled=True), bone_model="rigid")
+    ssdr.save(model, path)
+    assert largest_distance(ssdr.load_skinning(path).skin(), model.skin()) < 1e-3
+
+
 @with_fbx
 @pytest.mark.parametrize("kind", [{}, {"loose": True}, {"scaled": True}])
 def test_the_tree_comes_back(path, kind):
