@@ -32,8 +32,8 @@ _SHIPPED, _ROOTED = {"hidden": 128, "rank": 16}, {"hidden": 256, "rank": 64}
 CASES = {
     "2,100 vertices": {"preset": "dress", **_SHIPPED},
     "2,100 vertices, rooted": {"preset": "dress", **_ROOTED},
-    "12,273 vertices": {"preset": "dress_fine", **_SHIPPED},
-    "12,273 vertices, rooted": {"preset": "dress_fine", **_ROOTED},
+    "12,273 vertices": {"preset": "soft_dress", **_SHIPPED},
+    "12,273 vertices, rooted": {"preset": "soft_dress", **_ROOTED},
 }
 COLUMNS = (
     "bones", "skinning", "frame", "frame_quickest", "bytes_ms", "pivots", "push_out", "torch",

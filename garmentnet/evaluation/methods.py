@@ -1,10 +1,11 @@
-"""Interface of methods to evaluate; trained networks, and the fitted bones as their bound."""
+"""Interface of methods to evaluate; trained networks, and the fitted bones as their bounds."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 import ssdr
@@ -12,9 +13,13 @@ import ssdr
 from ..data.clip import Clip
 from ..data.virtual_bones import VirtualBones
 from ..networks.checkpoint import Checkpoint
+from ..networks.detail_basis import SurfaceTurns
 from ..networks.network import Motion
 
-__all__ = ["BonesThemselves", "Method", "Network"]
+__all__ = ["BonesThemselves", "MeanDetail", "Method", "Network"]
+
+# Number of training frames, evenly spread, of which the mean detail is taken.
+_MEAN_FRAMES = 1000
 
 Array = NDArray[np.float32]
 
@@ -88,6 +93,40 @@ class BonesThemselves(Method):
             # Where a network has them, too.
             low[:, bones.bound.index] = true_low[:, bones.bound.index]
         return low, high
+
+
+class MeanDetail(BonesThemselves):
+    """The bones themselves with one constant vector for each vertex as detail.
+
+    The vectors turn with the skinned surface and are means over the clips of which the bones were
+    found: what a network has of the detail that learns nothing of the motion.
+
+    Parameters
+    ----------
+    bones : VirtualBones
+    """
+
+    name = "mean detail alone"
+
+    def __init__(self, bones: VirtualBones) -> None:
+        super().__init__(bones)
+        s = bones.skinning
+        self.turns = SurfaceTurns(s.indices, s.weights, s.n_bones, np.arange(s.n_vertices))
+        total, frames = np.zeros((s.n_vertices, 3)), 0
+        for clip, some in bones.store.sample(bones.report["clips"], _MEAN_FRAMES):
+            low, high = bones.split(clip.name, some)
+            total += np.einsum("fvji,fvj->vi", self._turn(bones.fit(low)), high)
+            frames += len(some)
+        self.mean: Array = np.asarray(total / frames, np.float32)
+
+    def split(self, clip: Clip, bones: VirtualBones) -> tuple[Array, Array]:
+        """The skinned bones and the mean detail, turned with them."""
+        low, _ = super().split(clip, bones)
+        turned = np.einsum("fvij,vj->fvi", self._turn(bones.transforms(clip.name)), self.mean)
+        return low, np.asarray(turned, np.float32)
+
+    def _turn(self, transforms: Array) -> Array:
+        return np.asarray(self.turns(torch.from_numpy(transforms)).numpy())
 
 
 def _detail(motion: Motion) -> Array:

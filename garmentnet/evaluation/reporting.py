@@ -23,10 +23,10 @@ from ..io.files import write_file, writing
 from ..networks.checkpoint import Checkpoint, load_checkpoint
 from ..training.run import choose_clips, with_mirrored
 from .baselines import BodySkinned, MeanShape, Ridge
-from .methods import BonesThemselves, Method, Network
+from .methods import BonesThemselves, MeanDetail, Method, Network
 from .published import SANTESTEBAN
 from .regression import train_regression
-from .scores import VERTICES, Scores, chaos_floor, evaluate
+from .scores import PARTS, VERTICES, Scores, chaos_floor, evaluate
 from .tables import class_table, interval_table, intervals, markdown, score_table
 
 __all__ = ["fit_baselines", "group_of", "report"]
@@ -93,14 +93,14 @@ def report(
     reading = [n for n in networks if n.checkpoint.reads_parameters]
     sections = _sections(store, base, bool(reading), clips)
     fitted = (MeanShape, BodySkinned, Ridge, SANTESTEBAN) if baselines else ()
-    names = [m.name for m in (BonesThemselves, *networks, *fitted)]
+    names = [m.name for m in (BonesThemselves, MeanDetail, *networks, *fitted)]
     against = against or (SANTESTEBAN.name if baselines else networks[0].name)
     if against not in names:
         raise InputError("against", f"one of {', '.join(names)}", repr(against))
 
     bones = virtual_bones(store, config.bones, progress=progress)
-    bound = BonesThemselves(bones)
-    methods: list[Method] = [bound, *networks]
+    bounds = BonesThemselves(bones), MeanDetail(bones)
+    methods: list[Method] = [*bounds, *networks]
     if baselines:
         methods += fit_baselines(bones, config, base, folder / "baselines", progress)
     document: dict[str, Any] = {
@@ -111,7 +111,7 @@ def report(
     lines = ["RMSE and Hausdorff distance in mm, intervals of 95 % (paired bootstrap over clips)"]
     for title, names in sections.items():
         # Baselines do not read parameters.
-        entered = methods if title.startswith(_MOTIONS) else [bound, *reading]
+        entered = methods if title.startswith(_MOTIONS) else [*bounds, *reading]
         rows = evaluate(bones, entered, names, progress=progress)
         lines += _section(title, rows, against, document)
     lines += _chaos(bones, document)
@@ -222,7 +222,7 @@ def _section(
     """Lines of a section with the tables of `rows`; their figures are added to `document`."""
     names = [r.name for r in rows]
     # If `against` is not scored here, errors are divided by those of the first checkpoint.
-    found = intervals(rows, against if against in names else names[1])
+    found = intervals(rows, against if against in names else names[2])
     group, count = title.removeprefix(_MOTIONS), len(rows[0].clips)
     document["groups"][group] = {"rows": [r.as_dict() for r in rows], "intervals": found}
     lines = ["", f"## {title}: {count} clips, {rows[0].frames} frames", ""]
@@ -243,9 +243,9 @@ def _chaos(bones: VirtualBones, document: dict[str, Any]) -> list[str]:
     # Soft cloth has a higher floor than stiff cloth, so every parameter set has its own.
     found = {parameters: chaos_floor(bones, names) for parameters, names in pairs.items()}
     document["chaos_floor"] = found
-    keys = ("overall", "low", "overall_free", "low_free")
+    keys = [part + end for end in ("", "_free") for part in PARTS]
     lines = [[k, *(f"{v[x]:.2f}" for x in keys), f"{v['frames']:.0f}"] for k, v in found.items()]
-    head = ["chaos floor, mm", "overall", "low", "overall, free", "low, free", "frames"]
+    head = ["chaos floor, mm", *(k.replace("_", ", ") for k in keys), "frames"]
     return ["", markdown(head, lines)] if lines else []
 
 

@@ -1,7 +1,9 @@
 """Errors of methods on clips, overall and by class of motion, and vertices inside the body.
 
 Low is G_LF against Ĝ_LF; high is Ĝ_LF + G_HF against Ĝ, the error of the detail alone; overall is
-G against Ĝ.
+G against Ĝ.  Beside the error of the detail stands the share of the detail's own RMS that it
+is: a constant vector for each vertex (:class:`~garmentnet.evaluation.methods.MeanDetail`) leaves
+what a network can learn.
 
 Pinned vertices follow the body exactly, which flatters every method that skins them.  So each
 figure is computed over all vertices and over the free ones, which are not pinned.  Hausdorff
@@ -11,6 +13,7 @@ distance and STED of the free ones are those of the triangles whose corners are 
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
@@ -55,11 +58,20 @@ class Score:
 
 @dataclasses.dataclass(frozen=True)
 class Parts:
-    """Errors of the low part, of the detail alone, and of the whole garment."""
+    """Errors of the low part, of the detail alone, and of the whole garment.
+
+    `detail` is the RMS of the simulated detail, mm, over vertices and frames.
+    """
 
     low: Score
     high: Score
     overall: Score
+    detail: float
+
+    @property
+    def left(self) -> float:
+        """Error of the detail as a fraction of its RMS: 1 without any, 0 without error."""
+        return self.high.rmse / self.detail if self.detail else math.nan
 
 
 @dataclasses.dataclass(frozen=True)
@@ -161,7 +173,8 @@ def pool(name: str, clips: Sequence[Scores]) -> Scores:
 
     def parts(vertices: str) -> Parts:
         every = [getattr(c, vertices) for c in clips]
-        return Parts(*(score([getattr(parts, p) for parts in every]) for p in PARTS))
+        low, high, overall = (score([getattr(parts, p) for parts in every]) for p in PARTS)
+        return Parts(low, high, overall, _root_mean([parts.detail for parts in every], frames))
 
     per_class = {}
     for label in sorted({k for c in clips for k in c.per_class}):
@@ -196,21 +209,21 @@ def chaos_floor(bones: VirtualBones, pairs: Iterable[tuple[str, str]]) -> dict[s
     Returns
     -------
     dict
-        RMSE / √2 ``low`` and ``overall``, over free vertices ``low_free`` and ``overall_free``, and
+        RMSE / √2 ``low``, ``high`` and ``overall``, over free vertices ``low_free`` and so on, and
         the number of ``frames``.
     """
-    free, squares, count = ~np.asarray(bones.store.pinned, bool), np.zeros(4), 0
+    free, squares, count = ~np.asarray(bones.store.pinned, bool), np.zeros(6), 0
     for first, second in pairs:
         a, b = bones.store.clip(first), bones.store.clip(second)
         frames = min(a.n_frames, b.n_frames)
         gap = a.sequence.frames(slice(0, frames)) - b.sequence.frames(slice(0, frames))
         # Smoothing is linear: the difference of the low parts is the smoothed difference.
         low = np.asarray(bones.smoother.smooth(gap))
-        of_vertices = [(x.astype(np.float64) ** 2).sum(-1) for x in (low, gap)]
+        of_vertices = [(x.astype(np.float64) ** 2).sum(-1) for x in (low, gap - low, gap)]
         parts = [x[:, part] for part in (slice(None), free) for x in of_vertices]
         squares += [x.mean(-1).sum() for x in parts]
         count += frames
-    keys = ("low", "overall", "low_free", "overall_free")
+    keys = [part + end for end in ("", "_free") for part in PARTS]
     errors = _MM * np.sqrt(squares / count / 2)
     return dict(zip(keys, errors.tolist(), strict=True)) | {"frames": count}
 
@@ -241,12 +254,17 @@ class _Scorer:
         true_low, true_high = self.bones.split(clip.name)
         truth, predicted = true_low + true_high, low + high
         pairs = (true_low, low), (truth, true_low + high), (truth, predicted)
-        whole, free = zip(*(self._compare(*pair) for pair in pairs), strict=True)
+        found = [self._compare(*pair) for pair in pairs]
+        detail = _squares(truth, true_low)
+        whole, free = (
+            Parts(found[0][k], found[1][k], found[2][k], _rms(square))
+            for k, square in enumerate((detail, detail.compress(self.free, axis=1)))
+        )
         square = _squares(truth, predicted)
         per_class = {}
         for label in np.unique(clip.classes):
             s = square[clip.classes == label]
-            errors = (_MM * float(np.sqrt(x.mean())) for x in (s, s[:, self.free]))
+            errors = (_rms(x) for x in (s, s[:, self.free]))
             per_class[CLASSES[int(label)]] = ClassError(len(s), *errors)
         inside = np.full(predicted.shape[:2], np.nan)
         if self.skin is not None:
@@ -254,8 +272,8 @@ class _Scorer:
         return Scores(
             clip.name,
             clip.n_frames,
-            Parts(*whole),
-            Parts(*free),
+            whole,
+            free,
             per_class,
             float(inside.mean()),
             float(inside[:, self.free].mean()),
@@ -277,9 +295,13 @@ def _squares(truth: Array, other: Array) -> NDArray[np.float64]:
     return np.einsum("fvc,fvc->fv", gap, gap, dtype=np.float64)
 
 
+def _rms(square: NDArray[np.float64]) -> float:
+    return _MM * float(np.sqrt(square.mean()))
+
+
 def _score(square: NDArray[np.float64], truth: Array, other: Array, faces: Any) -> Score:
     return Score(
-        _MM * float(np.sqrt(square.mean())),
+        _rms(square),
         _MM * float(hausdorff(truth, other, surface=False).vertex_per_frame.mean()),
         sted(truth, other, faces).value,
     )

@@ -32,6 +32,8 @@ def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def score_table(rows: Sequence[Scores], vertices: str = "all") -> str:
     """Table of RMSE and Hausdorff distance in mm, STED, and the share of vertices inside the body.
 
+    The column ``left`` is the error of the detail as a share of the detail's RMS.
+
     Parameters
     ----------
     rows : sequence of Scores
@@ -47,8 +49,9 @@ def score_table(rows: Sequence[Scores], vertices: str = "all") -> str:
             x for s in scores for x in (f"{s.rmse:.2f}", f"{s.hausdorff:.1f}", f"{s.sted:.4f}")
         ]
         inside = row.inside_free if vertices == "free" else row.inside
-        lines.append([row.name, *cells, f"{100 * inside:.2f} %"])
-    return markdown([*head, "inside"], lines)
+        left = f"{100 * getattr(row, vertices).left:.0f} %"
+        lines.append([row.name, *cells, left, f"{100 * inside:.2f} %"])
+    return markdown([*head, "left", "inside"], lines)
 
 
 def class_table(rows: Sequence[Scores], vertices: str) -> str:

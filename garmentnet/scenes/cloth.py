@@ -61,8 +61,6 @@ class Solver:
         Distance from the skin within which contact is searched, metres.
     push : float
         Farthest that a vertex is pushed out of the body in one substep, metres.
-    thickness : float
-        Distance that vertices of the cloth keep from each other, metres; 0: no self-contact.
     approach, settle : int
         Frames in which the body moves from rest to its first pose, and in which it then waits.
 
@@ -88,7 +86,6 @@ class Solver:
     distance: float = 0.01
     reach: float = 0.06
     push: float = 0.004
-    thickness: float = 0.0
     approach: int = 15
     settle: int = 40
 
@@ -123,8 +120,6 @@ class Cloth:
         self._angles, self._hinge_lengths = _rest_angles(rest, self._hinges)
         self._colours = colour(self._edges, pinned), colour(self._hinges, pinned)
         self._clusters = _clusters(rest, np.flatnonzero(~pinned))
-        one = garment.adjacency()
-        self._near = (one + one @ one).tocsr()
 
     def simulate(
         self,
@@ -152,7 +147,6 @@ class Cloth:
             friction=REAL(s.friction),
             push=REAL(s.push),
             reach=REAL(s.reach),
-            thickness=REAL(s.thickness),
         )
         shift = np.zeros((n, 3), REAL) if moved is None else np.asarray(moved, REAL)
         out = np.empty((len(joints) - first, n, 3), np.float32)
@@ -186,8 +180,6 @@ class Cloth:
             weights=weights.astype(REAL),
             edges=pack(self._edges, weights[self._edges], edges, self._colours[0]),
             hinges=pack(self._hinges, weights[self._hinges], hinges, self._colours[1]),
-            near=self._near.indices.astype(np.int32),
-            near_starts=self._near.indptr.astype(np.int32),
         )
 
 

@@ -13,13 +13,10 @@ from .chunks import Chunks
 from .constraints import BUFFER_ROWS, bend, stretch
 from .contact import find_contacts, push_out, skin_points
 from .policy import INDEX, LANES, ONE, REAL, THREE, TWO, kernel
-from .self_contact import find_pairs, separate
 
 __all__ = ["BodyArrays", "ClothArrays", "Step", "simulate_frames"]
 
 _GRAVITY = REAL(9.81)  # m/s², along -y
-_PAIRS = 20  # most pairs of the self-contact, per vertex
-_PAIR_STEPS = 4  # substeps for which they are kept
 
 
 class BodyArrays(NamedTuple):
@@ -45,8 +42,6 @@ class ClothArrays(NamedTuple):
     weights: NDArray[np.float32]  # (V,) inverse masses
     edges: Chunks
     hinges: Chunks
-    near: NDArray[np.int32]  # vertices within two edges, CSR
-    near_starts: NDArray[np.int32]
 
 
 class Step(NamedTuple):
@@ -61,7 +56,6 @@ class Step(NamedTuple):
     friction: Any
     push: Any  # the longest push out of the body in a substep
     reach: Any  # distance within which contact is searched
-    thickness: Any  # distance that the cloth keeps from itself; 0: no self-contact
 
 
 @kernel
@@ -92,7 +86,6 @@ def simulate_frames(
     skin1, pins1 = skin0.copy(), pins0.copy()
     boxes = np.empty((2 ** (body.depth + 1) - 1, 6), REAL)
     nearest, close = np.full(n, -1, np.int32), np.empty(n, INDEX)
-    pairs, n_pairs = np.zeros((_PAIRS * n if step.thickness > 0 else 0, 2), np.int32), 0
     rate, per_block = REAL(1) / step.h, step.substeps // step.blocks
     share = REAL(1) / REAL(per_block)
     origin = roots[0].copy()
@@ -130,12 +123,6 @@ def simulate_frames(
                 _predict(x, previous, v, cloth, step.h, pins0, pins1, fraction)
                 bend(x, previous, cloth.hinges, step.damping, buffer)
                 stretch(x, cloth.edges, buffer)
-                if step.thickness > 0:
-                    if (block * per_block + substep) % _PAIR_STEPS == 0:
-                        n_pairs = find_pairs(
-                            x, cloth.weights, cloth.near, cloth.near_starts, step.thickness, pairs
-                        )
-                    separate(x, cloth.weights, pairs, n_pairs, step.thickness)
                 for i in free:
                     if nearest[i] < 0:
                         o = THREE * i

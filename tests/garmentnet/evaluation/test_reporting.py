@@ -43,7 +43,8 @@ def test_ratios_and_clips(checkpoint, toy_store, tmp_path):
     document = json.loads((tmp_path / "report.json").read_text())
     (group,) = document["groups"].values()
     assert "Intervals of so few clips are rough." in text
-    bones, first, other = group["rows"]
+    bones, mean, first, other = group["rows"]
+    assert mean["name"] == "mean detail alone"
     assert bones["name"] == "bones themselves"
     assert [c["name"] for c in bones["clips"]] == ["base-test-0", "base-test-1"]
     assert first["all"] == other["all"]

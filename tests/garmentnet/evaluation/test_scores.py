@@ -8,7 +8,7 @@ torch = pytest.importorskip("torch")
 
 import ssdr
 from garmentnet.collision.push_out import PushOut
-from garmentnet.evaluation.methods import BonesThemselves, Method, Network
+from garmentnet.evaluation.methods import BonesThemselves, MeanDetail, Method, Network
 from garmentnet.evaluation.scores import chaos_floor, evaluate
 from garmentnet.evaluation.tables import score_table
 from ssdr.errors import InputError
@@ -90,6 +90,42 @@ def test_bones_are_a_bound(toy_bones, toy_network):
     assert bones.all.overall.rmse < 0.5 * network.all.overall.rmse
 
 
+def test_a_constant_leaves_of_the_detail_what_moves(toy_bones, toy_store):
+    """Detail c ± a, in turn, that turns with a rigid cloth: √(a² / (c² + a²)) is left."""
+    n = toy_store.n_vertices
+    rng = np.random.default_rng(0)
+    constant, wave = rng.normal(size=(2, n, 3)) * 1e-3
+    skinning = toy_bones.skinning
+
+    class Rigid(type(toy_bones)):
+        def transforms(self, name):
+            root = toy_store.clip(name).joints[:, :1]
+            return np.repeat(root, skinning.n_bones, axis=1).astype(np.float32)
+
+        def fit(self, low):
+            return self.moved
+
+        def split(self, name, frames=slice(None)):
+            moved = self.transforms(name)[frames]
+            object.__setattr__(self, "moved", moved)
+            sign = (-1.0) ** np.arange(toy_store.clip(name).n_frames)[frames]
+            local = constant + sign[:, None, None] * wave
+            high = np.einsum("fij,fvj->fvi", moved[:, 0, :, :3], local)
+            s = skinning
+            low = ssdr.skin(s.rest, s.indices, s.weights, moved)
+            return low.astype(np.float32), high.astype(np.float32)
+
+    rigid = Rigid(**{f.name: getattr(toy_bones, f.name) for f in dataclasses.fields(toy_bones)})
+    (row,) = evaluate(rigid, [MeanDetail(rigid)], [CLIP, "base-test-1"])
+    a, c = np.square(wave).sum(), np.square(constant).sum()
+    assert row.all.detail == pytest.approx(1e3 * np.sqrt((a + c) / n), rel=1e-3)
+    assert row.all.left == pytest.approx(np.sqrt(a / (a + c)), rel=1e-3)
+    assert f" {100 * row.all.left:.0f} % " in score_table([row])
+    nothing = Split(lambda clip: (rigid.split(clip.name)[0], np.zeros((90, n, 3), np.float32)))
+    (row,) = evaluate(rigid, [nothing], [CLIP])
+    assert row.all.left == pytest.approx(1)
+
+
 def test_a_plain_method_is_split_like_the_data(toy_bones):
     method = Plain(lambda c: c.sequence.frames(slice(None)))
     (row,) = evaluate(toy_bones, [method], [CLIP])
@@ -102,6 +138,9 @@ def test_chaos_floor_of_known_noise(toy_bones):
     floor = chaos_floor(toy_bones, toy_bones.store.pairs())
     assert np.isclose(floor["overall"], np.sqrt(3 / 2), rtol=0.05)
     assert floor["low"] < floor["overall"]
+    a, b = (toy_bones.split(n)[1].astype(float) for n in (CLIP, f"{CLIP}-again"))
+    expected = 1e3 * np.sqrt(((a - b) ** 2).sum(-1).mean() / 2)
+    assert floor["high"] == pytest.approx(expected, rel=1e-3)
     assert floor["overall_free"] == floor["overall"]
     assert floor["frames"] == 90
 

@@ -25,7 +25,15 @@ from ssdr.errors import InputError
 
 BODY = default_body()
 # Edges of the cloth with an opening behind them: neck, hem, sleeves, legs, waist.
-OPENINGS = {"dress": 2, "gown": 4, "a_line": 2, "t_shirt": 4, "trousers": 3, "skirt": 2}
+OPENINGS = {
+    "dress": 2,
+    "gown": 4,
+    "a_line": 2,
+    "soft_dress": 2,
+    "t_shirt": 4,
+    "trousers": 3,
+    "skirt": 2,
+}
 
 
 def cut_of(name: str, vertices: int = 2100) -> Cut:

@@ -88,7 +88,7 @@ def test_large_holds_what_is_promised() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["dress", "dress_fine", "gown", "a_line", "t_shirt", "trousers", "skirt"]
+    "name", ["dress", "soft_dress", "gown", "a_line", "t_shirt", "trousers", "skirt"]
 )
 def test_garments_share_their_motions(name: str) -> None:
     data_set, large = load_data_set(name), load_data_set("large")

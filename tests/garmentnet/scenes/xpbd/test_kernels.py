@@ -8,7 +8,6 @@ from garmentnet.scenes.xpbd.chunks import colour, pack
 from garmentnet.scenes.xpbd.constraints import BUFFER_ROWS, bend, stretch
 from garmentnet.scenes.xpbd.contact import CLUSTER, find_contacts, skin_points
 from garmentnet.scenes.xpbd.policy import LANES, REAL
-from garmentnet.scenes.xpbd.self_contact import find_pairs
 
 BUFFER = np.zeros(BUFFER_ROWS * LANES, REAL)
 
@@ -126,15 +125,3 @@ def test_skinning_is_that_of_ssdr(rng):
     skin_points(arrays, joints.reshape(4, 12).astype(REAL), points)
     want = skin(rest, indices, weights, joints[None])[0]
     np.testing.assert_allclose(points.reshape(-1, 3), want, atol=2e-6)
-
-
-def test_pairs_are_all_near_ones(rng):
-    x = rng.uniform(-0.1, 0.1, (300, 3)).astype(REAL)
-    pairs, starts = np.zeros((5000, 2), np.int32), np.zeros(301, np.int32)
-    weights, near = np.arange(300).astype(REAL) % 2, np.zeros(0, np.int32)
-    count = find_pairs(x.ravel(), weights, near, starts, REAL(0.012), pairs)
-    gap = np.linalg.norm(x[:, None] - x[None], axis=-1)
-    near_ = np.argwhere(np.triu(gap < 0.03, 1) & (weights[:, None] + weights > 0))
-    want = set(map(tuple, near_.tolist()))
-    assert {tuple(sorted(p)) for p in pairs[:count].tolist()} == want
-    assert count == len(want)
