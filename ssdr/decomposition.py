@@ -143,6 +143,24 @@ def decompose(
     >>> result.rmse < 0.01 * dancer.diagonal()
     True
     """
-    problem = check_problem(**locals())  # every argument, under its own name
+    problem = check_problem(
+        sequence,
+        faces,
+        bones=bones,
+        influences=influences,
+        effort=effort,
+        bone_model=bone_model,
+        rig=rig,
+        start=start,
+        vertex_importance=vertex_importance,
+        frame_importance=frame_importance,
+        smoothness=smoothness,
+        rest_pose=rest_pose,
+        normals=normals,
+        rng=rng,
+        time_limit=time_limit,
+        checkpoint=checkpoint,
+        callback=callback,
+    )
     solve = streamed.solve if needs_streaming(problem.sequences) else in_memory.solve
     return finished(problem, lambda: solve(problem))

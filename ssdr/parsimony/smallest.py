@@ -156,18 +156,31 @@ def smallest(
     >>> result.rmse <= 0.01 * dancer.diagonal(), result.stop_reason
     (True, 'tolerance held')
     """
-    arguments = locals()  # under their own names
-    for name in ("tolerance", "normals_tolerance", "measure", "file"):
-        del arguments[name]
-    if isinstance(skinning_in(start), Skinning):
-        arguments["bones"] = None  # those of the model, which may be fewer
-        problem = check_problem(**arguments)
+    continues = isinstance(skinning_in(start), Skinning)
+    problem = check_problem(
+        sequence,
+        faces,
+        bones=None if continues else bones,  # a model may have fewer
+        influences=influences,
+        effort=effort,
+        bone_model=bone_model,
+        rig=rig,
+        start=start,
+        vertex_importance=vertex_importance,
+        frame_importance=frame_importance,
+        rest_pose=rest_pose,
+        normals=normals,
+        rng=rng,
+        time_limit=time_limit,
+        checkpoint=checkpoint,
+        callback=callback,
+        most_bones=_MOST_BONES,
+    )
+    most = problem.bones
+    if continues:
         most = min(problem.n_vertices, _MOST_BONES) if bones is None else bones
         n = problem.inputs[0].n_vertices
         most = check_whole(most, "bones", 1, n, " (the number of vertices)")
-    else:
-        problem = check_problem(**arguments, most_bones=_MOST_BONES)
-        most = problem.bones
     check_choice(measure, "measure", Measure)
     parse_tolerance(tolerance, 1.0)
     _check_normals_tolerance(normals_tolerance, problem)
