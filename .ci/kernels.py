@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -83,27 +84,31 @@ def _char(kind: Any) -> str:
     return str(as_dtype(kind).char)
 
 
-def main(folder: Path, level: str | None = None) -> None:
+def main(folder: Path, level: str = "", out: str = "") -> None:
     sys.path.insert(0, str(folder))
     from ssdr.kernels import policy
 
-    if level is not None:
-        compile_level(policy.code_file(level))
+    if level:
+        compile_level(Path(out, policy.code_file(level).name))
         return
     tag = sysconfig.get_platform().replace("-", "_").replace(".", "_")
     needed = [0]
-    for level, features in policy.LEVELS.items():
-        generic = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": features}
-        # without debugging information, and without what no kernel needs of Numba's frame
-        small = {"CFLAGS": "-g0 -ffunction-sections", "LDFLAGS": "-s -Wl,--gc-sections"}
-        with tempfile.TemporaryDirectory() as cache:
+    # Beside the sources, the code of one level would serve the next.
+    with tempfile.TemporaryDirectory() as made:
+        for level, features in policy.LEVELS.items():
+            generic = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": features}
+            # without debugging information, and without what no kernel needs of Numba's frame
+            small = {"CFLAGS": "-g0 -ffunction-sections", "LDFLAGS": "-s -Wl,--gc-sections"}
+            cache = {"NUMBA_CACHE_DIR": f"{made}/cache_{level}"}
             subprocess.run(
-                [sys.executable, __file__, str(folder), level],
-                env={**os.environ, **generic, **small, "NUMBA_CACHE_DIR": cache},
+                [sys.executable, __file__, str(folder), level, made],
+                env={**os.environ, **generic, **small, **cache},
                 check=True,
             )
-        code = policy.code_file(level).read_bytes()
-        needed += map(int, re.findall(rb"GLIBC_2\.(\d+)", code))
+        for level in policy.LEVELS:
+            file = policy.code_file(level)
+            shutil.copy(Path(made, file.name), file)
+            needed += map(int, re.findall(rb"GLIBC_2\.(\d+)", file.read_bytes()))
     print(tag.replace("linux", f"manylinux_2_{max(needed)}") if max(needed) else tag)
 
 
