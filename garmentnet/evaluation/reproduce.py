@@ -35,7 +35,7 @@ from .methods import BonesThemselves, MeanDetail, Method, Network
 from .published import BASELINES, SANTESTEBAN, train_chen
 from .regression import Variant, train_regression
 from .reporting import RECORDED, group_of
-from .scores import Scores, evaluate
+from .scores import evaluate
 from .tables import interval_cell, intervals, markdown
 
 __all__ = ["TABLES", "Reproduction"]
@@ -168,7 +168,8 @@ class Reproduction:
             test = self.clips(store, config)[2] if test is None else test
             made = [*(make() for make in methods), MeanDetail(bones)]
             rows = evaluate(bones, made, test, progress=self.progress)
-            record = {"rows": [_row(r) for r in rows], **intervals(rows, rows[0].name)}
+            pooled = [dataclasses.replace(r, clips=()).as_dict() for r in rows]
+            record = {"rows": pooled, **intervals(rows, rows[0].name)}
             file.parent.mkdir(parents=True, exist_ok=True)
             write_file(file, json.dumps(record, indent=1).encode())
         return dict(json.loads(file.read_text("utf-8")))
@@ -224,12 +225,6 @@ class Reproduction:
             write_file(file, json.dumps(hours | {name: (wall, used)}, indent=1).encode())
 
 
-def _row(scores: Scores) -> dict[str, Any]:
-    table = scores.as_dict()
-    del table["clips"]
-    return table
-
-
 def _text(record: dict[str, Any], part: str) -> str:
     """Table of RMSE, Hausdorff distance and STED of a part, and RMSE relative to the first row."""
     lines = []
@@ -237,11 +232,10 @@ def _text(record: dict[str, Any], part: str) -> str:
         s = row["all"][part]
         ratio = record["methods"][row["name"]]["all"][part]["rmse"]
         cells = [f"{s['rmse']:.2f}", f"{s['hausdorff']:.1f}", f"{s['sted']:.4f}"]
-        if part == "high":
-            cells.append(f"{100 * s['rmse'] / row['all']['detail']:.0f} %")
-        lines.append([row["name"], *cells, interval_cell(ratio, 3)])
-    left = ["left"] * (part == "high")
-    return markdown([part, "RMSE, mm", "Hausdorff", "STED", *left, "RMSE ratio"], lines)
+        left = [f"{100 * s['rmse'] / row['all']['detail']:.0f} %"] * (part == "high")
+        lines.append([row["name"], *cells, *left, interval_cell(ratio, 3)])
+    head = ["RMSE, mm", "Hausdorff", "STED", *["left"] * (part == "high"), "RMSE ratio"]
+    return markdown([part, *head], lines)
 
 
 def _table2(run: Reproduction) -> str:
