@@ -24,7 +24,7 @@ __all__ = ["QuickStart", "Spread", "StartFromModel", "StartFromMotion"]
 _FEW_FRAMES, _FEW_ALTERNATIONS = 64, 16
 # Gauss–Seidel sweeps, and leaps of all bones together, for bones that start with the transforms of
 # another frame.  Without leaps, it would take many sweeps to move a bone far.
-_FIRST_SWEEPS, _FIRST_LEAPS = 6, 4
+_FIRST_SWEEPS, _FIRST_LEAPS = 6, 2
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
