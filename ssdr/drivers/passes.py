@@ -9,7 +9,8 @@ and two (V, 4B) matrices in memory.  Its error is that of all frames, not an est
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,15 +27,14 @@ from ..solver.trajectories import Alignment, Array, Trajectories, frame_scale_of
 from ..solver.vertex_newton import newton_vertices
 from .scan import OnProgress, Scan
 
-__all__ = ["ENTERING", "GAIN", "AllFrames", "carried"]
+__all__ = ["ENTERING", "AllFrames", "carried"]
 
-# Gauss–Seidel sweeps of the bones in a pass, and in the first, which begins with the transforms of
-# other frames.
-_SWEEPS, _FIRST_SWEEPS = 12, 24
-_SWEEPS_OF_A_LEAP = 6  # for bones of a tree, which leap instead
+# Gauss–Seidel sweeps of the bones in a pass.  Before, the first, which begins with transforms of
+# other frames, leaps.
+_SWEEPS, _FIRST_LEAPS = 6, 1
 _ROUNDS = 3  # Gauss–Newton rounds on a vertex
 ENTERING = 3  # number of bones that may enter a vertex's support in a pass
-GAIN = 2e-3  # relative decrease of the objective below which a pass is the last
+_GAIN = 2e-3  # relative decrease of the objective below which a pass is the last
 
 
 def carried(
@@ -71,8 +71,8 @@ def carried(
 class AllFrames:
     """A model of all frames, started from a model of chosen frames.
 
-    Each frame takes the transforms of the most similar chosen frame at first; each
-    :meth:`pass_over` then improves the model on all frames.
+    Each frame takes the transforms of the most similar chosen frame at first; :meth:`improve` then
+    makes passes over all frames.
 
     Parameters
     ----------
@@ -126,6 +126,26 @@ class AllFrames:
         self.model.error *= ratio**2 * share
         self.model.normal_error *= share
 
+    def improve(
+        self, most: int, *, entering: int, on_progress: OnProgress | None = None
+    ) -> Iterator[float]:
+        """Objective after each of at most `most` passes, until one gains little.
+
+        A pass after which the objective is not lower is taken back, and is not among them.
+        The arguments are those of :meth:`pass_over`.
+        """
+        last = math.inf
+        for _ in range(most):
+            before = self.model.copy() if math.isfinite(last) else None
+            value = self.pass_over(entering=entering, on_progress=on_progress)
+            if before is not None and not value < last:
+                self.model = before
+                return
+            yield value
+            if not value < (1 - _GAIN) * last:
+                return
+            last = value
+
     @serial_blas()
     def pass_over(self, *, entering: int, on_progress: OnProgress | None = None) -> float:
         """Alternate once over all frames; return the objective (:class:`Objective`) of the model.
@@ -134,12 +154,9 @@ class AllFrames:
         called with the fraction of the frames that is done.
         """
         model, space, n_bones = self.model, self.space, self.model.n_bones
-        n, n_frames, n_points = space.n_vertices, space.n_frames, space.n_points
         length = normal_length(space, model)
-        y, x2 = np.zeros((n, n_points, 4, n_bones)), np.zeros((n, n_points))
-        g = np.zeros((4 * n_bones, 4 * n_bones))
-        spans = spans_of(n_frames)
-        sweeps = _SWEEPS if self.passes else _FIRST_SWEEPS
+        spans = spans_of(space.n_frames)
+        leaps = 0 if self.passes else _FIRST_LEAPS
         # each span is sent with its own transforms, and a pass does not read the support
         still = dataclasses.replace(
             model,
@@ -147,7 +164,7 @@ class AllFrames:
             support=model.indices,
             support_weights=model.weights,
         )
-        shared = (still, space.importance, space.scale, space.faces, self.locked, sweeps, length)
+        shared = (still, space.importance, space.scale, space.faces, self.locked, leaps, length)
 
         def of_span(k: int) -> tuple[Array, ...]:
             span = slice(*spans[k])
@@ -158,14 +175,14 @@ class AllFrames:
                 model.transforms[span],
             )
 
-        walk = self.executor.map(SpanTask(_pass_span, self.sequences, spans, of_span, shared))
-        for (start, stop), part in zip(spans, walk, strict=True):
-            model.transforms[start:stop] = part[0]
-            y += part[1]
-            g += part[2]
-            x2 += part[3]
+        def take(k: int, own: Array) -> None:
+            start, stop = spans[k]
+            model.transforms[start:stop] = own
             if on_progress is not None:
-                on_progress(stop / n_frames)
+                on_progress(stop / space.n_frames)
+
+        task = SpanTask(_pass_span, self.sequences, spans, of_span, shared)
+        y, g, x2 = self.executor.total(task, take)
         newton_vertices(
             lambda i, k: y[i:k],
             x2,
@@ -194,10 +211,10 @@ def _pass_span(
     scale: float,
     faces: NDArray[np.int32],
     locked: Locked,
-    sweeps: int,
+    leaps: int,
     length: float,
-) -> tuple[Array, Array, Array, Array]:
-    """Solve the bones of a span; return their transforms and the span's part of Y, G and Σ|x|²."""
+) -> tuple[Array, tuple[Array, Array, Array]]:
+    """Solve the bones of a span; return their transforms and the span's parts of Y, G and Σ|x|²."""
     n, n_bones, n_points = len(model.rest), transforms.shape[1], 1 + model.normals.shape[1]
     transforms = transforms.copy()
     y, x2 = np.zeros((n, n_points, 4, n_bones)), np.zeros((n, n_points))
@@ -205,9 +222,7 @@ def _pass_span(
     alignment = Alignment(centre=centre, rotation=turn, scale=scale)
     for start, block in frames.blocks():
         stop = start + len(block)
-        x = alignment.inward(block, start)
-        x *= frame_scale[start:stop, None]
-        flat = x.reshape(n, -1)
+        flat = alignment.inward(block, start, frame_scale).reshape(n, -1)
         part = Trajectories(
             z=flat,
             q=None,
@@ -228,8 +243,7 @@ def _pass_span(
             error=part.x2.copy(),
             normals=model.normals.copy(),
         )
-        leaps = 0 if model.tree is None else sweeps // _SWEEPS_OF_A_LEAP
-        fit_motion(part, piece, locked=locked, sweeps=sweeps, leaps=leaps, length=length)
+        fit_motion(part, piece, locked=locked, sweeps=_SWEEPS, leaps=leaps, length=length)
         transforms[start:stop] = piece.transforms
         hat = part.stack(piece.transforms)
         g += hat.T @ hat
@@ -238,4 +252,4 @@ def _pass_span(
             y[i:k] += part.products(slice(i, k), hat, length)
 
         run_chunks(add, chunk_bounds(n, 2 * CHUNK))
-    return transforms, y, g, x2
+    return transforms, (y, g, x2)

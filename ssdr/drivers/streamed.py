@@ -29,7 +29,7 @@ from ..solver.model import Model
 from ..solver.trajectories import Array, Trajectories
 from .hand_back import Step, outcome_of, skinning_of
 from .in_memory import after_step, begin, schedule_of
-from .passes import ENTERING, GAIN, AllFrames, carried
+from .passes import ENTERING, AllFrames, carried
 from .problem import Problem
 from .rounding import rounded_best
 from .scan import Scan, scan, subset
@@ -176,7 +176,7 @@ def _passes(
     most = PASSES[problem.effort]
     unit = frames.alignment.scale / math.sqrt(problem.n_frames * problem.n_vertices)
     passes: list[Step] = []
-    last, stopped = math.inf, False
+    stopped = False
 
     def on_progress(done: float) -> None:
         nonlocal stopped
@@ -190,18 +190,13 @@ def _passes(
     def model() -> Skinning:
         return skinning_of(problem, frames.alignment, frames.model)
 
-    while len(passes) < most:
-        before = frames.model.copy() if passes else None
-        value = frames.pass_over(entering=0 if d.smoothness else ENTERING, on_progress=on_progress)
-        if before is not None and value >= last:
-            frames.model = before
-            break
+    entering = 0 if d.smoothness else ENTERING
+    for _ in frames.improve(most, entering=entering, on_progress=on_progress):
         step = d.iteration + len(passes) + 1
         error = frames.model.weighted_error(frames.space)
         passes.append((step, d.clock.elapsed, error, "all frames"))
-        small, last = value > (1 - GAIN) * last, value
         problem.checkpoint.offer(model)
-        if small or hurried or stopped:
+        if hurried or stopped:
             break
         if report.out_of_time:
             return passes, "time limit"

@@ -13,6 +13,7 @@ import dataclasses
 import functools
 import logging
 import mmap
+import operator
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -112,6 +113,18 @@ class Local:
             frames = Frames(tuple(task.pieces(k)), task.n_vertices)
             yield task.function(frames, *task.arguments(k), *task.shared)
 
+    def total(self, task: SpanTask, take: Callable[[int, Any], None]) -> tuple[Any, ...]:
+        """Sums of the arrays that a function returns beside something of each span's own.
+
+        The function returns (own, arrays); ``take(k, own)`` is called for the spans in their order,
+        in which the arrays are added.
+        """
+        total: tuple[Any, ...] = ()
+        for k, (own, arrays) in enumerate(self.map(task)):
+            total = _added(total, arrays)
+            take(k, own)
+        return total
+
 
 class Cluster:
     """Executor that calls on the workers of a Dask client.
@@ -125,18 +138,43 @@ class Cluster:
 
     def map(self, task: SpanTask) -> Iterator[Any]:
         """Results in the order of the spans; some are computed before the iterator reaches them."""
+        return self._results(self._calls(task))
+
+    def total(self, task: SpanTask, take: Callable[[int, Any], None]) -> tuple[Any, ...]:
+        """As :meth:`Local.total`; workers add the arrays, of which only the sums come here."""
+        total: Any = ()
+
+        def own_parts() -> Iterator[Any]:
+            nonlocal total
+            for call in self._calls(task):
+                total = self._submit(_with_arrays, total, call)
+                yield self._submit(operator.itemgetter(0), call)
+
+        for k, own in enumerate(self._results(own_parts())):
+            take(k, own)
+        return tuple(total.result())
+
+    def _submit(self, *call: Any) -> Any:
+        return self.client.submit(*call, pure=False, retries=2)
+
+    def _calls(self, task: SpanTask) -> Iterator[Any]:
+        """Futures of the calls of a task; each is submitted when the iterator reaches it."""
+        common = self.client.submit(_same, task.shared, pure=False)
+        for k in range(len(task.spans)):
+            pieces = [self._portable(*p) for p in task.pieces(k)]
+            yield self._submit(
+                _remote, task.function, pieces, task.n_vertices, task.arguments(k), common
+            )
+
+    def _results(self, futures: Iterator[Any]) -> Iterator[Any]:
         import dask
 
         waiting: collections.deque[Any] = collections.deque()
-        # Results are large: no more of them wait to be added up than are being computed.
+        # Results are large: no more of them wait to be used than are being computed.
         most_waiting = 1 + sum(self.client.nthreads().values())
-        quiet = dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 GiB"})
-        with quiet:
-            common = self.client.submit(_same, task.shared, pure=False)
-            for k in range(len(task.spans)):
-                pieces = [self._portable(*p) for p in task.pieces(k)]
-                call = (_remote, task.function, pieces, task.n_vertices, task.arguments(k), common)
-                waiting.append(self.client.submit(*call, pure=False, retries=2))
+        with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 GiB"}):
+            for future in futures:
+                waiting.append(future)
                 if len(waiting) >= most_waiting:
                     yield waiting.popleft().result()
             while waiting:
@@ -155,6 +193,14 @@ Executor = Local | Cluster
 
 def _same(shared: tuple[Any, ...]) -> tuple[Any, ...]:
     return shared
+
+
+def _added(total: tuple[Any, ...], arrays: tuple[Any, ...]) -> tuple[Any, ...]:
+    return tuple(a + b for a, b in zip(total, arrays, strict=True)) if total else arrays
+
+
+def _with_arrays(total: tuple[Any, ...], result: tuple[Any, tuple[Any, ...]]) -> tuple[Any, ...]:
+    return _added(total, result[1])
 
 
 def _remote(

@@ -10,6 +10,7 @@ from .policy import inline, kernel
 SPECK = 1e-6  # below this, the scale of the bone is hardly determined
 POINT = 1e-12  # below this, the rotation of the bone would follow rounding errors
 SMALLEST, LARGEST = 1e-4, 1e4  # bounds of a bone's scale, unless it starts outside
+TOGETHER = 16  # frames that a sweep works on at a time
 COLUMNS = 512  # number of columns of the trajectories that are summed at a time
 
 
@@ -243,13 +244,21 @@ def sweep_bones(transforms, c, u, start, neighbour, locked, scaled, sweeps):
     If `scaled`, the 3×3 blocks are scaled rotations (Umeyama 1991), otherwise rotations.
     """
     n_bones = transforms.shape[1]
-    d = np.empty((3, 4))
+    # frames last, so that one instruction works on several of them
+    bones = np.empty((n_bones, 3, 4, TOGETHER))
+    d = np.empty((3, 4, TOGETHER))
     s = np.empty((3, 3))
     r = np.empty((3, 3))
     a = np.empty((3, 3))
     turn = np.empty((3, 3))
     new = np.empty((3, 3))
-    for t in range(len(transforms)):
+    for first in range(0, len(transforms), TOGETHER):
+        n_frames = min(TOGETHER, len(transforms) - first)
+        for t in range(n_frames):
+            for j in range(n_bones):
+                for e in range(3):
+                    for f in range(4):
+                        bones[j, e, f, t] = transforms[first + t, j, e, f]
         for _ in range(sweeps):
             for j in range(n_bones):
                 own = u[j, j]
@@ -258,40 +267,58 @@ def sweep_bones(transforms, c, u, start, neighbour, locked, scaled, sweeps):
                     continue
                 for e in range(3):
                     for f in range(4):
-                        d[e, f] = c[t, e, f, j]
+                        for t in range(n_frames):
+                            d[e, f, t] = c[first + t, e, f, j]
                 for q in range(start[j], start[j + 1]):
                     k = neighbour[q]
-                    m = transforms[t, k]
-                    v = u[j, k]
                     for e in range(3):
+                        m0, m1, m2, m3 = (
+                            bones[k, e, 0],
+                            bones[k, e, 1],
+                            bones[k, e, 2],
+                            bones[k, e, 3],
+                        )
                         for f in range(4):
-                            for g in range(4):
-                                d[e, f] -= m[e, g] * v[g, f]
-                m = transforms[t, j]
-                size = 1.0
-                if scaled:
-                    size = np.sqrt(m[0, 0] * m[0, 0] + m[1, 0] * m[1, 0] + m[2, 0] * m[2, 0])
-                for e in range(3):
-                    for f in range(3):
-                        s[e, f] = d[e, f] - d[e, 3] * own[3, f] / mass
-                        r[e, f] = m[e, f] / size
+                            row = d[e, f]
+                            v0, v1, v2, v3 = (
+                                u[j, k, 0, f],
+                                u[j, k, 1, f],
+                                u[j, k, 2, f],
+                                u[j, k, 3, f],
+                            )
+                            for t in range(n_frames):
+                                row[t] = row[t] - m0[t] * v0 - m1[t] * v1 - m2[t] * v2 - m3[t] * v3
                 extent = 0.0
                 for e in range(3):
                     extent += own[e, e] - own[e, 3] * own[3, e] / mass
-                if extent > POINT * mass:
-                    rotate_toward(s, r, a, turn, new)
-                if scaled:
-                    # regularised towards the present scale, so that a bone without extent keeps it
-                    spread = SPECK * mass
-                    pull = spread * size
-                    spread += extent
+                for t in range(n_frames):
+                    m = bones[j, :, :, t]
+                    size = 1.0
+                    if scaled:
+                        size = np.sqrt(m[0, 0] * m[0, 0] + m[1, 0] * m[1, 0] + m[2, 0] * m[2, 0])
                     for e in range(3):
                         for f in range(3):
-                            pull += r[e, f] * s[e, f]
-                    size = min(max(pull / spread, min(size, SMALLEST)), max(size, LARGEST))
+                            s[e, f] = d[e, f, t] - d[e, 3, t] * own[3, f] / mass
+                            r[e, f] = m[e, f] / size
+                    if extent > POINT * mass:
+                        rotate_toward(s, r, a, turn, new)
+                    if scaled:
+                        # regularised towards the present scale, which a bone without extent keeps
+                        spread = SPECK * mass
+                        pull = spread * size
+                        spread += extent
+                        for e in range(3):
+                            for f in range(3):
+                                pull += r[e, f] * s[e, f]
+                        size = min(max(pull / spread, min(size, SMALLEST)), max(size, LARGEST))
+                    for e in range(3):
+                        for f in range(3):
+                            m[e, f] = size * r[e, f]
+                        m[e, 3] = d[e, 3, t] / mass
+                        for f in range(3):
+                            m[e, 3] -= m[e, f] * own[f, 3] / mass
+        for t in range(n_frames):
+            for j in range(n_bones):
                 for e in range(3):
-                    for f in range(3):
-                        m[e, f] = size * r[e, f]
-                    m[e, 3] = d[e, 3] / mass
-                    for f in range(3):
-                        m[e, 3] -= m[e, f] * own[f, 3] / mass
+                    for f in range(4):
+                        transforms[first + t, j, e, f] = bones[j, e, f, t]

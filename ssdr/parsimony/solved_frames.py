@@ -15,7 +15,7 @@ import numpy as np
 
 from ..drivers.efforts import NUMBERS
 from ..drivers.hand_back import skinning_of
-from ..drivers.passes import ENTERING, GAIN, AllFrames
+from ..drivers.passes import ENTERING, AllFrames
 from ..drivers.problem import Problem
 from ..drivers.scan import Scan, needs_streaming, subset
 from ..drivers.streamed import scan_of
@@ -227,7 +227,7 @@ class SolvedFrames:
         data : Trajectories, optional
             Copy of the trajectories with which the model was solved.
         """
-        problem, last, stop = self.problem, math.inf, False
+        problem, stop = self.problem, False
         if data is None:
             data, model = self.with_normals(model)
         locked = problem.locked
@@ -256,11 +256,9 @@ class SolvedFrames:
             nonlocal stop
             stop = stop or on_progress()
 
-        for _ in range(passes):
-            value = frames.pass_over(entering=entering, on_progress=within)
-            if stop or not value < (1 - GAIN) * last:
+        for _ in frames.improve(passes, entering=entering, on_progress=within):
+            if stop:
                 break
-            last = value
         return _trimmed(skinning_of(problem, frames.alignment, frames.model))
 
     def size(self, skinning: Skinning) -> Size:

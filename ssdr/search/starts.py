@@ -23,7 +23,7 @@ __all__ = ["fit_copied_bones", "quick_start", "start", "start_from_model"]
 _FEW_FRAMES, _FEW_ALTERNATIONS = 64, 16
 # Gauss–Seidel sweeps, and leaps of all bones together, for bones that start with the transforms of
 # another frame.  Without leaps, it would take many sweeps to move a bone far.
-_FIRST_SWEEPS, _FIRST_LEAPS = 6, 4
+_FIRST_SWEEPS, _FIRST_LEAPS = 6, 2
 
 
 @step("start", cost=8)

@@ -6,13 +6,15 @@ Its matrix U is the same for every frame and axis, so that one Cholesky factor s
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from ..kernels.bones import LARGEST, SMALLEST, SPECK
+from ..kernels.leap import leap_bones
 from ..parallel import chunk_bounds, run_chunks, serial_blas
-from ..rigid import nearest_rotation
 from .moments import stack_blocks
 from .trajectories import Array, stack_transforms, unstack_transforms
 
@@ -25,10 +27,12 @@ __all__ = [
     "stack_diagonal",
 ]
 
-# Strengths of the ridge penalty: for patches (of few vertices, which may lie in a plane), for a
-# step of the alternation, and for a leap.
-PATCH_RIDGE, _RIDGE, _LEAP_RIDGE = 0.1, 1e-4, 1e-3
-_LEAPS = 2  # rounds of a leap
+# Strengths of the ridge penalty: for patches (of few vertices, which may lie in a plane), and for a
+# step of the alternation.
+PATCH_RIDGE, _RIDGE = 0.1, 1e-4
+# Damping of a leap, relative to the diagonal: above the rounding of its factor in float32.
+_DAMPING = 1e-3
+_MARCH = 48  # frames of which each may start from the one before
 _SWEEPS = 2  # Gauss–Seidel passes over the bones: more take longer and converge further
 _HALVINGS = 10  # most halvings of an inadmissible move; if that is not enough, the bone stays
 
@@ -109,40 +113,38 @@ def solve_affine(
 
 
 def leap_rigid(transforms: Array, u: Array, c: Array, locked: NDArray[np.bool_]) -> None:
-    """Replace rigid bones by the rigid transforms nearest to the affine optimum (in place).
+    """Take a Gauss–Newton step of all rigid bones of a frame together, in every frame (in place).
 
-    Gauss–Seidel sweeps take many rounds to move a bone far together with its neighbours; a leap
-    moves all bones of a frame at once.  Frames whose error would rise stay as they are.  The
-    parameters are those of :func:`solve_affine`.
+    Gauss–Seidel sweeps take hundreds of rounds to move a bone far together with its neighbours.
+    Where its bones fit better, a frame starts from the step of the frame before it.  No frame's
+    error rises.  The parameters are those of :func:`solve_affine`.
     """
-    n_frames, n_bones = transforms.shape[:2]
-    free = np.tile(~locked, 4)
-    if not free.any():
-        return
-    index = np.arange(n_bones)
-    flat = stack_blocks(u)
-    metric = (flat + stack_diagonal(ridge_blocks(u, _LEAP_RIDGE)))[np.ix_(free, free)]
-    mass = np.maximum(u[index, index, 3, 3], 1e-300)
-    centre = u[index, index, :3, 3] / mass[:, None]
+    n_bones, index = transforms.shape[1], np.arange(transforms.shape[1])
+    mass = u[index, index, 3, 3]
+    still = locked | ~(mass > 0)
+    # A turn about the centre of what a bone moves does not move it as a whole.
+    centre = u[index, index, :3, 3] / np.where(mass > 0, mass, 1.0)[:, None]
+    shift = np.tile(np.eye(4), (n_bones, 1, 1))
+    shift[:, :3, 3] = -centre
+    moments = np.einsum("jab,jkbc,kdc->jkad", shift, u, shift, optimize=True)
+    flat = stack_blocks(moments)
+    spread = np.einsum("jaa->ja", moments[index, index])
+    inertia = spread[:, :3].sum(axis=1, keepdims=True) - spread[:, :3]
+    own = np.concatenate([np.maximum(inertia, SPECK * mass[:, None]), spread[:, [3, 3, 3]]], axis=1)
+    scale = 1 / np.sqrt(np.where(still[:, None], 1.0, own))
 
     def work(_: int, i: int, k: int) -> None:
-        for _round in range(_LEAPS):
-            old, target = stack_transforms(transforms[i:k]), c[i:k].reshape(-1, 4 * n_bones)
-            product = old @ flat
-            found = _optimum(metric, old, target - product, free)
-            near = transforms[i:k].copy()
-            rotation = nearest_rotation(found[:, ~locked, :, :3])
-            moved = found[:, ~locked] - np.pad(rotation, [(0, 0), (0, 0), (0, 0), (0, 1)])
-            shift = np.einsum("tjab,jb->tja", moved[..., :3], centre[~locked]) + moved[..., 3]
-            near[:, ~locked] = np.concatenate([rotation, shift[..., None]], axis=-1)
-            new = stack_transforms(near)
-            before = (old * (product - 2 * target)).reshape(k - i, -1).sum(axis=1)
-            after = (new * (new @ flat - 2 * target)).reshape(k - i, -1).sum(axis=1)
-            better = after < before
-            transforms[i:k][better] = near[better]
+        moved = transforms[i:k].copy()
+        moved[..., 3] += np.einsum("tjab,jb->tja", moved[..., :3], centre)
+        target = np.einsum("tadj,jed->taej", c[i:k], shift).reshape(k - i, 3, -1)
+        # if rounding has made a matrix indefinite, further frames stay
+        with contextlib.suppress(np.linalg.LinAlgError):
+            leap_bones(moved, target, moments, flat, still, scale, _DAMPING)
+        moved[..., 3] -= np.einsum("tjab,jb->tja", moved[..., :3], centre)
+        transforms[i:k, ~still] = moved[:, ~still]
 
     with serial_blas():
-        run_chunks(work, chunk_bounds(n_frames, 32))
+        run_chunks(work, chunk_bounds(len(transforms), _MARCH))
 
 
 def _optimum(metric: Array, old: Array, slope: Array, free: NDArray[np.bool_]) -> Array:

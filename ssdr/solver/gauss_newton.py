@@ -37,9 +37,9 @@ __all__ = ["GaussNewton", "fit_motion", "tangent_of"]
 
 _DAMPING = 1e-3  # λ of the first step
 _STEPPED = ("transforms", *SOLVED)  # arrays that a step changes
-# Number of steps that bones with joints take in place of one leap of free bones, and the relative
-# gain of a step below which no further step is taken.
-_STEPS_OF_A_LEAP, _LEAST_GAIN = 3, 1e-3
+# Most steps of bones with joints, and the relative gain of a step below which no further step is
+# taken.
+_STEPS, _LEAST_GAIN = 12, 1e-3
 
 
 class GaussNewton:
@@ -172,8 +172,8 @@ def fit_motion(
     Parameters
     ----------
     sweeps, leaps : int
-        As in :func:`~ssdr.solver.alternation.bone_step`, for bones without a tree.  Bones of a
-        tree take up to three Gauss–Newton steps for each leap.
+        As in :func:`~ssdr.solver.alternation.bone_step`, for bones without a tree.  Those of a
+        tree take Gauss–Newton steps as long as these gain.
     length : float
         Length of a normal as a point, for bones without a tree.
     """
@@ -184,7 +184,7 @@ def fit_motion(
     every = np.ones(data.n_vertices, dtype=bool)
     as_is = dataclasses.replace(locked, rest=True, weights=every, joints=True)
     newton = GaussNewton(data, model, locked=as_is)
-    for _ in range(_STEPS_OF_A_LEAP * leaps):
+    for _ in range(_STEPS):
         before = newton.value
         if newton.step() and newton.value > (1 - _LEAST_GAIN) * before:
             break

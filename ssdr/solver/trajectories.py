@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ..checks import LARGEST, check_squarable
 from ..errors import InputError
+from ..kernels.alignment import inward_range
 from ..kernels.normals import normals_range
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..rigid import nearest_rotation
@@ -103,12 +104,25 @@ class Alignment:
         check_squarable(t, argument, _APART)
         return np.ascontiguousarray(np.concatenate([r, t[..., None]], axis=-1))
 
-    def inward(self, block: NDArray[np.floating], first: int) -> Array:
-        """Map frames `first`, `first` + 1, ... (c, V, 3) to the solver's space, as (V, c, 3)."""
-        last = first + len(block)
-        moved = block.astype(np.float64, order="C") - self.centre[first:last, None]
-        turned = np.matmul(moved, self.rotation[first:last])
-        return np.ascontiguousarray(turned.transpose(1, 0, 2)) / self.scale
+    def inward(self, block: NDArray[np.floating], first: int, frame_scale: Array | None) -> Array:
+        """Map frames `first`, `first` + 1, ... (c, V, 3) to the solver's space, as (V, c, 3).
+
+        Each is multiplied by its number in `frame_scale` (F,), if there is one.
+        """
+        some = slice(first, first + len(block))
+        factor = np.full(len(block), 1 / self.scale)
+        if frame_scale is not None:
+            factor *= frame_scale[some]
+        block = np.ascontiguousarray(block)
+        out = np.empty((block.shape[1], len(block), 3))
+        centre, rotation = self.centre[some], self.rotation[some]
+
+        def work(_: int, i: int, k: int) -> None:
+            inward_range(block, centre, rotation, factor, out, i, k)
+
+        # few vertices, so that what is written frame by frame stays in the cache
+        run_chunks(work, chunk_bounds(len(out), 32))
+        return out
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)

@@ -63,7 +63,7 @@ def test_a_pass_knows_the_strain_of_the_rest_pose_and_the_error_of_normals() -> 
     values = [passes.pass_over(entering=3) for _ in range(4)]
     assert values[1:] == sorted(values[1:], reverse=True)
     space = passes.space
-    inner = found.alignment.inward(frames, 0) * space.frame_scale[:, None]
+    inner = found.alignment.inward(frames, 0, space.frame_scale)
     every = dataclasses.replace(space, z=inner.reshape(len(inner), -1))
     want = terms.value(every, passes.model, space.surface.pose)
     assert values[-1] == pytest.approx(want, rel=1e-7)
@@ -90,13 +90,13 @@ def test_of_bones_to_start_from_only_locked_ones_or_all_of_a_model_are_given_aga
 
 
 def test_rotations_leap_to_where_they_belong() -> None:
-    """Far from the start, the error falls at once below what many sweeps reach."""
+    """Far from the start, sweeps reach more with leaps between them than without."""
     rig = motions.chain(3, bones=4, frames=60)
     data = gather([ssdr.MeshSequence(rig.frames)], bones=4, compress=False)
     rest, exact = data.from_world(rig.rest, rig.transforms)
     assert exact is not None
     errors = []
-    for leaps, sweeps in ((0, 6), (0, 12), (1, 6)):
+    for leaps, sweeps in ((0, 6), (0, 12), (2, 6)):
         start = np.repeat(exact[:1], 60, axis=0)
         model = Model.start(start, rest, rig.indices[:, 0], rig.indices.shape[1])
         model.indices[:], model.weights[:] = rig.indices, rig.weights

@@ -1,12 +1,13 @@
-"""Affine bones where data leave them open or turn them inside out."""
+"""Affine bones where data leave them open or turn them inside out, and leaps of rigid ones."""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import ssdr
 from helpers import motions
-from ssdr.solver.affine_fit import solve_affine
+from ssdr.solver.affine_fit import leap_rigid, solve_affine
 from ssdr.solver.model import Model
 from ssdr.solver.moments import bone_sums
 from ssdr.solver.trajectories import gather
@@ -48,3 +49,60 @@ def test_bones_that_data_turn_inside_out_stop_before_and_still_descend() -> None
         values.append(((motions.blend(inner, indices, weights, m) - goal) ** 2).sum())
     assert (np.diff(values) <= 1e-9 * values[0]).all()
     assert np.linalg.det(m[..., :3]).min() < 0.05  # it did come to the border
+
+
+def test_a_leap_is_a_step_of_gauss_newton_about_the_centres_of_the_bones() -> None:
+    rng = np.random.default_rng(3)
+    rest = rng.standard_normal((60, 3))
+    indices, weights = motions.weights_of(rng, 60, 4, 3)
+    truth = np.tile(motions.motions(rng, 1, 4), (2, 1, 1, 1))
+    frames = motions.blend(rest, indices, weights, truth)
+    data = gather([ssdr.MeshSequence(frames)], bones=4, compress=False)
+    rest, exact = data.from_world(rest, truth)
+    far = np.concatenate([np.full((1, 12), 0.1), np.full((1, 12), 1.5)])
+    start = exact.copy()
+    turns = Rotation.from_rotvec((far * rng.standard_normal(12)).reshape(-1, 3)).as_matrix()
+    start[..., :3] = start[..., :3] @ turns.reshape(2, 4, 3, 3)
+    start[1, 0] = start[0, 0]
+    model = Model.with_weights(start.copy(), rest, indices, weights, 3)
+    u, c = bone_sums(data, model)
+    locked = np.array([True, False, False, False])
+    leap_rigid(model.transforms, u, c, locked)
+
+    own = u[np.arange(4), np.arange(4)]
+    centre = own[:, :3, 3] / own[:, 3:, 3]
+
+    def moved(x: np.ndarray) -> np.ndarray:
+        turn, shift = np.split(x.reshape(4, 6), 2, axis=1)
+        out = start[0].copy()
+        quaternions = np.concatenate([turn / 2, np.ones((4, 1))], axis=1)
+        out[..., :3] = out[..., :3] @ Rotation.from_quat(quaternions).as_matrix()
+        place = np.einsum("jab,jb->ja", start[0, :, :, :3], centre + shift) + start[0, :, :, 3]
+        out[..., 3] = place - np.einsum("jab,jb->ja", out[..., :3], centre)
+        out[0] = start[0, 0]
+        return out
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        return (motions.blend(rest, indices, weights, moved(x)[None])[0] - data.frame(0)).ravel()
+
+    step = 1e-5
+    jacobian = np.stack(
+        [(residual(step * e) - residual(-step * e)) / (2 * step) for e in np.eye(24)[6:]], axis=1
+    )
+    # damped by 1e-3 of what a bone by itself would have on the diagonal
+    offset = rest - centre[:, None]
+    dense = model.dense_weights().T
+    spread = np.einsum("ji,jic,jic->jc", dense**2, offset, offset)
+    turned = spread.sum(axis=1, keepdims=True) - spread
+    diagonal = np.concatenate([turned, np.tile((dense**2).sum(1)[:, None], 3)], axis=1)[1:].ravel()
+    matrix = jacobian.T @ jacobian + 1e-3 * np.diag(diagonal)
+    x = np.zeros(24)
+    x[6:] = -np.linalg.solve(matrix, jacobian.T @ residual(x))
+    np.testing.assert_allclose(model.transforms[0], moved(x), atol=1e-5)
+    # the second frame is the same, and begins too far off, so that it goes on from the first
+    np.testing.assert_array_equal(model.transforms[:, 0], start[:, 0])
+    before, after = (
+        np.linalg.norm(motions.blend(rest, indices, weights, m)[t] - data.frame(t))
+        for m, t in ((start, 1), (model.transforms, 1))
+    )
+    assert after < np.linalg.norm(residual(x)) < 0.5 * before
