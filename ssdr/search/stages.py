@@ -17,7 +17,7 @@ from ..solver.gauss_newton import GaussNewton
 from ..solver.model import Locked, Model
 from ..solver.objective import normal_length
 from ..solver.trajectories import Trajectories
-from ..solver.vertex_newton import optimise_vertices
+from ..solver.vertex_newton import optimise_some
 from .moves import (
     add_and_merge_bones,
     alternate_some,
@@ -218,8 +218,9 @@ class Unfold(Stage):
             if not turned.any():
                 return
             run.stiffen(run.whole.faces[turned])
-            for _ in range(self.rounds):
-                optimise_vertices(run.data, run.model, locked=locked, entering=0)
+            # far from the stiffer edges nothing has changed
+            near = run.whole.surface.around(run.whole.faces[turned])
+            optimise_some(run.data, run.model, near, locked=locked, times=self.rounds)
             run.keep_present()
             yield
 
