@@ -272,9 +272,11 @@ def polish_vertices(
                     if attempt == 0:
                         if positive <= n_keep:
                             break
-                        first_out, second_out = cheapest_to_drop(
+                        first_out, second_out, rise = cheapest_to_drop(
                             h, trial, n + 1, a, full, row, scale
                         )
+                        if not value + rise < best:
+                            break
                 if found:
                     n += 1
                     for q in range(n):
