@@ -69,13 +69,17 @@ def bone_moments(indices, weights, points, importance, z, u, az):
         for j in range(n_bones):
             for k in range(start[j], start[j + 1], 3):
                 z0, z1, z2 = z[who[k], e:f], z[who[k + 1], e:f], z[who[k + 2], e:f]
-                for d in range(0, 4, 2):
-                    one, two = az[d, j, e:f], az[d + 1, j, e:f]
-                    a0, a1, a2 = a[d, k], a[d, k + 1], a[d, k + 2]
-                    b0, b1, b2 = a[d + 1, k], a[d + 1, k + 1], a[d + 1, k + 2]
-                    for c in range(f - e):
-                        one[c] += a0 * z0[c] + a1 * z1[c] + a2 * z2[c]
-                        two[c] += b0 * z0[c] + b1 * z1[c] + b2 * z2[c]
+                a00, a01, a02 = a[0, k], a[0, k + 1], a[0, k + 2]
+                a10, a11, a12 = a[1, k], a[1, k + 1], a[1, k + 2]
+                a20, a21, a22 = a[2, k], a[2, k + 1], a[2, k + 2]
+                a30, a31, a32 = a[3, k], a[3, k + 1], a[3, k + 2]
+                r0, r1, r2, r3 = az[0, j, e:f], az[1, j, e:f], az[2, j, e:f], az[3, j, e:f]
+                for c in range(f - e):
+                    x, y, v = z0[c], z1[c], z2[c]
+                    r0[c] += a00 * x + a01 * y + a02 * v
+                    r1[c] += a10 * x + a11 * y + a12 * v
+                    r2[c] += a20 * x + a21 * y + a22 * v
+                    r3[c] += a30 * x + a31 * y + a32 * v
 
 
 @inline

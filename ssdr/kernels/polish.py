@@ -11,18 +11,21 @@ import numpy as np
 from .policy import inline, kernel
 from .simplex_qp import cheapest_to_drop, cholesky_solve, equilibrate, invert, simplex_qp
 from .vertices import (
-    all_pulled,
-    close_gaps,
-    gradient_of_all,
-    hessian_row,
     load_points,
-    monomials,
     pull_error,
-    pulled,
     read_influences,
     store,
     store_points,
     vertex_error,
+)
+from .weights import (
+    all_pulled,
+    begin_qp,
+    close_gaps,
+    gradient_of_all,
+    hessian_row,
+    pulled,
+    take_columns,
 )
 
 
@@ -195,15 +198,7 @@ def polish_vertices(
         n = read_influences(indices[i], weights[i], ids, w)
         with_weights = not locked[i]
         if with_weights and entering >= 0:
-            monomials(p, m)
-            for q in range(n):
-                j = ids[q]
-                hessian_row(gram, j, m, rows[q])
-                f[q] = pulled(y[i], j, p)
-                alive[q] = q
-            for q in range(n):
-                for s in range(n):
-                    h[q, s] = rows[q, ids[s]]
+            begin_qp(y[i], gram, ids, n, p, m, rows, h, f, alive)
             simplex_qp(h, f, w, alive, n, a, b)
             if entering > 0:
                 all_pulled(y[i], p, f_all)
@@ -232,9 +227,7 @@ def polish_vertices(
                 hessian_row(gram, enter, m, rows[n])
                 ids[n] = enter
                 f[n] = f_all[enter]
-                for q in range(n + 1):
-                    for s in range(n + 1):
-                        h[q, s] = rows[q, ids[s]]
+                take_columns(rows, ids, n + 1, h, alive)
                 best = base
                 found = False
                 first_out = second_out = -1
@@ -279,9 +272,11 @@ def polish_vertices(
                     if attempt == 0:
                         if positive <= n_keep:
                             break
-                        first_out, second_out = cheapest_to_drop(
+                        first_out, second_out, rise = cheapest_to_drop(
                             h, trial, n + 1, a, full, row, scale
                         )
+                        if not value + rise < best:
+                            break
                 if found:
                     n += 1
                     for q in range(n):

@@ -6,7 +6,7 @@ import numpy as np
 
 from .policy import kernel
 from .simplex_qp import simplex_qp
-from .vertices import hessian_row, monomials, pulled
+from .weights import begin_qp, pulled
 
 
 @kernel
@@ -33,19 +33,17 @@ def removal_cost(y, gram, rest, support, share, count, importance, cost):
     a = np.empty((n_slots, n_slots))
     b = np.empty(n_slots)
     p = np.ones((1, 4))
+    ids = np.empty(n_slots, dtype=np.uint32)
     for i in range(len(rest)):
         p[0, :3] = rest[i]
         n = count[i]
-        monomials(p, m)
-        base = 0.0
         for q in range(n):
-            j = support[i, q]
-            hessian_row(gram, j, m, rows[q])
-            f[q] = pulled(y[i], j, p)
+            ids[q] = support[i, q]
+        begin_qp(y[i], gram, ids, n, p, m, rows, h, f, alive)
+        base = 0.0
         for q in range(n):
             base -= 2.0 * share[i, q] * f[q]
             for s in range(n):
-                h[q, s] = rows[q, support[i, s]]
                 base += share[i, q] * share[i, s] * h[q, s]
         if n == 1:
             # the vertex would follow the best other bone alone

@@ -163,12 +163,13 @@ def invert(a, n, full, row):
 
 @inline
 def cheapest_to_drop(h, w, n, a, full, row, scale):
-    """Positions of the two weights that are cheapest to remove, cheapest first.
+    """Positions of the two weights that are cheapest to remove, and the rise by the cheapest.
 
     The last of the n weights is no candidate. A position is -1 if there is no such weight.
 
     Removing weight q raises the error by w_q² / P_qq, where P is the inverse of h restricted to
-    changes of the weights that keep their sum.  This is exact if the other weights stay positive.
+    changes of the weights that keep their sum.  This is exact if the other weights stay positive,
+    and less than the rise if not.
     """
     last = n - 1
     for q in range(last):
@@ -187,4 +188,4 @@ def cheapest_to_drop(h, w, n, a, full, row, scale):
         elif loss < next_least:
             second = q
             next_least = loss
-    return first, second
+    return first, second, least

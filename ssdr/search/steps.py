@@ -14,7 +14,7 @@ from ..solver.gauss_newton import GaussNewton
 from ..solver.initialization import by_motion
 from ..solver.objective import normal_length
 from ..solver.rest_normals import with_rest_normals
-from ..solver.vertex_newton import optimise_vertices
+from ..solver.vertex_newton import optimise_some
 from .descent import Descent, Schedule, step
 from .moves import entering_at, polish_then_drop_influence
 
@@ -149,8 +149,9 @@ def unfold(d: Descent, *, steps: int = 8) -> Iterator[None]:
             return
         surface = d.whole.surface.stiffened(d.whole.faces[turned])
         d.whole = d.data = dataclasses.replace(d.whole, surface=surface)
-        for _ in range(_UNFOLD_ROUNDS):
-            optimise_vertices(d.data, d.model, locked=locked, entering=0)
+        # far from the stiffer edges nothing has changed
+        near = surface.around(d.whole.faces[turned])
+        optimise_some(d.data, d.model, near, locked=locked, times=_UNFOLD_ROUNDS)
         d.keep_present()
         yield
 

@@ -46,6 +46,7 @@ _FEW = 64  # frames among which the central one is chosen
 # Squared length of an edge without size, relative to its mean, and share of such edges of no part.
 _NO_SIZE, _FEW_PARTS = 0.01, 0.01
 _FEWER = 8  # of these, in which points without triangles have neighbours
+_RINGS = 4  # of edges around a fold that may move as it unfolds
 _MOST_EDGES = 4096  # of the mesh, evenly spread over its list, that decide about it
 
 
@@ -121,6 +122,14 @@ class RestSurface:
         mask.data[:] = 9.0
         edges = csr_array(self.edges + self.edges.multiply(mask))
         return RestSurface(self.pose, edges, np.asarray(edges.sum(axis=1), dtype=float).ravel())
+
+    def around(self, faces: NDArray[np.int32]) -> NDArray[np.intp]:
+        """Vertices of some triangles, and those that few edges lead to from there."""
+        reached = np.zeros(len(self.pose))
+        reached[faces] = 1.0
+        for _ in range(_RINGS):
+            reached += self.edges @ reached
+        return np.flatnonzero(reached)
 
     def extended(self, rows: NDArray[np.intp]) -> RestSurface:
         """The surface of vertices `rows`, the first V of which are its own; the others are free."""

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..kernels.polish import polish_vertices
 from ..parallel import chunk_bounds, run_chunks, serial_blas
@@ -21,7 +22,7 @@ from .moments import transform_sums
 from .objective import normal_length, rest_pulls
 from .trajectories import Array, Trajectories
 
-__all__ = ["VertexSystem", "newton_vertices", "optimise_vertices"]
+__all__ = ["VertexSystem", "newton_vertices", "optimise_some", "optimise_vertices"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -83,6 +84,34 @@ def optimise_vertices(
     if data.surface is not None and not locked.rest:
         _recentre(gradient, hold, rest_pulls(data, model, locked), model, locked)
     return VertexSystem(stacked, inverse, gradient, length)
+
+
+@serial_blas()
+def optimise_some(
+    data: Trajectories, model: Model, rows: NDArray[np.intp], *, locked: Locked, times: int
+) -> None:
+    """Optimise weights and rest positions of the vertices `rows` alone (in place).
+
+    It is what :func:`optimise_vertices` does without entering bones, repeated `times` times, each
+    under the pulls of the rest pose so far.
+    """
+    _, gram, gram4, reduced = transform_sums(data, model.transforms)
+    some, part = model.select_vertices(rows), locked.select_vertices(rows)
+    for _ in range(times):
+        length = normal_length(data, model)
+        newton_vertices(
+            lambda i, k, length=length: data.products(rows[i:k], reduced, length),  # type: ignore[misc]
+            data.squares(rows, length),
+            (gram, gram4),
+            some,
+            hold=rest_pulls(data, model, locked)[rows],
+            length=length,
+            locked=part,
+            entering=0,
+            rounds=2,
+        )
+        for name in SOLVED:
+            getattr(model, name)[rows] = getattr(some, name)
 
 
 def _recentre(gradient: Array, old: Array, new: Array, model: Model, locked: Locked) -> None:

@@ -53,10 +53,11 @@ def test_the_bone_without_which_the_error_rises_least(rng: np.random.Generator) 
                 w = np.linalg.solve(k, np.append(f[used], 1.0))[:m]
                 return w, w @ h[np.ix_(used, used)] @ w - 2 * f[used] @ w
 
-            w, _ = least(np.arange(n))
+            w, all_used = least(np.arange(n))
             losses = [least(np.delete(np.arange(n), q))[1] for q in range(n - 1)]
             scratch = np.empty((n, n)), np.empty((n, 16)), np.empty(16), np.empty(n)
-            first, second = choose(h, w, n, *scratch)
+            first, second, rise = choose(h, w, n, *scratch)
             order = np.argsort(losses)
             assert first == order[0]
+            assert rise == pytest.approx(losses[first] - all_used, rel=1e-5)
             assert second == (order[1] if n > 2 else -1)

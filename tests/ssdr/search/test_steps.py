@@ -16,12 +16,12 @@ from helpers.measures import descent_of, solved
 from ssdr.search.changing import STEPS_OF_A_TRIAL, tried
 from ssdr.search.descent import Descent, step
 from ssdr.search.steps import unfold
-from ssdr.solver.model import Locked, Model
+from ssdr.solver.model import SOLVED, Locked, Model
 from ssdr.solver.objective import Objective
 from ssdr.solver.rest_surface import RestSurface
 from ssdr.solver.smoothness import WeightSmoothness
 from ssdr.solver.trajectories import gather
-from ssdr.solver.vertex_newton import optimise_vertices
+from ssdr.solver.vertex_newton import optimise_some, optimise_vertices
 
 
 def searched(paying: set[int], *, steps: int) -> tuple[list[int], Descent]:
@@ -101,6 +101,20 @@ def test_triangles_that_are_turned_over_turn_back(smoothness: float) -> None:
     np.testing.assert_allclose(d.best_model.rest[far], before.rest[far], atol=0.02)
     if smoothness:  # the solve would not know of it
         np.testing.assert_array_equal(d.best_model.weights, before.weights)
+
+
+def test_some_vertices_are_solved_as_all_are_and_the_others_stay() -> None:
+    d = folded()
+    before, data = d.best_model, d.data
+    every, few = before.copy(), before.copy()
+    rows = np.arange(0, data.n_vertices, 3)
+    optimise_vertices(data, every, entering=0)
+    optimise_some(data, few, rows, locked=Locked(), times=1)
+    for name in SOLVED:
+        want = getattr(before, name).copy()
+        want[rows] = getattr(every, name)[rows]
+        np.testing.assert_allclose(getattr(few, name), want, rtol=1e-7, atol=1e-9)
+    assert np.abs(few.rest - before.rest).max() > 1e-4
 
 
 def test_a_rest_pose_without_folds_or_surface_stays_as_it_is() -> None:
