@@ -31,7 +31,7 @@ __all__ = ["ENTERING", "AllFrames", "carried"]
 
 # Gauss–Seidel sweeps of the bones in a pass.  Before, the first, which begins with transforms of
 # other frames, leaps.
-_SWEEPS, _FIRST_LEAPS = 6, 1
+_SWEEPS, _FIRST_LEAPS = 24, 1
 _ROUNDS = 3  # Gauss–Newton rounds on a vertex
 ENTERING = 3  # number of bones that may enter a vertex's support in a pass
 _GAIN = 2e-3  # relative decrease of the objective below which a pass is the last

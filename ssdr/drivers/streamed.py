@@ -40,7 +40,7 @@ __all__ = ["PASSES", "SCANNED", "scan_of", "solve"]
 # Fractions of the work that are done after the scan, after the run on representative frames, and
 # after the run on more frames, as measured for sequences of the paper's size.
 SCANNED, _REPRESENTED, _SETTLED = 0.05, 0.3, 0.5
-PASSES = {"fast": 1, "balanced": 4, "best": 8}  # most passes over all frames
+PASSES = {"fast": 1, "balanced": 2, "best": 4}  # most passes over all frames
 
 
 def solve(problem: Problem) -> Decomposition:

@@ -70,6 +70,35 @@ def test_a_pass_knows_the_strain_of_the_rest_pose_and_the_error_of_normals() -> 
     assert want > 1.1 * passes.model.weighted_error(space)
 
 
+@pytest.mark.usefixtures("tiny_memory")
+def test_passes_end_when_one_gains_little_and_one_that_raises_the_objective_is_taken_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    frames = motions.rippled(60)
+    sequences = [ssdr.MeshSequence(frames)]
+    found = scan.scan(sequences, None)
+    data = gather([scan.subset(sequences, found.chosen)], bones=4)
+    model = start_model(data, data.frame(0), 4, 4, np.random.default_rng(0))
+    values: list[float] = []
+
+    def pass_over(self: AllFrames, **_: object) -> float:
+        self.model.rest[:] = self.passes = self.passes + 1
+        return values[self.passes - 1]
+
+    monkeypatch.setattr(AllFrames, "pass_over", pass_over)
+    for values, kept in (
+        ([9.0, 8.0, 8.5, 1.0], 2),
+        ([9.0, 8.0, 8.0, 1.0], 2),
+        ([9.0, 8.999, 1.0, 1.0], 2),
+        ([9.0, 8.0, 7.0, 6.0], 4),
+    ):
+        passes = AllFrames(
+            sequences, found, data, model, locked=Locked(), given=Given(), importance=None
+        )
+        assert list(passes.improve(4, entering=3)) == values[:kept]
+        assert (passes.model.rest == kept).all()
+
+
 @pytest.mark.parametrize("free", [False, True])
 def test_of_bones_to_start_from_only_locked_ones_or_all_of_a_model_are_given_again(
     free: bool,
