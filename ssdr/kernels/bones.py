@@ -260,17 +260,31 @@ def sweep_bones(transforms, c, u, start, neighbour, locked, scaled, sweeps):
                 mass = own[3, 3]
                 if locked[j] or not mass > 0.0:
                     continue
-                for e in range(3):
-                    for f in range(4):
-                        d[e, f] = c[t, e, f, j]
+                d00, d01, d02, d03 = c[t, 0, 0, j], c[t, 0, 1, j], c[t, 0, 2, j], c[t, 0, 3, j]
+                d10, d11, d12, d13 = c[t, 1, 0, j], c[t, 1, 1, j], c[t, 1, 2, j], c[t, 1, 3, j]
+                d20, d21, d22, d23 = c[t, 2, 0, j], c[t, 2, 1, j], c[t, 2, 2, j], c[t, 2, 3, j]
                 for q in range(start[j], start[j + 1]):
                     k = neighbour[q]
-                    m = transforms[t, k]
-                    v = u[j, k]
-                    for e in range(3):
-                        for f in range(4):
-                            for g in range(4):
-                                d[e, f] -= m[e, g] * v[g, f]
+                    for g in range(4):
+                        u0, u1, u2, u3 = u[j, k, g, 0], u[j, k, g, 1], u[j, k, g, 2], u[j, k, g, 3]
+                        m0 = transforms[t, k, 0, g]
+                        m1 = transforms[t, k, 1, g]
+                        m2 = transforms[t, k, 2, g]
+                        d00 -= m0 * u0
+                        d01 -= m0 * u1
+                        d02 -= m0 * u2
+                        d03 -= m0 * u3
+                        d10 -= m1 * u0
+                        d11 -= m1 * u1
+                        d12 -= m1 * u2
+                        d13 -= m1 * u3
+                        d20 -= m2 * u0
+                        d21 -= m2 * u1
+                        d22 -= m2 * u2
+                        d23 -= m2 * u3
+                d[0, 0], d[0, 1], d[0, 2], d[0, 3] = d00, d01, d02, d03
+                d[1, 0], d[1, 1], d[1, 2], d[1, 3] = d10, d11, d12, d13
+                d[2, 0], d[2, 1], d[2, 2], d[2, 3] = d20, d21, d22, d23
                 m = transforms[t, j]
                 size = 1.0
                 if scaled:
