@@ -114,17 +114,17 @@ def schur_vertices(
                     size += 3
             for q in range(k):
                 b[q] = along[q + 1] - along[0]
-            for q in range(n_unknowns):
-                x[q] = 0.0
             for q in range(size):
                 b[q] += share * gradient[i, q]
-                for s in range(n_unknowns):
-                    x[s] += b[q] * inverse[i, q, s]
+            for s in range(n_unknowns):
+                value = zero
+                for q in range(size):
+                    value += b[q] * inverse[i, s, q]
+                x[s] = value
+                step[i, s] = value
             sum_w = zero
             for q in range(k):
                 sum_w += x[q]
-            for q in range(n_unknowns):
-                step[i, q] = x[q]
             c = importance[i]
             z = k
             for e in range(n_points):

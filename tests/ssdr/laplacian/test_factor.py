@@ -18,7 +18,7 @@ def test_missing_cholmod(monkeypatch):
     monkeypatch.setitem(sys.modules, "sksparse", None)
     vertices, faces = sphere(1)
     assert LaplacianSmoother(vertices, faces, 0.1).backend == "scipy"
-    with pytest.raises(MissingDependencyError, match="pip install .scikit-sparse"):
+    with pytest.raises(MissingDependencyError, match=r"pip install .scikit-sparse"):
         LaplacianSmoother(vertices, faces, 0.1, backend="cholmod")
 
 
