@@ -250,24 +250,25 @@ class Trajectories(Alignment):
         """
         n, n_frames = self.n_vertices, self.n_frames
         normals, n2 = np.zeros(self.z.shape), np.zeros(n)
+        # triangles near each other one after the other, so that their vertices are in the cache
+        faces = self.faces[np.argsort(self.faces.min(axis=1, initial=n), kind="stable")]
         for first, last in chunk_bounds(n_frames, _AT_ONCE):
             columns = slice(3 * first, 3 * last)
             x = self.z[:, columns] if self.q is None else self.z @ self.q[columns].T
             # a copy even of one frame, whose order in memory needs none
             points = np.array(x.reshape(n, -1, 3).transpose(1, 0, 2), order="C")
-            points /= self.frame_scale[first:last, None, None]
             here = np.empty_like(points)
 
             def work(_: int, i: int, k: int, points: Array = points, here: Array = here) -> None:
-                normals_range(points, self.faces, self.faces, here, i, k)
+                normals_range(points, faces, faces, here, i, k)
 
             run_chunks(work, chunk_bounds(last - first, 8))
-            here *= self.frame_scale[first:last, None, None]
-            flat = np.ascontiguousarray(here.transpose(1, 0, 2)).reshape(n, -1)
+            # the scale of a frame does not turn its normals
+            flat = np.empty((n, 3 * (last - first))) if self.q is not None else normals[:, columns]
+            scale = self.frame_scale[first:last, None]
+            np.multiply(here.transpose(1, 0, 2), scale, out=flat.reshape(n, -1, 3))
             n2 += np.einsum("ij,ij->i", flat, flat)
-            if self.q is None:
-                normals[:, columns] = flat
-            else:
+            if self.q is not None:
                 normals += flat @ self.q[columns]
         return dataclasses.replace(self, normals=normals, n2=n2)
 
