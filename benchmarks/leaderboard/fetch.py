@@ -54,10 +54,11 @@ def download(url: str, most: int) -> bytes:
     try:
         with urllib.request.urlopen(request, timeout=SECONDS) as answer:
             data: bytes = answer.read(most + 1)
+    except urllib.error.HTTPError as error:
+        error.close()  # it holds the connection
+        raise Refused(f"{url}: {error}") from error
     except (OSError, ValueError) as error:  # of urllib, too
-        answered = isinstance(error, urllib.error.HTTPError)
-        said = error if answered else f"not reached: {getattr(error, 'reason', error)}"
-        raise Refused(f"{url}: {said}") from error
+        raise Refused(f"{url}: not reached: {getattr(error, 'reason', error)}") from error
     if len(data) > most:
         raise Refused(f"{url}: expected at most {most:,} bytes, got more")
     return data

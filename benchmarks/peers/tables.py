@@ -21,6 +21,7 @@ DRAWN = {
     "ssdr balanced free": "ssdr, free rest pose",
     "ssdr fast": "fast",
     "ssdr balanced": "balanced",
+    "ssdr best": "best",
 }
 COLUMN = {"wall": 1, "cpu": 2}  # in a point of a curve
 

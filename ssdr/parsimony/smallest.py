@@ -174,7 +174,7 @@ def smallest(
         time_limit=time_limit,
         checkpoint=checkpoint,
         callback=callback,
-        most_bones=_MOST_BONES,
+        most_bones=None if continues else _MOST_BONES,
     )
     most = problem.bones
     if continues:

@@ -181,15 +181,23 @@ def test_a_frame_that_hardly_counts_is_skinned_all_the_same(
 @pytest.mark.parametrize("make", [motions.wings, motions.cloth])
 @pytest.mark.parametrize("share", [3e-3, 1e-2])
 def test_smoothness_finds_what_is_better_with_it(make: Callable[[], Any], share: float) -> None:
-    """Lower by its own measure than what is found without, or nearly so; and smoother weights."""
+    """Lower by its own measure than what is found without, or nearly so; and smoother weights.
+
+    Both are sums over two seeds, each of which leads to a minimum of its own.
+    """
     shots, faces = make()
     length = share * float(np.linalg.norm(np.ptp(shots[0], axis=0)))
 
-    def measured(smoothness: float) -> tuple[float, float]:
+    def measured(smoothness: float) -> np.ndarray:
         bare = {"rest_pose": "free", "normals": False}  # what the penalty alone does
-        s = ssdr.decompose(shots, faces, bones=6, smoothness=smoothness, **bare).skinning
-        jumps = naive.dirichlet(faces, s.indices, s.weights, 6)
-        return float(((s.skin() - shots) ** 2).sum()) + len(shots) * length**2 * jumps, jumps
+        total = np.zeros(2)
+        for seed in range(2):
+            options = {"bones": 6, "smoothness": smoothness, "rng": seed, **bare}
+            s = ssdr.decompose(shots, faces, **options).skinning
+            jumps = naive.dirichlet(faces, s.indices, s.weights, 6)
+            error = float(((s.skin() - shots) ** 2).sum())
+            total += error + len(shots) * length**2 * jumps, jumps
+        return total
 
     without, with_it = measured(0.0), measured(length)
     assert with_it[0] <= 1.2 * without[0]

@@ -107,7 +107,7 @@ def test_each_file_is_one_frame(tmp_path):
         ssdr.save(walk, tmp_path / f"walk_{t}.glb")
     with pytest.raises(FormatError, match=r"walk_0\.glb: an animation of 24 frames, where each"):
         ssdr.load(tmp_path)
-    with pytest.raises(InputError, match=r"numbered meshes\).*animation"):
+    with pytest.raises(InputError, match=r"for numbered meshes.*animation"):
         ssdr.load(tmp_path, animation=0)
     with pytest.raises(FileNotFoundError, match="no mesh files"):
         ssdr.load(tmp_path / "run_*.glb")
