@@ -23,9 +23,9 @@ from ..result import Decomposition
 from ..search.progress import Record
 from ..sequence import MeshSequence
 from ..skinning import Skinning
+from ..solver.alignment import Alignment
 from ..solver.gauge import normalise_gauge
 from ..solver.model import Model
-from ..solver.trajectories import Alignment
 from ..solver.warmup import compile_kernels
 from .problem import Problem
 

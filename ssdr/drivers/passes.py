@@ -19,11 +19,12 @@ from ..frames.executor import Executor, Frames, Local, SpanTask, spans_of
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..search.given import Given
 from ..sequence import MeshSequence
+from ..solver.alignment import Alignment
 from ..solver.gauss_newton import fit_motion
 from ..solver.model import CHUNK, Locked, Model
 from ..solver.moments import gram_tables
 from ..solver.objective import Objective, normal_length, rest_pulls
-from ..solver.trajectories import Alignment, Array, Trajectories, frame_scale_of
+from ..solver.trajectories import Array, Trajectories, frame_scale_of
 from ..solver.vertex_newton import newton_vertices
 from .scan import OnProgress, Scan
 
@@ -129,7 +130,7 @@ class AllFrames:
     def improve(
         self, most: int, *, entering: int, on_progress: OnProgress | None = None
     ) -> Iterator[float]:
-        """Objective after each of at most `most` passes, until one gains little.
+        """Make at most `most` passes, until one gains little; yield the objective after each.
 
         A pass after which the objective is not lower is taken back, and is not among them.
         The arguments are those of :meth:`pass_over`.

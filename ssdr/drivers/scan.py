@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from ..frames.executor import Executor, Frames, Local, SpanTask, spans_of
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..sequence import MeshSequence
+from ..solver.alignment import Alignment, centred, rotations_onto, scale_of
 from ..solver.initialization import farthest_points
-from ..solver.trajectories import Alignment, Array, centred, rotations_onto, scale_of
+from ..solver.trajectories import Array
 
 __all__ = ["OnProgress", "Scan", "needs_streaming", "scan", "subset"]
 

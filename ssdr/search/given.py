@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from ..copies import told_apart
 from ..hierarchy.tree import Tree
-from ..solver.trajectories import Alignment, Array, Trajectories
+from ..solver.alignment import Alignment
+from ..solver.trajectories import Array, Trajectories
 
 __all__ = ["Given"]
 

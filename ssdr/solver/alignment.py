@@ -1,0 +1,134 @@
+"""The map between the input's space and the solver's, in which all frames lie on the first."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..checks import LARGEST, check_squarable
+from ..errors import InputError
+from ..kernels.alignment import inward_range
+from ..parallel import chunk_bounds, run_chunks
+from ..rigid import nearest_rotation
+
+__all__ = ["Alignment", "centred", "rotations_onto", "scale_of"]
+
+Array = NDArray[np.float64]
+
+_APART = f"distances of less than {LARGEST:g} times the mesh's size"
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Alignment:
+    """The map between the input's space and the solver's space.
+
+    Attributes
+    ----------
+    centre : (F, 3), rotation : (F, 3, 3), scale : float
+        A point x' of a frame in the solver's space is ``rotation @ (scale * x') + centre`` in the
+        input's space.
+    """
+
+    centre: Array
+    rotation: Array
+    scale: float
+
+    @property
+    def n_frames(self) -> int:
+        return len(self.centre)
+
+    def points_to_world(self, points: Array) -> Array:
+        """Map points (n, 3) of the rest pose to the input's space."""
+        return np.asarray(points * self.scale + self.centre[0])
+
+    def to_world(self, rest: Array, transforms: Array) -> tuple[Array, Array]:
+        """Map a rest pose (V, 3) and transforms (F, B, 3, 4) to the input's space."""
+        origin = self.centre[0]
+        r = np.einsum("tab,tjbc->tjac", self.rotation, transforms[..., :3])
+        shift = self.scale * np.einsum("tab,tjb->tja", self.rotation, transforms[..., 3])
+        t = shift + self.centre[:, None] - r @ origin
+        return self.points_to_world(rest), np.concatenate([r, t[..., None]], axis=-1)
+
+    def from_world(self, rest: Array, transforms: Array) -> tuple[Array, Array]:
+        """Map a rest pose and transforms to the solver's space."""
+        return self.points_from_world(rest, "rest"), self.moves_from_world(transforms, "transforms")
+
+    def points_from_world(self, points: Array, argument: str) -> Array:
+        """Map points of the rest pose to the solver's space.
+
+        Raises
+        ------
+        InputError
+            If numbers of `argument`, the points, are too large to be squared.
+        """
+        inner = (np.asarray(points, dtype=np.float64) - self.centre[0]) / self.scale
+        check_squarable(inner, argument, _APART)
+        return np.ascontiguousarray(inner)
+
+    def moves_from_world(self, transforms: Array, argument: str) -> Array:
+        """Map transforms to the solver's space; errors as in :meth:`points_from_world`."""
+        m = np.asarray(transforms, dtype=np.float64)
+        r = np.einsum("tba,tjbc->tjac", self.rotation, m[..., :3])
+        moved = m[..., 3] + m[..., :3] @ self.centre[0] - self.centre[:, None]
+        t = np.einsum("tba,tjb->tja", self.rotation, moved) / self.scale
+        check_squarable(t, argument, _APART)
+        return np.ascontiguousarray(np.concatenate([r, t[..., None]], axis=-1))
+
+    def inward(self, block: NDArray[np.floating], first: int, frame_scale: Array | None) -> Array:
+        """Map frames `first`, `first` + 1, ... (c, V, 3) to the solver's space, as (V, c, 3).
+
+        Each is multiplied by its number in `frame_scale` (F,), if there is one.
+        """
+        some = slice(first, first + len(block))
+        factor = np.full(len(block), 1 / self.scale)
+        if frame_scale is not None:
+            factor *= frame_scale[some]
+        block = np.ascontiguousarray(block)
+        out = np.empty((block.shape[1], len(block), 3))
+        centre, rotation = self.centre[some], self.rotation[some]
+
+        def work(_: int, i: int, k: int) -> None:
+            inward_range(block, centre, rotation, factor, out, i, k)
+
+        # few vertices, so that what is written frame by frame stays in the cache
+        run_chunks(work, chunk_bounds(len(out), 32))
+        return out
+
+
+def centred(frames: NDArray[np.floating], share: Array | None) -> tuple[Array, Array]:
+    """Positions (..., V, 3) relative to their centroid, and the centroid (..., 3), per frame.
+
+    `share` (V,), which sums to 1, are the weights of the vertices in the centroid; None: equal
+    ones.
+    """
+    # in C order, since the order in memory decides the last bits of sums
+    here = frames.astype(np.float64, order="C")
+    # far from the origin, sums of positions lose digits that the positions still have
+    anchor = here[..., :1, :].copy()
+    here -= anchor
+    mean = here.mean(axis=-2, keepdims=True) if share is None else (share @ here)[..., None, :]
+    here -= mean
+    check_squarable(here, "vertices", f"positions less than {LARGEST:g} apart")
+    return here, (anchor + mean)[..., 0, :]
+
+
+def scale_of(size: float, spread: float) -> float:
+    """The solver's unit of length: `size`, the RMS distance from the centroids, or 1 if that is 0.
+
+    Raises
+    ------
+    InputError
+        If the square of `spread`, the largest coordinate, underflows to 0, as all errors then
+        would.
+    """
+    if 0 < spread < 1 / LARGEST:
+        raise InputError("vertices", f"an extent of 0, or above {1 / LARGEST:g}", "a smaller one")
+    return size or 1.0
+
+
+def rotations_onto(here: Array, first: Array, share: Array | None) -> Array:
+    """Rotations R (..., 3, 3) with which ``here @ R`` is nearest to `first`, for centred frames."""
+    known = first if share is None else first * share[:, None]
+    return nearest_rotation(np.swapaxes(here, -1, -2) @ known)
