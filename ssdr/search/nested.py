@@ -18,15 +18,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from ..solver.alternation import bone_costs, vertex_step
 from ..solver.gauss_newton import GaussNewton
-from ..solver.initialization import by_motion
 from ..solver.model import ARRAYS, FREE, Model
 from ..solver.trajectories import Array, Trajectories
 from ..solver.vertex_newton import optimise_vertices
 from .moves import drop_influence
+from .sampling import model_of_all, sample_size, spread_sample
 
 __all__ = ["Nested", "nested_models"]
 
@@ -37,7 +36,6 @@ _ROUNDS, _ROUNDS_OF_A_TRIAL = 3, 2  # how often both are done at each number of 
 _MOST_WIDER = 3  # most influences that a trial adds
 _SWAPS = 0.2  # share of the trials that exchange two bones
 _CHEAPEST = 3  # number of cheapest bones among which a swap draws
-_LEAST, _MOST = 48, 128  # bounds of the vertices of the sample for each bone
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -193,9 +191,8 @@ def nested_models(
         Called with the fraction of the work that is done.
     """
     n = whole.n_vertices
-    size = min(n, _MOST * counts[0], max(_LEAST * counts[0], n // 3))
-    every = np.linspace(0, n - 1, size).round().astype(np.intp)
-    chosen = np.sort(by_motion(whole)[every])
+    size = min(n, sample_size(n, counts[0]))
+    chosen = spread_sample(whole, size)
     # a sample spread evenly over the motion has about its share of the error
     few = Nested(whole.select_vertices(chosen), targets * (size / n), influences, rng)
     levels = _removed(few, finest.select_vertices(chosen), counts)
@@ -230,12 +227,8 @@ def _removed(search: Nested, finest: Model, counts: Sequence[int]) -> list[Model
 
 
 def _spread(data: Trajectories, few: Model, rest: Array, chosen: NDArray[np.intp]) -> Model:
-    """Model of all vertices; each starts with the weights of the nearest vertex of the sample."""
-    near = np.asarray(cKDTree(rest[chosen]).query(rest)[1])
-    model = few.select_vertices(near)
-    # a vertex starts as far from the sampled one as it is in the given rest pose
-    model.rest = model.rest + rest - rest[chosen][near]
-    model.restart_support()
+    """Solve a model of all vertices, from one of a sample."""
+    model = model_of_all(few, rest, chosen)
     vertex_step(data, model)
     for _ in range(2):
         optimise_vertices(data, model, rounds=4)

@@ -6,17 +6,16 @@ import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ..solver.alternation import bone_step, repeat_alternation, vertex_step
 from ..solver.gauge import free_gauge
 from ..solver.gauss_newton import GaussNewton
-from ..solver.initialization import by_motion
 from ..solver.objective import normal_length
 from ..solver.rest_normals import with_rest_normals
 from ..solver.vertex_newton import optimise_some
 from .descent import Descent, Schedule, step
 from .moves import entering_at, polish_then_drop_influence
+from .sampling import LEAST, MOST, model_of_all, sample_size, spread_sample
 
 __all__ = [
     "all_vertices",
@@ -160,7 +159,7 @@ def unfold(d: Descent, *, steps: int = 8) -> Iterator[None]:
 
 
 @step("sample")
-def sample_vertices(d: Descent, *, least: int = 48, most: int = 128) -> Iterator[None]:
+def sample_vertices(d: Descent, *, least: int = LEAST, most: int = MOST) -> Iterator[None]:
     """Work on a third of the vertices, spread evenly over the range of motion.
 
     There are at least `least` and at most `most` for each bone asked for.
@@ -168,12 +167,9 @@ def sample_vertices(d: Descent, *, least: int = 48, most: int = 128) -> Iterator
     A sample is enough to tell where bones belong.  If the bounds ask for half of the vertices or
     more, all are used.
     """
-    n = d.whole.n_vertices
-    count = min(most * d.bones, max(least * d.bones, n // 3))
-    if 2 * count < n:
-        order = by_motion(d.whole)
-        every = np.linspace(0, n - 1, count).round().astype(np.intp)
-        d.chosen = np.sort(order[every])
+    count = sample_size(d.whole.n_vertices, d.bones, least, most)
+    if 2 * count < d.whole.n_vertices:
+        d.chosen = spread_sample(d.whole, count)
         d.data = d.whole.select_vertices(d.chosen)
         d.model = d.model.select_vertices(d.chosen)
     yield
@@ -186,13 +182,9 @@ def all_vertices(d: Descent, *, alternations: int = 4) -> Iterator[None]:
     d.data, d.chosen = d.whole, None
     if chosen is not None:
         rest = given.first_pose(d.data)
-        near = np.asarray(cKDTree(rest[chosen]).query(rest)[1])
-        model = few.select_vertices(near)
-        if given.rest is None:
-            # a vertex starts as far from the sampled one as it is in the rest frame
-            rest = model.rest + rest - rest[chosen][near]
-        model.rest = rest
-        model.restart_support()
+        model = model_of_all(few, rest, chosen)
+        if given.rest is not None:
+            model.rest = rest
         vertex_step(d.data, model, locked=d.locked)
         repeat_alternation(d.data, model, alternations, d.locked)
         d.iteration += alternations
@@ -218,7 +210,7 @@ def return_to_best(d: Descent) -> Iterator[None]:
 
 
 def lowest(d: Descent, *starts: Schedule) -> None:
-    """Follow several schedules, each from its own start; continue from the least objective."""
+    """Follow several schedules in turn; continue from the model of least objective."""
     kept, least = None, np.inf
     for start in starts:
         start(d)

@@ -1,0 +1,39 @@
+"""Samples of the vertices, and models of all vertices made from models of a sample."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ..solver.initialization import by_motion
+from ..solver.model import Model
+from ..solver.trajectories import Array, Trajectories
+
+__all__ = ["LEAST", "MOST", "model_of_all", "sample_size", "spread_sample"]
+
+LEAST, MOST = 48, 128  # bounds of the number of vertices of a sample, for each bone
+
+
+def sample_size(n_vertices: int, bones: int, least: int = LEAST, most: int = MOST) -> int:
+    """Number of vertices of a sample: a third of them, within bounds for each bone."""
+    return min(most * bones, max(least * bones, n_vertices // 3))
+
+
+def spread_sample(data: Trajectories, count: int) -> NDArray[np.intp]:
+    """Indices of `count` vertices, ascending, spread evenly over the range of motion."""
+    every = np.linspace(0, data.n_vertices - 1, count).round().astype(np.intp)
+    return np.sort(by_motion(data)[every])
+
+
+def model_of_all(few: Model, rest: Array, chosen: NDArray[np.intp]) -> Model:
+    """Model of all vertices, from one of those `chosen`, whose errors are not computed.
+
+    Each vertex has the weights of the nearest chosen one, and lies as far from it as in the pose
+    `rest` (V, 3).
+    """
+    near = np.asarray(cKDTree(rest[chosen]).query(rest)[1])
+    model = few.select_vertices(near)
+    model.rest = model.rest + rest - rest[chosen][near]
+    model.restart_support()
+    return model
