@@ -1,8 +1,10 @@
 """Schedules: what a call does, step by step; the numbers are in :mod:`.efforts`.
 
-fast       a first model; then more bones, merged and moved on a sample of the vertices; polish
-balanced   the same; then relax and polish
-best       several starts, each relaxed and searched; then the best model rebuilt repeatedly
+    fast       a first model; then more bones, merged and moved on a sample of the vertices; polish
+    balanced   the same; then relax and polish
+    best       several starts, each relaxed and searched; then the best model rebuilt repeatedly
+
+Those of bones with joints are in :mod:`.tree_schedules`.
 """
 
 from __future__ import annotations
@@ -10,46 +12,51 @@ from __future__ import annotations
 from functools import partial
 from typing import Literal
 
-from ..joints.steps import (
-    add_bones,
-    attach,
-    attach_unattached,
-    search_trees,
-    search_weights,
-    start_on_skeleton,
-)
-from ..search.changing import add_and_merge, merge, move_bones, search
-from ..search.descent import Descent, Schedule
-from ..search.starts import fit_copied_bones, quick_start, start, start_from_model
+from ..search.changing import add_and_merge, move_bones, search
+from ..search.descent import Descent
+from ..search.starts import fit_copied_bones, start, start_from_model
 from ..search.steps import (
     all_vertices,
     alternate,
     beside,
     compress,
-    lowest,
     polish,
     relax,
     return_to_best,
     sample_vertices,
-    solve_normals,
     unfold,
 )
 from .efforts import (
     MANY_BONES,
     NUMBERS,
-    REBUILDS,
     SECONDS_OF_A_NUMBER,
     START_SECONDS,
     STARTS_OF_MANY_BONES,
-    TREE_ROUNDS,
     TRIALS_OF_A_REBUILD,
     TRIALS_OF_A_START,
-    TRIALS_OF_A_TREE,
     Effort,
-    Rebuilds,
+)
+from .schedule_parts import (
+    first_model,
+    last_polish,
+    lowest_tree,
+    merged_start,
+    polish_given,
+    rebuilds,
+    relax_bones,
+    relax_tree,
+    search_best_trees,
+    start_of_tree,
+)
+from .tree_schedules import (
+    bones_of_skeleton,
+    loose_given,
+    loose_skeleton,
+    tree_given,
+    tree_of_bones,
 )
 
-__all__ = ["RigKind", "follow_effort", "merged_start", "settle"]
+__all__ = ["RigKind", "follow_effort", "settle"]
 
 RigKind = Literal["none", "loose", "rigid"]
 
@@ -57,32 +64,7 @@ RigKind = Literal["none", "loose", "rigid"]
 _PROMISING = 4.0
 
 
-# --- pieces --------------------------------------------------------------------------------------
-
-
-def first_model(d: Descent, *, influences: int | None = None) -> None:
-    """A usable model early, without excess bones and before the frames are compressed."""
-    quick_start(d, influences=influences)
-    alternate(d, steps=20, gain=0.01)
-    compress(d)
-
-
-def merged_start(
-    d: Descent,
-    before: int = 12,
-    after: int = 6,
-    *,
-    factor: float = 1.6,
-    influences: int | None = None,
-) -> None:
-    """Start with `factor` times the bones asked for and merge them down.
-
-    `before` and `after` are the most alternations before and after the merge.
-    """
-    start(d, factor=factor, influences=influences)
-    alternate(d, steps=before)
-    merge(d)
-    alternate(d, steps=after)
+# --- free bones ----------------------------------------------------------------------------------
 
 
 def place_bones(d: Descent) -> None:
@@ -106,54 +88,8 @@ def relax_and_search(d: Descent, trials: int) -> None:
     search(d, steps=trials)
 
 
-def relax_bones(d: Descent) -> None:
-    """Relax with five polish steps at each number of influences, of which "best" makes eight."""
-    relax(d, polish_steps=5)
-    polish(d, steps=200, gain=0.004)
-
-
-def last_polish(d: Descent, *, steps: int, gain: float = 0.0) -> None:
-    """A polish in which normals count, too."""
-    solve_normals(d)
-    polish(d, steps=steps, gain=gain)
-
-
-def relax_tree(d: Descent) -> None:
-    relax(d, polish_steps=6)
-    polish(d, steps=24, gain=0.01)
-
-
-def start_of_tree(d: Descent) -> None:
-    """Bones with one influence per vertex are compact, and the tree over them close to the best."""
-    merged_start(d, influences=1)
-    move_bones(d)
-    attach(d)
-    polish(d, steps=8)
-
-
-def lowest_tree(d: Descent, *starts: Schedule) -> None:
-    lowest(d, *starts)
-    polish(d, steps=20, gain=0.01)
-
-
-def search_best_trees(d: Descent) -> None:
-    """Repeated searches, each from the best tree so far."""
-    for _ in range(TREE_ROUNDS):
-        return_to_best(d)
-        relax_tree(d)
-        search_trees(d, steps=TRIALS_OF_A_TREE)
-
-
-# --- free bones ----------------------------------------------------------------------------------
-
-
-def rebuilds(size: float) -> Rebuilds:
-    """Numbers of rebuilds, starts and trials of the effort "best" for a problem of this size."""
-    return next(numbers for bound, numbers in REBUILDS if size < bound)
-
-
 def free_bones(d: Descent, effort: Effort, size: float, *, stretching: bool) -> None:
-    """Bones without a hierarchy.
+    """Find bones without a hierarchy.
 
     If bones may stretch (`stretching`), a second start is made from rigid bones.  Bones that
     stretch must keep det > 0 in every step, which blocks many paths from their own start if a part
@@ -162,23 +98,15 @@ def free_bones(d: Descent, effort: Effort, size: float, *, stretching: bool) -> 
     # for a small problem, as many further starts as fit into a tenth of a second
     count = int(0.1 / (START_SECONDS + SECONDS_OF_A_NUMBER * size))
     if effort == "fast" and stretching:
-        first_model(d)
-        merged_start(d, 6, 4)
-        start_from_rigid(d)
-    else:
-        place_bones(d)
-        if count:
-            polish(d, steps=6)
-    for _ in range(count):
-        if effort == "fast" and stretching:
-            with d.rigid_bones():
-                merged_start(d)
-                move_bones(d)
-        else:
+        stretching_bones_fast(d, count)
+        return
+    place_bones(d)
+    if count:
+        polish(d, steps=6)
+        for _ in range(count):
             merged_start(d)
             move_bones(d)
-        polish(d, steps=8)
-    if count or (effort == "fast" and stretching):
+            polish(d, steps=8)
         return_to_best(d)
     if effort == "fast":
         last_polish(d, steps=6)
@@ -196,19 +124,31 @@ def free_bones(d: Descent, effort: Effort, size: float, *, stretching: bool) -> 
     last_polish(d, steps=200, gain=0.004)
 
 
-def start_from_rigid(d: Descent) -> None:
+def stretching_bones_fast(d: Descent, count: int) -> None:
+    """Find bones that may stretch with the effort "fast": `count` more starts from rigid bones."""
+    first_model(d)
+    merged_start(d, 6, 4)
     with d.rigid_bones():
         merged_start(d)
+    for _ in range(count):
+        with d.rigid_bones():
+            merged_start(d)
+            move_bones(d)
+        polish(d, steps=8)
+    return_to_best(d)
+    polish(d, steps=6)
 
 
 def relax_from_rigid(d: Descent) -> None:
-    start_from_rigid(d)
+    """Start from rigid bones, then relax them with the bone model that was asked for."""
+    with d.rigid_bones():
+        merged_start(d)
     polish(d, steps=8)
     relax_bones(d)
 
 
 def best_bones(d: Descent, size: float, *, stretching: bool) -> None:
-    """Free bones with the effort "best"."""
+    """Find bones without a hierarchy with the effort "best"."""
     n, many = rebuilds(size), d.bones >= MANY_BONES
     first_model(d)
     if many:
@@ -240,6 +180,7 @@ def best_bones(d: Descent, size: float, *, stretching: bool) -> None:
 
 
 def rebuild(d: Descent, trials: int) -> None:
+    """Rebuild the best model with several bones in new places, then search."""
     return_to_best(d)
     add_and_merge(d)
     relax_and_search(d, min(trials, TRIALS_OF_A_REBUILD))
@@ -265,7 +206,7 @@ def start_from_tree(d: Descent, trees: int) -> None:
 
 
 def nothing_to_place(d: Descent, effort: Effort) -> None:
-    """Locked weights or bones: one start and a descent to the nearest minimum."""
+    """Descend to the nearest minimum from one start, as weights or bones are locked."""
     compress(d)
     start(d)
     alternate(d, steps=10)
@@ -273,7 +214,7 @@ def nothing_to_place(d: Descent, effort: Effort) -> None:
 
 
 def smooth(d: Descent, effort: Effort, *, placed: bool) -> None:
-    """A smoothness penalty: alternations until the error settles, since the polish ignores it.
+    """Alternate under a smoothness penalty, which the polish ignores, until the error settles.
 
     Unless weights or all bones are locked (`placed`), a polish and further alternations follow the
     first ones, since this sometimes lowers the penalised error.
@@ -306,110 +247,7 @@ def smooth(d: Descent, effort: Effort, *, placed: bool) -> None:
     alternate(d, steps=steps)
 
 
-# --- bones attached at joints --------------------------------------------------------------------
-
-
-def tree_of_bones(d: Descent, effort: Effort, size: float) -> None:
-    """Bones with joints whose tree is not known: trees from several starts, then a search.
-
-    Once the bones are attached, more influences follow.  There are several starts because a search
-    ends near its start: of twelve starts on the Fox of the glTF samples, two led to the right tree.
-    """
-
-    def early(d: Descent) -> None:
-        first_model(d, influences=1)
-        attach(d)
-        polish(d, steps=8)
-
-    starts: tuple[Schedule, ...] = NUMBERS[effort].trees * (start_of_tree,)
-    lowest(d, early, *starts)
-    if effort == "fast":
-        last_polish(d, steps=20, gain=0.01)
-        return
-    polish(d, steps=20, gain=0.01)
-    relax_tree(d)
-    search_trees(d, steps=10)
-    if effort == "best":
-        for _ in range(rebuilds(size).tree_searches - 1):
-            lowest_tree(d, *starts)
-            relax_tree(d)
-            search_trees(d, steps=10)
-        search_best_trees(d)
-        return_to_best(d)
-    last_polish(d, steps=40, gain=0.002)
-
-
-def bones_of_skeleton(d: Descent, effort: Effort) -> None:
-    """Bones attached at the joints of a known tree: their weights and motion.
-
-    If the skeleton brings no weights, one start binds vertices to the nearest limb, and others bind
-    vertices that move together; the lowest objective is continued.
-    """
-    n, given = NUMBERS[effort], d.given
-
-    def attached(d: Descent) -> None:
-        compress(d)
-        start_on_skeleton(d)
-        attach(d)
-
-    def by_limb(d: Descent) -> None:
-        attached(d)
-        polish(d, steps=8)
-
-    def by_motion(d: Descent) -> None:
-        merged_start(d, influences=1)
-        move_bones(d)
-        start_on_skeleton(d, by_motion=True)
-        attach(d)
-        polish(d, steps=8)
-
-    def relaxed(d: Descent) -> None:
-        add_bones(d)
-        relax_tree(d)
-        search_weights(d, steps=n.weight_trials)
-
-    if given.weights is not None or effort == "fast" or given.skeleton_skin is not None:
-        attached(d)
-    else:
-        lowest(d, by_limb, *n.limbs * (by_motion,))
-    polish(d, steps=20, gain=0.01)
-    if given.weights is not None:
-        last_polish(d, steps=n.polish, gain=1e-3)
-        return
-    if effort == "fast":
-        add_bones(d)
-        last_polish(d, steps=6)
-        return
-    if effort == "best" and given.skeleton_skin is None:
-        relaxed(d)
-        lowest_tree(d, *n.limbs * (by_motion,))
-    relaxed(d)
-    for _ in range(n.rounds - 1):
-        return_to_best(d)
-        relaxed(d)
-    return_to_best(d)
-    last_polish(d, steps=40, gain=0.002)
-
-
-def loose_skeleton(d: Descent, effort: Effort) -> None:
-    """Bones that start where a skeleton puts them, and may come apart."""
-    compress(d)
-    start_on_skeleton(d)
-    alternate(d, steps=20, gain=1e-3)
-    if d.given.weights is None and effort != "fast":
-        polish(d, steps=8)
-        relax_bones(d)
-    last_polish(d, steps=NUMBERS[effort].polish, gain=1e-3)
-
-
-# --- from a model --------------------------------------------------------------------------------
-
-
-def polish_given(d: Descent, effort: Effort) -> None:
-    """Start from the given model and polish it."""
-    start_from_model(d)
-    compress(d)
-    polish(d, steps=6 if effort == "fast" else 20, gain=0.01)
+# --- from a model, and which of them -------------------------------------------------------------
 
 
 def smooth_given(d: Descent, effort: Effort) -> None:
@@ -419,36 +257,10 @@ def smooth_given(d: Descent, effort: Effort) -> None:
     alternate(d, steps=NUMBERS[effort].smooth)
 
 
-def tree_given(d: Descent, effort: Effort) -> None:
-    """Continue from the given model with bones attached at joints."""
-    search_given = search_weights if d.given.keeps_tree else search_trees
-    start_from_model(d)
-    compress(d)
-    attach_unattached(d)
-    for _ in range({"fast": 0, "balanced": 1, "best": TREE_ROUNDS}[effort]):
-        return_to_best(d)
-        relax_tree(d)
-        search_given(d, steps=TRIALS_OF_A_TREE)
-    return_to_best(d)
-    last_polish(d, steps=40, gain=0.002)
-
-
-def loose_given(d: Descent, effort: Effort) -> None:
-    """Continue from the given model with the loose joints of a skeleton."""
-    polish_given(d, effort)
-    if effort != "fast":
-        relax_bones(d)
-        return_to_best(d)
-    last_polish(d, steps=20, gain=0.01)
-
-
-# --- which of them -------------------------------------------------------------------------------
-
-
 def follow_effort(
     d: Descent, *, effort: Effort, rig: RigKind, placed: bool, tries_model: bool
 ) -> None:
-    """All steps of a call.
+    """Make all steps of a call.
 
     Parameters
     ----------

@@ -71,7 +71,7 @@ def attach(d: Descent, *, steps: int = 20) -> Iterator[None]:
 
 
 def attach_unattached(d: Descent) -> None:
-    """Attach the bones of a model to joints, unless they are attached already."""
+    """Attach the bones at joints, unless the present model's are."""
     if d.estimating or d.model.tree is None or not d.model.tree.rigid:
         attach(d)
 

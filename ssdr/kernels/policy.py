@@ -1,4 +1,4 @@
-"""Decorators of kernels and their helpers: machine code that ships with the package, or Numba's.
+"""Decorators of kernels, which use machine code shipped with the package or compile by Numba.
 
 A wheel of a platform holds an extension module with the machine code of all kernels
 (``.ci/kernels.py`` makes it).  It is in the installed package, and so as trusted as its code.

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..drivers.schedules import merged_start
+from ..drivers.schedule_parts import merged_start
 from ..joints.steps import attach, remove_bones, search_trees
 from ..search.changing import merge, move_bones, search
 from ..search.descent import Descent, Schedule, Stop

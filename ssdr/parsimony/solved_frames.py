@@ -112,7 +112,7 @@ class SolvedFrames:
 
     @property
     def tolerant(self) -> Trajectories:
-        """Trajectories for descents in which normals gain what errors of positions may lose."""
+        """Trajectories whose errors within the tolerance count for little, so that normals gain."""
         return dataclasses.replace(self.data, slack=self.slack)
 
     def with_normals(self, model: Model) -> tuple[Trajectories, Model]:

@@ -19,7 +19,15 @@ from .moves import (
     polish_steps,
 )
 
-__all__ = ["STEPS_OF_A_TRIAL", "Change", "add_and_merge", "merge", "move_bones", "search", "tried"]
+__all__ = [
+    "STEPS_OF_A_TRIAL",
+    "Change",
+    "add_and_merge",
+    "merge",
+    "move_bones",
+    "search",
+    "tried",
+]
 
 STEPS_OF_A_TRIAL = 8  # polish steps before a trial of a search is judged
 # Ratio of a trial's objective to the present one below which the trial is polished once more.
@@ -105,7 +113,7 @@ def tried(
     steps: int,
     gain: float,
 ) -> Iterator[None]:
-    """Make `steps` trials, each with one of several changes.
+    """Try changes of the model, `steps` in all, and keep each that lowers the objective.
 
     Parameters
     ----------

@@ -171,7 +171,7 @@ class Descent:
     # --- what steps change ---------------------------------------------------------------------
 
     def begin_with(self, model: Model) -> None:
-        """Start from a copy of `model` instead of a step that makes a model."""
+        """Take a copy of `model` as the present one and, with the bones asked for, as the best."""
         self.model = model.copy()
         if model.n_bones == self.bones:
             self.best, self.best_value = model.copy(), self.value(model)
@@ -181,7 +181,7 @@ class Descent:
         self.best, self.best_value = self.model.copy(), self.value(self.model)
 
     def drop_tree(self) -> None:
-        """Free the bones from their joints."""
+        """Remove the tree from the present model, so that its bones move freely."""
         if not self.estimating:
             self.model = dataclasses.replace(self.model.copy(), tree=None)
 

@@ -40,7 +40,7 @@ def start(d: Descent, *, factor: float = 1.0, influences: int | None = None) -> 
 
 @step("quick", cost=8)
 def quick_start(d: Descent, *, influences: int | None = None) -> Iterator[None]:
-    """Make a first model quickly: on 64 frames if there are many more, then fitted to all."""
+    """Make a first model from all frames or, if there are many, from 64, then fit it to all."""
     data, given = d.data, d.given_parts
     if data.n_frames < 2 * _FEW_FRAMES or given.transforms is not None:
         d.model = _first_model(d, 1.0, influences, quick=True)

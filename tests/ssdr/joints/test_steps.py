@@ -8,7 +8,7 @@ import pytest
 import ssdr
 from helpers import trees
 from helpers.measures import descent_of, rmse_of
-from ssdr.drivers.schedules import first_model
+from ssdr.drivers.schedule_parts import first_model
 from ssdr.joints.steps import add_bones, attach, remove_bones
 from ssdr.search.descent import Descent
 from ssdr.search.given import Given

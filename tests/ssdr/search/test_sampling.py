@@ -7,7 +7,7 @@ import pytest
 
 import ssdr
 from helpers.measures import descent_of
-from ssdr.drivers.schedules import first_model, merged_start
+from ssdr.drivers.schedule_parts import first_model, merged_start
 from ssdr.search.changing import move_bones
 from ssdr.search.descent import Descent, Schedule
 from ssdr.search.given import Given

@@ -1,0 +1,144 @@
+"""Schedules of bones with joints: a tree that has to be found, a skeleton, a model that has one."""
+
+from __future__ import annotations
+
+from ..joints.steps import (
+    add_bones,
+    attach,
+    attach_unattached,
+    search_trees,
+    search_weights,
+    start_on_skeleton,
+)
+from ..search.changing import move_bones
+from ..search.descent import Descent, Schedule
+from ..search.starts import start_from_model
+from ..search.steps import alternate, compress, lowest, polish, return_to_best
+from .efforts import NUMBERS, TREE_ROUNDS, TRIALS_OF_A_TREE, Effort
+from .schedule_parts import (
+    attach_and_polish,
+    first_model,
+    last_polish,
+    lowest_tree,
+    merged_start,
+    polish_given,
+    rebuilds,
+    relax_bones,
+    relax_tree,
+    search_best_trees,
+    start_of_tree,
+)
+
+__all__ = ["bones_of_skeleton", "loose_given", "loose_skeleton", "tree_given", "tree_of_bones"]
+
+
+def tree_of_bones(d: Descent, effort: Effort, size: float) -> None:
+    """Find bones with joints and their tree: trees from several starts, then a search.
+
+    Once the bones are attached, more influences follow.  There are several starts because a search
+    ends near its start: of twelve starts on the Fox of the glTF samples, two led to the right tree.
+    """
+
+    def early(d: Descent) -> None:
+        first_model(d, influences=1)
+        attach_and_polish(d)
+
+    starts: tuple[Schedule, ...] = NUMBERS[effort].trees * (start_of_tree,)
+    lowest(d, early, *starts)
+    if effort == "fast":
+        last_polish(d, steps=20, gain=0.01)
+        return
+    polish(d, steps=20, gain=0.01)
+    relax_tree(d)
+    search_trees(d, steps=10)
+    if effort == "best":
+        for _ in range(rebuilds(size).tree_searches - 1):
+            lowest_tree(d, *starts)
+            relax_tree(d)
+            search_trees(d, steps=10)
+        search_best_trees(d)
+        return_to_best(d)
+    last_polish(d, steps=40, gain=0.002)
+
+
+def bones_of_skeleton(d: Descent, effort: Effort) -> None:
+    """Find weights and motion of bones that are attached at the joints of a known tree.
+
+    If the skeleton brings no weights, one start binds vertices to the nearest limb, and others bind
+    vertices that move together; the lowest objective is continued.
+    """
+    n, given = NUMBERS[effort], d.given
+
+    def by_limb(d: Descent) -> None:
+        compress(d)
+        start_on_skeleton(d)
+        attach_and_polish(d)
+
+    def by_motion(d: Descent) -> None:
+        merged_start(d, influences=1)
+        move_bones(d)
+        start_on_skeleton(d, by_motion=True)
+        attach_and_polish(d)
+
+    def relaxed(d: Descent) -> None:
+        add_bones(d)
+        relax_tree(d)
+        search_weights(d, steps=n.weight_trials)
+
+    if given.weights is not None or effort == "fast" or given.skeleton_skin is not None:
+        compress(d)
+        start_on_skeleton(d)
+        attach(d)
+    else:
+        lowest(d, by_limb, *n.limbs * (by_motion,))
+    polish(d, steps=20, gain=0.01)
+    if given.weights is not None:
+        last_polish(d, steps=n.polish, gain=1e-3)
+        return
+    if effort == "fast":
+        add_bones(d)
+        last_polish(d, steps=6)
+        return
+    if effort == "best" and given.skeleton_skin is None:
+        relaxed(d)
+        lowest_tree(d, *n.limbs * (by_motion,))
+    relaxed(d)
+    for _ in range(n.rounds - 1):
+        return_to_best(d)
+        relaxed(d)
+    return_to_best(d)
+    last_polish(d, steps=40, gain=0.002)
+
+
+def loose_skeleton(d: Descent, effort: Effort) -> None:
+    """Find weights and motion of bones that start on a skeleton and may come apart."""
+    compress(d)
+    start_on_skeleton(d)
+    alternate(d, steps=20, gain=1e-3)
+    if d.given.weights is None and effort != "fast":
+        polish(d, steps=8)
+        relax_bones(d)
+    last_polish(d, steps=NUMBERS[effort].polish, gain=1e-3)
+
+
+def tree_given(d: Descent, effort: Effort) -> None:
+    """Continue from the given model with bones attached at joints."""
+    search_given = search_weights if d.given.keeps_tree else search_trees
+    start_from_model(d)
+    compress(d)
+    attach_unattached(d)
+    for _ in range({"fast": 0, "balanced": 1, "best": TREE_ROUNDS}[effort]):
+        return_to_best(d)
+        relax_tree(d)
+        search_given(d, steps=TRIALS_OF_A_TREE)
+    return_to_best(d)
+    last_polish(d, steps=40, gain=0.002)
+
+
+def loose_given(d: Descent, effort: Effort) -> None:
+    """Continue from the given model with the loose joints of a skeleton."""
+    polish_given(d, effort)
+    if effort != "fast":
+        relax_bones(d)
+        return_to_best(d)
+    last_polish(d, steps=20, gain=0.01)
