@@ -19,8 +19,8 @@ _PUBLIC = {
         *("SsdrError", "SsdrWarning"),
     ),
     "fit.bones": ("fit_bones",),
-    "fit.descent": ("ssdr2012",),
-    "fit.initialization": ("initialize",),
+    "fit.ssdr2012": ("ssdr2012",),
+    "fit.start": ("initialize",),
     "fit.rest_pose": ("fit_rest_pose",),
     "fit.weights": ("fit_weights",),
     "io": ("list_clips", "load", "load_skinning", "save"),
@@ -31,7 +31,7 @@ _PUBLIC = {
     "parsimony.smallest": ("smallest",),
     "result": ("Decomposition",),
     "rigid": ("kabsch",),
-    "rounding": ("round_weights",),
+    "weight_rounding": ("round_weights",),
     "sequence": ("MeshSequence", "WeldReport"),
     "skinning": ("Skinning",),
     "space": ("Space",),
@@ -107,9 +107,9 @@ if TYPE_CHECKING:
         SsdrWarning,
     )
     from .fit.bones import fit_bones
-    from .fit.descent import ssdr2012
-    from .fit.initialization import initialize
     from .fit.rest_pose import fit_rest_pose
+    from .fit.ssdr2012 import ssdr2012
+    from .fit.start import initialize
     from .fit.weights import fit_weights
     from .io import list_clips, load, load_skinning, save
     from .joints.mirror import Mirror, find_mirror
@@ -119,13 +119,13 @@ if TYPE_CHECKING:
     from .parsimony.smallest import smallest
     from .result import Decomposition
     from .rigid import kabsch
-    from .rounding import round_weights
     from .sequence import MeshSequence, WeldReport
     from .skinning import Skinning
     from .space import Space
     from .start import Skeleton, Start
     from .surface import Material, Surface
     from .viewer.page import view
+    from .weight_rounding import round_weights
 
 
 def __getattr__(name: str) -> Any:

@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 
 from .checks import BoneModel, names_arguments
-from .drivers import in_memory, streamed
-from .drivers.efforts import Effort
-from .drivers.hand_back import finished
-from .drivers.problem import check_problem
-from .drivers.scan import needs_streaming
+from .problem.answer import finished
+from .problem.problem import check_problem
+from .problem.progress import Callback
+from .problem.scan import needs_streaming
 from .quantisation import WeightStorage
 from .result import Decomposition
-from .search.progress import Callback
+from .search import solve as in_memory
+from .search import streamed
+from .search.efforts import Effort
 from .sequence import MeshSequence
 from .skinning import Skinning
 from .solver.rest_surface import RestPose

@@ -11,14 +11,14 @@ import numpy as np
 
 from .checks import check_rng, check_whole, names_arguments
 from .decomposition import decompose
-from .drivers.efforts import Effort
 from .errors import Cancelled, InputError
 from .frames.error import rmse
 from .frames.normals import with_fitted_normals
 from .metrics.normal_angles import errors_of_model
+from .problem.progress import Callback, Progress
 from .result import Decomposition
-from .search.nested import nested_models
-from .search.progress import Callback, Progress
+from .search.efforts import Effort
+from .search.nested_levels import nested_models
 from .sequence import MeshSequence, as_sequences, labels_of, without_copies
 from .skinning import Skinning
 from .solver.alternation import vertex_step

@@ -23,7 +23,7 @@ from .atomic import atomic_path
 from .companion import over_mesh
 from .registry import SaveReport, check, reading, seconds, written_vertices
 from .signatures import describe
-from .storage import StorageError
+from .storage_error import StorageError
 
 _PC2 = struct.Struct("<12siiffi")
 _MDD = struct.Struct(">ii")

@@ -31,7 +31,7 @@ from ..rigid import matrix_from_quaternion, quaternion_from_matrix, slerp, unfli
 from ..skinning import Skinning, skin
 from .registry import SaveReport
 from .sampling import off_frames
-from .storage import StorageError, frame_blocks
+from .storage_error import StorageError, frame_blocks
 from .tables import weight_rows
 
 # frames per second in use in film, television and motion capture

@@ -22,7 +22,7 @@ from ..surface import Material, Surface
 from .budget import MOST_BYTES, afford
 from .registry import check
 from .sampling import Sample
-from .storage import frame_blocks
+from .storage_error import frame_blocks
 
 _log = logging.getLogger(__name__)
 

@@ -1,1 +1,1 @@
-"""Bones attached at joints: places of the joints, the tree, and the search for a better tree."""
+"""Joints of bones: their places, the tree that they span, limbs, mirror images."""

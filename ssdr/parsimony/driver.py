@@ -7,15 +7,15 @@ import math
 import numpy as np
 
 from ..checks import check_squarable
-from ..drivers.hand_back import with_normals
-from ..drivers.problem import Problem
-from ..drivers.streamed import PASSES, SCANNED
 from ..errors import Cancelled
 from ..frames.motion import motion_rms
-from ..joints.steps import attach_unattached
+from ..problem.answer import with_normals
+from ..problem.problem import Problem
+from ..problem.progress import Clock, ProgressReport, Record
 from ..search.descent import Descent
-from ..search.progress import Clock, ProgressReport, Record
 from ..search.starts import start_from_model
+from ..search.streamed import PASSES, SCANNED
+from ..search.tree_steps import attach_unattached
 from ..skinning import Skinning
 from ..solver.model import Model
 from ..solver.trajectories import Trajectories

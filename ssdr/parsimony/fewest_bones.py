@@ -13,8 +13,8 @@ import dataclasses
 import math
 from functools import partial
 
-from ..drivers.efforts import Effort
 from ..search.descent import Descent
+from ..search.efforts import Effort
 from ..search.steps import polish
 from .ladder import Ladder, merge_down, move_some, search_long, start_merged
 

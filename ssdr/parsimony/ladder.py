@@ -10,13 +10,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..drivers.schedule_parts import merged_start
-from ..joints.steps import attach, remove_bones, search_trees
-from ..search.changing import merge, move_bones, search
+from ..problem.initial import Given
+from ..problem.progress import Clock, Record
+from ..search.bone_steps import merge, move_bones, search
 from ..search.descent import Descent, Schedule, Stop
-from ..search.given import Given
-from ..search.progress import Clock, Record
+from ..search.schedule_parts import merged_start
 from ..search.steps import alternate, polish, return_to_best, solve_normals
+from ..search.tree_steps import attach, remove_bones, search_trees
 from ..solver.model import Model
 from .report import Attempt
 from .solved_frames import SolvedFrames

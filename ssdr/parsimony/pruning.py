@@ -22,7 +22,7 @@ from ..solver.gauss_newton import GaussNewton
 from ..solver.model import Locked, Model
 from ..solver.objective import normal_length
 from ..solver.trajectories import Trajectories
-from .keyframes import Tracks
+from ..storage.keyframes import Tracks
 from .report import Pruning, influence_bytes
 from .solved_frames import SolvedFrames
 

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..drivers.efforts import Effort
-from ..drivers.problem import check_problem
 from ..errors import Cancelled
+from ..problem.problem import check_problem
+from ..problem.progress import Callback, Clock, ProgressReport
 from ..representation import short_repr
 from ..search.descent import Descent
+from ..search.efforts import Effort
 from ..search.moves import add_bone
-from ..search.progress import Callback, Clock, ProgressReport
 from ..search.steps import polish
 from ..sequence import MeshSequence
 from .ladder import Ladder, merge_down, move_some, start_merged
@@ -99,7 +99,7 @@ def curve(
         Work spent on each number of bones.
     rng : int or numpy.random.Generator
     callback : callable, optional
-        Called with a :class:`~ssdr.search.progress.Progress` after every step; if it returns True,
+        Called with a :class:`~ssdr.problem.progress.Progress` after every step; if it returns True,
         the call ends with Cancelled.
 
     Returns

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from ..checks import BoneModel, check_whole, names_arguments, parse_tolerance
-from ..drivers.efforts import Effort
-from ..drivers.hand_back import finished
-from ..drivers.problem import Problem, check_problem
 from ..errors import InputError, check_choice, is_real
 from ..io.load_save import compact_size
+from ..problem.answer import finished
+from ..problem.problem import Problem, check_problem
+from ..problem.progress import Callback
 from ..quantisation import WeightStorage
 from ..result import Decomposition
-from ..search.progress import Callback
+from ..search.efforts import Effort
 from ..sequence import MeshSequence
 from ..skinning import Skinning, skinning_in
 from ..solver.rest_surface import RestPose

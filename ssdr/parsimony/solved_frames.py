@@ -13,19 +13,19 @@ from typing import Any
 
 import numpy as np
 
-from ..drivers.efforts import NUMBERS
-from ..drivers.hand_back import skinning_of
-from ..drivers.passes import ENTERING, AllFrames
-from ..drivers.problem import Problem
-from ..drivers.scan import Scan, needs_streaming, subset
-from ..drivers.streamed import scan_of
 from ..errors import InputError
 from ..frames.error import largest_error, rmse
 from ..frames.normals import with_fitted_normals
 from ..metrics.normal_angles import errors_of_model
+from ..problem.answer import skinning_of
+from ..problem.initial import Given
+from ..problem.problem import Problem
+from ..problem.progress import Clock
+from ..problem.scan import Scan, needs_streaming, subset
 from ..search.descent import Descent
-from ..search.given import Given
-from ..search.progress import Clock
+from ..search.efforts import NUMBERS
+from ..search.passes import ENTERING, AllFrames
+from ..search.streamed import scan_of
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.model import Model

@@ -1,1 +1,1 @@
-"""Runs of the solver: stages of a schedule, changes that improve a model, and the best model."""
+"""Search for the best model: a descent and its steps, schedules, changes that are tried."""

@@ -20,13 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..parallel import serial_blas
+from ..problem.initial import Given
+from ..problem.progress import Clock
 from ..solver.alternation import bone_costs
 from ..solver.model import Locked, Model
 from ..solver.objective import Objective
 from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import Trajectories
-from .given import Given
-from .progress import Clock
 
 __all__ = ["Descent", "Schedule", "Stop", "step"]
 

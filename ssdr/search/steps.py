@@ -15,7 +15,7 @@ from ..solver.rest_normals import with_rest_normals
 from ..solver.vertex_newton import optimise_some
 from .descent import Descent, Schedule, step
 from .moves import entering_at, polish_then_drop_influence
-from .sampling import LEAST, MOST, model_of_all, sample_size, spread_sample
+from .vertex_sample import LEAST, MOST, model_of_all, sample_size, spread_sample
 
 __all__ = [
     "all_vertices",

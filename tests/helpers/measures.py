@@ -14,8 +14,8 @@ import pytest
 import ssdr
 from helpers import motions
 from helpers.stretches import check_kind
+from ssdr.problem.initial import Given
 from ssdr.search.descent import Descent, Schedule
-from ssdr.search.given import Given
 from ssdr.search.starts import start
 from ssdr.search.steps import alternate
 from ssdr.solver.model import Locked, Model

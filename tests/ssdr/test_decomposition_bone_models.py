@@ -14,8 +14,8 @@ import ssdr
 from helpers import motions
 from helpers.measures import check, pooled
 from helpers.stretches import KINDS, MODELS, check_kind, rig, stretched
-from ssdr.drivers import scan
 from ssdr.frames import executor
+from ssdr.problem import scan
 
 
 @pytest.mark.parametrize("kind", KINDS)

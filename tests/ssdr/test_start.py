@@ -14,8 +14,8 @@ import pytest
 import ssdr
 from helpers import motions, stretches, trees
 from helpers.measures import check, diagonal, frames, played, rig, rmse_of
-from ssdr.drivers import scan
 from ssdr.errors import InputError
+from ssdr.problem import scan
 
 Solve = Callable[..., ssdr.Decomposition]
 

@@ -14,7 +14,7 @@ from ...sequence import MeshSequence
 from ..atomic import atomic_path
 from ..optional import require
 from ..registry import SaveReport
-from ..storage import StorageError
+from ..storage_error import StorageError
 
 
 def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:

@@ -32,7 +32,7 @@ from ..sampling import tell
 from ..scene import Bones, make_skinning
 from ..signatures import describe
 from ..spaces import in_space, transformed
-from ..storage import StorageError, frame_blocks
+from ..storage_error import StorageError, frame_blocks
 from .finder import command
 from .process import SCRIPT, run
 

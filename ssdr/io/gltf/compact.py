@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from ...errors import InputError
 from ...normals import unit
-from ...parsimony.keyframes import Tracks
 from ...skinning import Skinning
+from ...storage.keyframes import Tracks
 from ..corners import Corners
 from ..optional import require
 from ..rig import Rig, build_rig

@@ -20,7 +20,7 @@ from ..atomic import atomic_path
 from ..corners import rest_normals
 from ..registry import SaveReport
 from ..rig import build_rig
-from ..storage import StorageError
+from ..storage_error import StorageError
 from .materials import write_materials
 from .skeleton import bind, identifier, put_skeleton
 from .stage import system_errors

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from ssdr.drivers import scan
 from ssdr.frames import executor
+from ssdr.problem import scan
 
 
 @pytest.fixture

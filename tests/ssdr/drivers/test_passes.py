@@ -9,9 +9,9 @@ import pytest
 
 import ssdr
 from helpers import motions, terms
-from ssdr.drivers import scan
-from ssdr.drivers.passes import AllFrames, carried
-from ssdr.search.given import Given
+from ssdr.problem import scan
+from ssdr.problem.initial import Given
+from ssdr.search.passes import AllFrames, carried
 from ssdr.solver.alternation import bone_step, vertex_step
 from ssdr.solver.initialization import start_model
 from ssdr.solver.model import Locked, Model

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import ssdr
-from ssdr.drivers.schedules import best_bones, follow_effort
+from ssdr.problem.initial import Given
 from ssdr.search.descent import Descent
-from ssdr.search.given import Given
+from ssdr.search.schedules import best_bones, follow_effort
 from ssdr.solver.model import Locked
 from ssdr.solver.trajectories import gather
 

@@ -12,9 +12,9 @@ import pytest
 import ssdr
 from helpers import motions, trees
 from helpers.measures import bits, bits_on_threads, diagonal, rmse_of
-from ssdr.drivers import scan
-from ssdr.drivers.passes import AllFrames
-from ssdr.search.progress import ProgressReport
+from ssdr.problem import scan
+from ssdr.problem.progress import ProgressReport
+from ssdr.search.passes import AllFrames
 
 pytestmark = pytest.mark.usefixtures("tiny_memory")
 

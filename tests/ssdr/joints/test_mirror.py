@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 import ssdr
 from ssdr.hierarchy.tree import Tree
-from ssdr.joints.changes import mirror_edge
 from ssdr.joints.mirror import find_mirror, mirrored_edges, side_names
+from ssdr.search.tree_moves import mirror_edge
 from ssdr.solver.model import Locked, Model
 from ssdr.solver.trajectories import gather
 

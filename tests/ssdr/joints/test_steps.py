@@ -8,10 +8,10 @@ import pytest
 import ssdr
 from helpers import trees
 from helpers.measures import descent_of, rmse_of
-from ssdr.drivers.schedule_parts import first_model
-from ssdr.joints.steps import add_bones, attach, remove_bones
+from ssdr.problem.initial import Given
 from ssdr.search.descent import Descent
-from ssdr.search.given import Given
+from ssdr.search.schedule_parts import first_model
+from ssdr.search.tree_steps import add_bones, attach, remove_bones
 from ssdr.solver.trajectories import gather
 
 

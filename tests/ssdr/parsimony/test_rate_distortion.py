@@ -9,8 +9,8 @@ import ssdr
 from helpers import motions
 from helpers.measures import diagonal, wavy
 from ssdr import parsimony, sequence
-from ssdr.drivers import problem, scan
 from ssdr.parsimony.rate_distortion import knee
+from ssdr.problem import problem, scan
 
 
 def test_curve_of_exact_skinning_has_its_knee_there() -> None:

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 import ssdr
 from helpers import motions
 from helpers.measures import diagonal, largest_of, rmse_of, small, wavy
-from ssdr.drivers import scan
-from ssdr.search.progress import ProgressReport
+from ssdr.problem import scan
+from ssdr.problem.progress import ProgressReport
 
 WEIGHTS = ssdr.Start(indices=np.zeros((84, 1), int), weights=np.ones((84, 1)))
 

@@ -12,7 +12,7 @@ import ssdr
 from helpers.rig_tree import NAMES, PARENTS, POSITIONS, creature, flat
 from ssdr.hierarchy.transforms import from_local
 from ssdr.io.rig import build_rig
-from ssdr.parsimony.keyframes import Tracks
+from ssdr.storage.keyframes import Tracks
 
 KINDS = [{}, {"loose": True}, {"scaled": True}]
 

@@ -7,10 +7,10 @@ import pytest
 
 import ssdr
 from helpers.measures import descent_of
-from ssdr.drivers.schedule_parts import first_model, merged_start
-from ssdr.search.changing import move_bones
+from ssdr.problem.initial import Given
+from ssdr.search.bone_steps import move_bones
 from ssdr.search.descent import Descent, Schedule
-from ssdr.search.given import Given
+from ssdr.search.schedule_parts import first_model, merged_start
 from ssdr.search.steps import all_vertices, alternate, return_to_best, sample_vertices
 from ssdr.solver.model import Locked, Model
 from ssdr.solver.trajectories import Trajectories, gather

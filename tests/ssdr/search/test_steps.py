@@ -13,7 +13,7 @@ import ssdr
 from helpers import motions
 from helpers.blends import BONES, INFLUENCES, problem
 from helpers.measures import descent_of, solved
-from ssdr.search.changing import STEPS_OF_A_TRIAL, tried
+from ssdr.search.bone_steps import STEPS_OF_A_TRIAL, tried
 from ssdr.search.descent import Descent, step
 from ssdr.search.steps import unfold
 from ssdr.solver.model import SOLVED, Locked, Model

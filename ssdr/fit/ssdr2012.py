@@ -8,11 +8,11 @@ import numpy as np
 
 from ..checks import check_callback, check_whole, names_arguments
 from ..frames.error import rmse_of
-from ..search.progress import Callback, Clock, ProgressReport
+from ..problem.progress import Callback, Clock, ProgressReport
 from ..sequence import MeshSequence, as_sequences
 from ..solver.alternation import bone_step, vertex_step
 from .fit import Fit, fit_of
-from .initialization import skinning_of, started
+from .start import skinning_of, started
 
 __all__ = ["ssdr2012"]
 

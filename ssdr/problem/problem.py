@@ -23,19 +23,19 @@ from ..checks import (
 from ..errors import InputError, check_choice, check_flag, is_real, is_whole
 from ..frames.executor import Executor, Local, executor_for
 from ..quantisation import WeightStorage
-from ..search.given import Given
-from ..search.progress import Callback
+from ..search.efforts import Effort
+from ..search.schedules import RigKind
 from ..sequence import MeshSequence, as_sequences, labels_of, without_copies
 from ..skinning import Skinning
 from ..solver.model import Locked
 from ..solver.rest_surface import RestPose, RestSurface, central_frame
 from ..solver.trajectories import Array, Trajectories, gather
 from ..start import Skeleton, Start, as_start
+from .check_start import check_skeleton, check_start, extra_parents, with_skeleton
 from .checkpoint import Checkpoint
-from .efforts import Effort
-from .given_parts import check_skeleton, check_start, extra_parents, with_skeleton
+from .initial import Given
+from .progress import Callback
 from .scan import needs_streaming
-from .schedules import RigKind
 
 __all__ = ["Problem", "check_problem"]
 

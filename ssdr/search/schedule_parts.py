@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from ..joints.steps import attach, search_trees
-from ..search.changing import merge, move_bones
-from ..search.descent import Descent, Schedule
-from ..search.starts import quick_start, start, start_from_model
-from ..search.steps import alternate, compress, lowest, polish, relax, return_to_best, solve_normals
+from .bone_steps import merge, move_bones
+from .descent import Descent, Schedule
 from .efforts import REBUILDS, TREE_ROUNDS, TRIALS_OF_A_TREE, Effort, Rebuilds
+from .starts import quick_start, start, start_from_model
+from .steps import alternate, compress, lowest, polish, relax, return_to_best, solve_normals
+from .tree_steps import attach, search_trees
 
 __all__ = [
     "attach_and_polish",

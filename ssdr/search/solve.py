@@ -8,17 +8,17 @@ from collections.abc import Callable
 from functools import partial
 
 from ..errors import Cancelled
+from ..problem.answer import outcome_of, skinning_of
+from ..problem.initial import Given
+from ..problem.problem import Problem
+from ..problem.progress import Clock, ProgressReport
 from ..result import Decomposition
-from ..search.descent import Descent, Schedule, Stop
-from ..search.given import Given
-from ..search.progress import Clock, ProgressReport
 from ..sequence import MeshSequence
 from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import Trajectories
-from .hand_back import outcome_of, skinning_of
-from .problem import Problem
-from .rounding import rounded_best
+from .descent import Descent, Schedule, Stop
 from .schedules import follow_effort
+from .weight_rounding import rounded_best
 
 __all__ = ["after_step", "begin", "schedule_of", "solve"]
 

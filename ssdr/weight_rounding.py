@@ -7,11 +7,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from .drivers import in_memory
-from .drivers.hand_back import with_normals
-from .drivers.problem import check_problem
 from .errors import check_choice
+from .problem.answer import with_normals
+from .problem.problem import check_problem
 from .result import Decomposition
+from .search import solve as in_memory
 from .search.descent import Descent
 from .search.starts import start_from_model
 from .search.steps import compress, unfold

@@ -12,19 +12,19 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..hierarchy.tree import Tree
-from ..search.moves import patch_of_most_error, polish_steps
-from ..solver.alternation import bone_costs, vertex_step
-from ..solver.initialization import fit_patches
-from ..solver.model import Locked, Model
-from ..solver.trajectories import Array, Trajectories
-from .mirror import edges_with_image, mirror_of
-from .placement import (
+from ..joints.mirror import edges_with_image, mirror_of
+from ..joints.placement import (
     find_contacts,
     fit_joint,
     fit_joints,
     snap_to_joints,
     step_with_joint_penalty,
 )
+from ..solver.alternation import bone_costs, vertex_step
+from ..solver.initialization import fit_patches
+from ..solver.model import Locked, Model
+from ..solver.trajectories import Array, Trajectories
+from .moves import patch_of_most_error, polish_steps
 
 __all__ = [
     "add_edge_between_skin_neighbours",

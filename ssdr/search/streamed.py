@@ -19,21 +19,21 @@ from functools import partial
 import numpy as np
 
 from ..errors import Cancelled, InputError
+from ..problem.answer import Step, outcome_of, skinning_of
+from ..problem.initial import Given
+from ..problem.problem import Problem
+from ..problem.progress import Clock, ProgressReport
+from ..problem.scan import Scan, scan, subset
 from ..result import Decomposition
-from ..search.descent import Descent
-from ..search.given import Given
-from ..search.progress import Clock, ProgressReport
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.model import Model
 from ..solver.trajectories import Array, Trajectories
-from .hand_back import Step, outcome_of, skinning_of
-from .in_memory import after_step, begin, schedule_of
+from .descent import Descent
 from .passes import ENTERING, AllFrames, carried
-from .problem import Problem
-from .rounding import rounded_best
-from .scan import Scan, scan, subset
 from .schedules import settle
+from .solve import after_step, begin, schedule_of
+from .weight_rounding import rounded_best
 
 __all__ = ["PASSES", "SCANNED", "scan_of", "solve"]
 

@@ -22,11 +22,11 @@ from ..errors import InputError, check_choice, is_whole
 from ..hierarchy.tree import Tree
 from ..joints.limb_matching import limb_distances
 from ..joints.placement import move_onto_joints
-from ..search.given import Given
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.trajectories import Array
 from ..start import JointKind, Skeleton, Start
+from .initial import Given
 
 __all__ = ["check_skeleton", "check_start", "extra_parents", "with_skeleton"]
 

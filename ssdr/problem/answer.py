@@ -20,7 +20,6 @@ from ..metrics.normal_angles import NormalErrors, errors_of_model
 from ..normals import corner_normals
 from ..quantisation import is_stored
 from ..result import Decomposition
-from ..search.progress import Record
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.alignment import Alignment
@@ -28,6 +27,7 @@ from ..solver.gauge import normalise_gauge
 from ..solver.model import Model
 from ..solver.warmup import compile_kernels
 from .problem import Problem
+from .progress import Record
 
 __all__ = ["Step", "finished", "outcome_of", "skinning_of", "with_normals"]
 

@@ -25,7 +25,7 @@ from ..solver.model import ARRAYS, FREE, Model
 from ..solver.trajectories import Array, Trajectories
 from ..solver.vertex_newton import optimise_vertices
 from .moves import drop_influence
-from .sampling import model_of_all, sample_size, spread_sample
+from .vertex_sample import model_of_all, sample_size, spread_sample
 
 __all__ = ["Nested", "nested_models"]
 

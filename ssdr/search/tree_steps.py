@@ -6,13 +6,15 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..search.changing import STEPS_OF_A_TRIAL, Change, tried
-from ..search.descent import Descent, step
-from ..search.moves import exchange_influences, polish_steps
+from ..joints.limb_matching import match_by_motion
+from ..joints.placement import snap_to_joints, spanning_tree, step_with_joint_penalty
 from ..solver.alternation import vertex_step
 from ..solver.initialization import fit_patches
 from ..solver.model import Model
-from .changes import (
+from .bone_steps import STEPS_OF_A_TRIAL, Change, tried
+from .descent import Descent, step
+from .moves import exchange_influences, polish_steps
+from .tree_moves import (
     add_edge_between_skin_neighbours,
     mirror_edge,
     move_bone_to_error,
@@ -21,8 +23,6 @@ from .changes import (
     replace_bone,
     split_bone,
 )
-from .limb_matching import match_by_motion
-from .placement import snap_to_joints, spanning_tree, step_with_joint_penalty
 
 __all__ = [
     "add_bones",

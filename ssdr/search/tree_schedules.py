@@ -2,18 +2,8 @@
 
 from __future__ import annotations
 
-from ..joints.steps import (
-    add_bones,
-    attach,
-    attach_unattached,
-    search_trees,
-    search_weights,
-    start_on_skeleton,
-)
-from ..search.changing import move_bones
-from ..search.descent import Descent, Schedule
-from ..search.starts import start_from_model
-from ..search.steps import alternate, compress, lowest, polish, return_to_best
+from .bone_steps import move_bones
+from .descent import Descent, Schedule
 from .efforts import NUMBERS, TREE_ROUNDS, TRIALS_OF_A_TREE, Effort
 from .schedule_parts import (
     attach_and_polish,
@@ -27,6 +17,16 @@ from .schedule_parts import (
     relax_tree,
     search_best_trees,
     start_of_tree,
+)
+from .starts import start_from_model
+from .steps import alternate, compress, lowest, polish, return_to_best
+from .tree_steps import (
+    add_bones,
+    attach,
+    attach_unattached,
+    search_trees,
+    search_weights,
+    start_on_skeleton,
 )
 
 __all__ = ["bones_of_skeleton", "loose_given", "loose_skeleton", "tree_given", "tree_of_bones"]

@@ -7,13 +7,13 @@ import math
 
 import numpy as np
 
-from ..search.descent import Descent
-from ..search.progress import ProgressReport
+from ..problem.answer import Step
+from ..problem.problem import Problem
+from ..problem.progress import ProgressReport
 from ..solver.model import Model
 from ..solver.rounding import rounded_models
+from .descent import Descent
 from .efforts import NUMBERS
-from .hand_back import Step
-from .problem import Problem
 
 __all__ = ["rounded_best"]
 

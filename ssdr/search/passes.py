@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from ..frames.executor import Executor, Frames, Local, SpanTask, spans_of
 from ..parallel import chunk_bounds, run_chunks, serial_blas
-from ..search.given import Given
+from ..problem.initial import Given
+from ..problem.scan import OnProgress, Scan
 from ..sequence import MeshSequence
 from ..solver.alignment import Alignment
 from ..solver.gauss_newton import fit_motion
@@ -26,7 +27,6 @@ from ..solver.moments import gram_tables
 from ..solver.objective import Objective, normal_length, rest_pulls
 from ..solver.trajectories import Array, Trajectories, frame_scale_of
 from ..solver.vertex_newton import newton_vertices
-from .scan import OnProgress, Scan
 
 __all__ = ["ENTERING", "AllFrames", "carried"]
 

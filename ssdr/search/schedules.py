@@ -12,20 +12,8 @@ from __future__ import annotations
 from functools import partial
 from typing import Literal
 
-from ..search.changing import add_and_merge, move_bones, search
-from ..search.descent import Descent
-from ..search.starts import fit_copied_bones, start, start_from_model
-from ..search.steps import (
-    all_vertices,
-    alternate,
-    beside,
-    compress,
-    polish,
-    relax,
-    return_to_best,
-    sample_vertices,
-    unfold,
-)
+from .bone_steps import add_and_merge, move_bones, search
+from .descent import Descent
 from .efforts import (
     MANY_BONES,
     NUMBERS,
@@ -47,6 +35,18 @@ from .schedule_parts import (
     relax_tree,
     search_best_trees,
     start_of_tree,
+)
+from .starts import fit_copied_bones, start, start_from_model
+from .steps import (
+    all_vertices,
+    alternate,
+    beside,
+    compress,
+    polish,
+    relax,
+    return_to_best,
+    sample_vertices,
+    unfold,
 )
 from .tree_schedules import (
     bones_of_skeleton,

@@ -1,1 +1,0 @@
-"""Solution of a checked problem, in memory or streamed: the problem, schedules, drivers."""

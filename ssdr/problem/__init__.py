@@ -1,0 +1,1 @@
+"""Between a call and its solution: checked arguments, progress, choice of frames, the answer."""
