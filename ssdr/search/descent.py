@@ -20,15 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..parallel import serial_blas
-from ..problem.initial import Given
-from ..problem.progress import Clock
+from ..problem.initial import Initial
+from ..progress import Monitor, Stop
 from ..solver.alternation import bone_costs
 from ..solver.model import Locked, Model
 from ..solver.objective import Objective
 from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import Trajectories
 
-__all__ = ["Descent", "Schedule", "Stop", "step"]
+__all__ = ["Descent", "Schedule", "step"]
 
 # Objective, relative to the squared motion, below which only rounding errors are left.
 _EXACT = 1e-30
@@ -37,10 +37,6 @@ _EXACT = 1e-30
 _NO_LOSS = 1e-13
 # Most repetitions of a step that are counted as work: more than that are rarely needed.
 _EXPECTED = 60
-
-
-class Stop(Exception):
-    """End of a descent before its schedule is done; the argument is the reason."""
 
 
 class Descent:
@@ -53,11 +49,11 @@ class Descent:
     rng : numpy.random.Generator
     locked : Locked
         Parts that are kept, and the bone model.
-    given : Given
+    initial : Initial
         Parts that the caller gave, in the solver's space.
     smoothness : WeightSmoothness or None
         Penalty on the weights.
-    clock : Clock, optional
+    monitor : Monitor, optional
     rigid_joints : bool
         Whether only models with bones attached at their joints are accepted as best.
     normals : bool
@@ -65,7 +61,7 @@ class Descent:
 
     Attributes
     ----------
-    whole : Trajectories
+    full : Trajectories
         Trajectories of all vertices.
     data : Trajectories
         Trajectories that the present step works on: of all vertices, or of a sample of them.
@@ -78,8 +74,10 @@ class Descent:
         Model of lowest objective so far with exactly the number of bones asked for.
     best_value : float
         Objective of `best`.
-    estimating : bool
-        Whether the work of a schedule is being estimated: steps change nothing then.
+    plan : list of (phase, number of steps) or None
+        Steps of a schedule while it is planned: they change nothing then.
+    done : float
+        Work of the schedule that is done, in alternations.
     iteration : int
         Number of alternations and polish steps so far.
     converged : bool
@@ -98,26 +96,26 @@ class Descent:
         influences: int,
         rng: np.random.Generator,
         locked: Locked,
-        given: Given,
+        initial: Initial,
         smoothness: WeightSmoothness | None = None,
-        clock: Clock | None = None,
+        monitor: Monitor | None = None,
         rigid_joints: bool = False,
         normals: bool = False,
     ) -> None:
-        self.whole = self.data = data
+        self.full = self.data = data
         self.chosen: NDArray[np.intp] | None = None
         self.bones, self.influences, self.rng = bones, influences, rng
-        self.asked, self.given, self.smoothness = locked, given, smoothness
+        self.asked, self.initial, self.smoothness = locked, initial, smoothness
         self.rigid_joints, self.normals = rigid_joints, normals
         self.objective = Objective(locked, smoothness)
-        self.clock = clock or Clock()
+        self.monitor = monitor or Monitor()
         self.best: Model | None = None
         self.best_value = np.inf
         self.records: list[tuple[int, float, float, str]] = []
         self.iteration, self.converged = 0, False
-        self._rigid, self.estimating = False, False
-        self._done, self._work = 0.0, 1.0
-        self._told: Callable[[str], None] | None = None
+        self.plan: list[tuple[str, int]] | None = None
+        self._rigid, self.done, self._work = False, 0.0, 1.0
+        self._report: Callable[[str], None] | None = None
 
     # --- what steps ask ------------------------------------------------------------------------
 
@@ -128,12 +126,12 @@ class Descent:
         return dataclasses.replace(locked, bone_model="rigid") if self._rigid else locked
 
     @property
-    def given_parts(self) -> Given:
+    def start_parts(self) -> Initial:
         """Parts for a new start, restricted to the vertices of the present step."""
-        given = self.given.beside_model()
-        if self.chosen is None or given.rest is None:
-            return given
-        return dataclasses.replace(given, rest=given.rest[self.chosen])
+        parts = self.initial.beside_model()
+        if self.chosen is None or parts.rest is None:
+            return parts
+        return dataclasses.replace(parts, rest=parts.rest[self.chosen])
 
     @property
     def best_model(self) -> Model:
@@ -144,29 +142,29 @@ class Descent:
     @property
     def best_error(self) -> float:
         """Squared error of the best model, without the other factors of the objective."""
-        return math.inf if self.best is None else self.best.weighted_error(self.whole)
+        return math.inf if self.best is None else self.best.weighted_error(self.full)
 
     @property
-    def idle_bones(self) -> int:
+    def removable_bones(self) -> int:
         """Number of bones that the best model could lose, one at a time, without more error.
 
         In a tree only bones without children count.
         """
         wide = self.best_model.with_restarted_support()
-        idle = bone_costs(self.whole, wide) <= _NO_LOSS * float(
-            self.whole.importance @ self.whole.x2
+        removable = bone_costs(self.full, wide) <= _NO_LOSS * float(
+            self.full.importance @ self.full.x2
         )
         if wide.tree is not None:
-            idle[wide.tree.parents[wide.tree.non_roots]] = False
-        return int(idle.sum())
+            removable[wide.tree.parents[wide.tree.non_roots]] = False
+        return int(removable.sum())
 
     def value(self, model: Model) -> float:
         """Objective of a model on the vertices that the present step works on."""
         return self.objective.value(self.data, model)
 
     def below(self, limit: float, *, expected: bool) -> bool:
-        """Whether the present objective is below `limit`; `expected` while work is estimated."""
-        return expected if self.estimating else self.value(self.model) < limit
+        """Whether the present objective is below `limit`; `expected` while steps are planned."""
+        return expected if self.plan is not None else self.value(self.model) < limit
 
     # --- what steps change ---------------------------------------------------------------------
 
@@ -182,7 +180,7 @@ class Descent:
 
     def drop_tree(self) -> None:
         """Remove the tree from the present model, so that its bones move freely."""
-        if not self.estimating:
+        if self.plan is None:
             self.model = dataclasses.replace(self.model.copy(), tree=None)
 
     def accept_if_lower(self, trial: Model) -> bool:
@@ -203,60 +201,58 @@ class Descent:
 
     def release(self) -> None:
         """Free the memory of the trajectories, after which no step can be made."""
-        empty = self.whole.z[:, :0].copy()
-        self.whole = dataclasses.replace(self.whole, z=empty, q=None, normals=None)
-        self.data, self.chosen = self.whole, None
+        empty = self.full.z[:, :0].copy()
+        self.full = dataclasses.replace(self.full, z=empty, q=None, normals=None)
+        self.data, self.chosen = self.full, None
 
     # --- schedules -----------------------------------------------------------------------------
 
-    @serial_blas()
-    def follow(self, schedule: Schedule, after_step: Callable[[str], None] | None = None) -> str:
+    def follow(self, schedule: Schedule, report: Callable[[str], None] | None = None) -> str:
         """Follow a schedule to its end.
 
         Parameters
         ----------
         schedule : Schedule
-        after_step : callable, optional
-            Called with the phase of each step that was made; it raises :class:`Stop` to end the
-            descent.
+        report : callable, optional
+            Called with the phase of each step that was made; it raises :class:`~ssdr.progress.Stop`
+            to end the descent.
 
         Returns
         -------
         str
             Reason of the stop; "converged" or "effort spent" if there was none.
         """
-        self.estimating, self._done = True, 0.0
-        schedule(self)
-        self.estimating, self._work, self._done = False, self._done or 1.0, 0.0
-        self._told = after_step
-        try:
+        with serial_blas():
+            self.plan, self.done = [], 0.0
             schedule(self)
-        except Stop as stop:
-            return str(stop)
+            self.plan, self._work, self.done = None, self.done or 1.0, 0.0
+            self._report = report
+            try:
+                schedule(self)
+            except Stop as stop:
+                return str(stop)
         return "converged" if self.converged else "effort spent"
 
     @property
     def fraction(self) -> float:
         """Estimated fraction of the schedule's work that is done."""
-        return min(1.0, self._done / self._work)
+        return min(1.0, self.done / self._work)
 
-    def make_steps(self, steps: Iterator[None], phase: str, *, cost: float, count: int) -> None:
-        """Make the steps of an iterator; remember the best model and tell the caller after each.
+    def after_step(self, phase: str) -> None:
+        """Remember the best model and report the step.
 
-        While the work of a schedule is estimated, `count` steps of this `cost`, in alternations,
-        are only counted.
+        Raises
+        ------
+        Stop
+            If the report asks to stop, or no error is left.
         """
-        end = self._done + cost * min(count, _EXPECTED)
-        for _ in () if self.estimating else steps:
-            self._done = min(self._done + cost, end)
-            self._remember_best(phase)
-            exact = self.best_value <= _EXACT * float(self.whole.x2.sum())
-            self.converged |= exact
-            if self._told is not None:
-                self._told(phase)
-            if exact:
-                raise Stop("converged")
-        self._done = end
+        self._remember_best(phase)
+        exact = self.best_value <= _EXACT * float(self.full.x2.sum())
+        self.converged |= exact
+        if self._report is not None:
+            self._report(phase)
+        if exact:
+            raise Stop("converged")
 
     def _remember_best(self, phase: str) -> None:
         if self.chosen is not None or not hasattr(self, "model"):
@@ -271,7 +267,7 @@ class Descent:
             self.best, self.best_value = model.copy(), value
             # the error alone, without the penalty that `value` may carry
             error = model.weighted_error(self.data)
-            self.records.append((self.iteration, self.clock.elapsed, error, phase))
+            self.records.append((self.iteration, self.monitor.elapsed, error, phase))
 
 
 Schedule = Callable[[Descent], None]
@@ -297,10 +293,16 @@ def step(
         usual = inspect.signature(generator).parameters.get("steps")
 
         @functools.wraps(generator)
-        def made(d: Descent, /, *args: P.args, **options: P.kwargs) -> None:
+        def make_steps(d: Descent, /, *args: P.args, **options: P.kwargs) -> None:
             count: Any = options.get("steps", 1 if usual is None else usual.default)
-            d.make_steps(generator(d, *args, **options), phase, cost=cost, count=count)
+            end = d.done + cost * min(count, _EXPECTED)
+            if d.plan is not None:
+                d.plan.append((phase, count))
+            for _ in () if d.plan is not None else generator(d, *args, **options):
+                d.done = min(d.done + cost, end)
+                d.after_step(phase)
+            d.done = end
 
-        return made
+        return make_steps
 
     return decorate

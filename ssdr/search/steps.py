@@ -7,15 +7,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..solver.alternation import bone_step, repeat_alternation, vertex_step
+from ..solver.alternation import repeat_alternation, vertex_step
 from ..solver.gauge import free_gauge
 from ..solver.gauss_newton import GaussNewton
-from ..solver.objective import normal_length
 from ..solver.rest_normals import with_rest_normals
 from ..solver.vertex_newton import optimise_some
 from .descent import Descent, Schedule, step
-from .moves import entering_at, polish_then_drop_influence
-from .vertex_sample import LEAST, MOST, model_of_all, sample_size, spread_sample
+from .moves import polish_then_drop_influence
+from .vertex_sample import LEAST, MOST, model_of_all, motion_sample, sample_size
 
 __all__ = [
     "all_vertices",
@@ -35,7 +34,6 @@ __all__ = [
 _PLATEAU = 1e-5
 # Failures in a row that end the alternations: with fewer, they would end at a pause.
 _PLATEAU_ALTERNATIONS = 3
-_POLISH_WINDOW = 8  # polish steps over which the stopping test measures the gain
 _UNFOLD_ROUNDS = 4  # solves of weights and rest pose after the edges have become stiffer
 
 
@@ -45,7 +43,7 @@ _UNFOLD_ROUNDS = 4  # solves of weights and rest pose after the edges have becom
 @step("compress", cost=4)
 def compress(d: Descent) -> Iterator[None]:
     """Compress the trajectories to as few columns as the bones need: later steps take less time."""
-    d.whole = d.data = d.whole.compressed(d.bones)
+    d.full = d.data = d.full.compressed(d.bones)
     yield
 
 
@@ -57,17 +55,11 @@ def alternate(d: Descent, *, steps: int, gain: float = _PLATEAU) -> Iterator[Non
     """
     failures = 0
     for _ in range(steps):
-        model, data = d.model, d.data
-        before = d.value(model)
-        penalty, pull, stiff = 0.0, None, None
-        if d.smoothness is not None:
-            penalty = d.smoothness.penalty(model)
-            pull, stiff = d.smoothness.terms(model)
-        bone_step(data, model, locked=d.locked, length=normal_length(data, model, penalty))
-        vertex_step(data, model, locked=d.locked, pull=pull, stiff=stiff, penalty=penalty)
-        free_gauge(data, model, d.locked)
+        before = d.value(d.model)
+        repeat_alternation(d.data, d.model, 1, d.locked, d.smoothness)
+        free_gauge(d.data, d.model, d.locked)
         d.iteration += 1
-        still = before - d.value(model) < max(gain, _PLATEAU) * before
+        still = before - d.value(d.model) < max(gain, _PLATEAU) * before
         failures = failures + 1 if still else 0
         d.converged = failures >= _PLATEAU_ALTERNATIONS
         yield
@@ -82,17 +74,10 @@ def polish(d: Descent, *, steps: int, gain: float = 0.0) -> Iterator[None]:
     It ends when eight steps lower the error by less than the share `gain`.
     """
     newton = GaussNewton(d.data, d.model, locked=d.locked)
-    values = [newton.value]
-    for k in range(steps):
-        newton.step(entering=entering_at(k))
+    for _ in newton.steps(steps, gain=gain):
         d.iteration += 1
-        values = [*values, newton.value][-_POLISH_WINDOW - 1 :]
-        # the objective is a square: its relative change is twice that of the error
-        change = 0.5 * (values[0] - values[-1]) / max(values[0], 1e-300)
-        d.converged = len(values) > _POLISH_WINDOW and change < gain
+        d.converged = newton.converged
         yield
-        if d.converged:
-            return
 
 
 @step("relax", cost=40)
@@ -119,9 +104,9 @@ def solve_normals(d: Descent) -> Iterator[None]:
 
     They come late, since they lead a search for places of bones to models with more error.
     """
-    if not (d.normals and len(d.whole.faces) and d.asked.bone_model == "rigid"):
+    if not (d.normals and len(d.full.faces) and d.asked.bone_model == "rigid"):
         return
-    d.whole = d.data = d.whole.with_normals()
+    d.full = d.data = d.full.with_normals()
     d.model = with_rest_normals(d.data, d.model)
     if d.best is not None:
         d.best = with_rest_normals(d.data, d.best)
@@ -135,21 +120,21 @@ def unfold(d: Descent, *, steps: int = 8) -> Iterator[None]:
 
     It makes the best model the one that is returned, as a rest pose with folds is no surface.
     """
-    if d.whole.surface is None:
+    if d.full.surface is None:
         return
     d.model, locked = d.best_model.with_restarted_support(), d.locked
     if d.smoothness is not None:  # which this solve of weights would not know
-        every = np.ones(d.whole.n_vertices, dtype=bool)
+        every = np.ones(d.full.n_vertices, dtype=bool)
         locked = dataclasses.replace(locked, weights=every)
     for _ in range(steps):
-        assert d.whole.surface is not None
-        turned = d.whole.surface.turned(d.model.rest, d.whole.faces)
+        assert d.full.surface is not None
+        turned = d.full.surface.turned(d.model.rest, d.full.faces)
         if not turned.any():
             return
-        surface = d.whole.surface.stiffened(d.whole.faces[turned])
-        d.whole = d.data = dataclasses.replace(d.whole, surface=surface)
+        surface = d.full.surface.stiffened(d.full.faces[turned])
+        d.full = d.data = dataclasses.replace(d.full, surface=surface)
         # far from the stiffer edges nothing has changed
-        near = surface.around(d.whole.faces[turned])
+        near = surface.around(d.full.faces[turned])
         optimise_some(d.data, d.model, near, locked=locked, times=_UNFOLD_ROUNDS)
         d.keep_present()
         yield
@@ -167,10 +152,10 @@ def sample_vertices(d: Descent, *, least: int = LEAST, most: int = MOST) -> Iter
     A sample is enough to tell where bones belong.  If the bounds ask for half of the vertices or
     more, all are used.
     """
-    count = sample_size(d.whole.n_vertices, d.bones, least, most)
-    if 2 * count < d.whole.n_vertices:
-        d.chosen = spread_sample(d.whole, count)
-        d.data = d.whole.select_vertices(d.chosen)
+    count = sample_size(d.full.n_vertices, d.bones, least, most)
+    if 2 * count < d.full.n_vertices:
+        d.chosen = motion_sample(d.full, count)
+        d.data = d.full.select_vertices(d.chosen)
         d.model = d.model.select_vertices(d.chosen)
     yield
 
@@ -178,12 +163,12 @@ def sample_vertices(d: Descent, *, least: int = LEAST, most: int = MOST) -> Iter
 @step("all vertices", cost=8)
 def all_vertices(d: Descent, *, alternations: int = 4) -> Iterator[None]:
     """Work on all vertices again; each starts with the weights of the nearest sampled vertex."""
-    few, chosen, given = d.model, d.chosen, d.given.beside_model()
-    d.data, d.chosen = d.whole, None
+    few, chosen, initial = d.model, d.chosen, d.initial.beside_model()
+    d.data, d.chosen = d.full, None
     if chosen is not None:
-        rest = given.first_pose(d.data)
+        rest = initial.first_pose(d.data)
         model = model_of_all(few, rest, chosen)
-        if given.rest is not None:
+        if initial.rest is not None:
             model.rest = rest
         vertex_step(d.data, model, locked=d.locked)
         repeat_alternation(d.data, model, alternations, d.locked)
@@ -224,6 +209,6 @@ def beside(d: Descent, start: Schedule) -> None:
     """Follow a schedule from another start; keep the best model before it unless errors fall."""
     before, value, known = d.best, d.best_value, len(d.records)
     start(d)
-    if before is not None and d.best_error > before.weighted_error(d.whole):
+    if before is not None and d.best_error > before.weighted_error(d.full):
         d.best, d.best_value = before, value
         del d.records[known:]

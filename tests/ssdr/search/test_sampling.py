@@ -7,7 +7,7 @@ import pytest
 
 import ssdr
 from helpers.measures import descent_of
-from ssdr.problem.initial import Given
+from ssdr.problem.initial import Initial
 from ssdr.search.bone_steps import move_bones
 from ssdr.search.descent import Descent, Schedule
 from ssdr.search.schedule_parts import first_model, merged_start
@@ -34,8 +34,8 @@ def few_vertices(d: Descent) -> None:
 def followed(*parts: Schedule, rest: bool = False) -> Descent:
     """A descent that has made a first model and followed some schedules."""
     data = gather([ssdr.MeshSequence(strip())], bones=BONES, compress=False)
-    given = Given(rest=data.frame(3).copy() if rest else None)
-    d = descent_of(data, BONES, INFLUENCES, locked=Locked(rest=rest), given=given)
+    given = Initial(rest=data.frame(3).copy() if rest else None)
+    d = descent_of(data, BONES, INFLUENCES, locked=Locked(rest=rest), initial=given)
 
     def schedule(d: Descent) -> None:
         for part in (first_model, *parts):
@@ -61,10 +61,10 @@ def test_a_sample_is_spread_from_still_to_wild_vertices() -> None:
     d = followed(few_vertices)
     assert d.chosen is not None
     assert len(d.chosen) == EACH * BONES == len(np.unique(d.chosen))
-    rank = np.argsort(np.argsort(d.whole.x2))[d.chosen]
-    assert np.diff(np.sort(rank)).max() <= -(-d.whole.n_vertices // (EACH * BONES)) + 1
+    rank = np.argsort(np.argsort(d.full.x2))[d.chosen]
+    assert np.diff(np.sort(rank)).max() <= -(-d.full.n_vertices // (EACH * BONES)) + 1
     assert d.data.n_vertices == EACH * BONES
-    np.testing.assert_array_equal(d.data.z, d.whole.z[d.chosen])
+    np.testing.assert_array_equal(d.data.z, d.full.z[d.chosen])
     np.testing.assert_array_equal(d.model.rest, d.best_model.rest[d.chosen])
     assert d.model.weighted_error(d.data) == pytest.approx(
         float(d.best_model.error[d.chosen].sum())
@@ -86,20 +86,20 @@ def test_the_way_back_ends_on_a_model_of_all_vertices(rest: bool) -> None:
     d = followed(few_vertices, search, all_vertices, rest=rest)
     model = d.model
     assert model.n_bones == BONES
-    assert len(model.rest) == d.whole.n_vertices
+    assert len(model.rest) == d.full.n_vertices
     assert d.chosen is None
-    value = model.weighted_error(d.whole)  # in a basis that loses a little
-    assert value == pytest.approx(true_error(d.whole, model), rel=0.02)
+    value = model.weighted_error(d.full)  # in a basis that loses a little
+    assert value == pytest.approx(true_error(d.full, model), rel=0.02)
     # as good as a search among all vertices, about
     alone = followed(search, rest=rest)
     assert value < 1.3 * alone.best_value
     if rest:
-        np.testing.assert_array_equal(model.rest, d.given.rest)
+        np.testing.assert_array_equal(model.rest, d.initial.rest)
 
 
 def test_nothing_is_recorded_on_a_sample() -> None:
     d = followed(few_vertices, lambda d: alternate(d, steps=5))
-    assert len(d.best_model.rest) == d.whole.n_vertices
+    assert len(d.best_model.rest) == d.full.n_vertices
     assert d.records == [r for r in d.records if r[3] in ("quick", "alternate", "compress")]
     seen = len(d.records)
     again = followed()
