@@ -63,7 +63,7 @@ def test_motion_alone() -> None:
     np.testing.assert_allclose(model.joint_positions[hung], made.points[hung], atol=1e-12)
 
 
-@pytest.mark.parametrize("effort", ["fast", "balanced", "best"])
+@pytest.mark.parametrize("effort", ["fast", "balanced"])
 def test_loose_joints_keep_the_parents_and_may_come_apart(effort) -> None:
     made = trees.six_bones()
     pulled = made.frames.copy()

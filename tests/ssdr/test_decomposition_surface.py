@@ -32,6 +32,7 @@ def _rest_normals_off(skinning: ssdr.Skinning) -> float:
     return float(naive.angles(own, stored)[known].mean())
 
 
+@pytest.mark.slow
 def test_a_rest_pose_is_a_surface_by_default(real: Callable[[str], ssdr.MeshSequence]) -> None:
     """A free one has less error, and so it says what the surface costs."""
     horse = real("horse_poses")

@@ -166,7 +166,9 @@ def test_one_bone_more_never_fits_worse(seed: int, kind: str) -> None:
     assert second.skinning.n_bones == bones + 1
 
 
-@pytest.mark.parametrize("first", range(0, 80, 20))
+@pytest.mark.parametrize(
+    "first", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (20, 40, 60))]
+)
 def test_random_problems(first: int) -> None:
     """Valid weights and rotations, true errors, falling histories, kept parts, continued runs."""
     cases = [random_problems.check(seed) for seed in range(first, first + 20)]

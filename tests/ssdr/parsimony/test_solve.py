@@ -42,6 +42,7 @@ def test_refuses_beside_a_tolerance(argument: str, change: dict[str, Any]) -> No
     assert caught.value.argument == argument
 
 
+@pytest.mark.slow
 def test_a_rest_pose_is_a_surface_unless_it_is_free() -> None:
     dancer = ssdr.samples.load("dancer_small")
     edges = np.concatenate([dancer.faces[:, [0, 1]], dancer.faces[:, [1, 2]]])
