@@ -239,7 +239,7 @@ class Pruner:
         d = self.frames.descent(model.n_bones, data=self.frames.tolerant)
         d.begin_with(model)
         d.follow(schedule)
-        fewer = self.skinning_of_all(d.best_model, d.whole)
+        fewer = self.skinning_of_all(d.best_model, d.data)
         error = self.frames.error_of_all(fewer)
         if error > self.tolerance:
             return Pruned(fewer, fewer, error, error, 0, error)

@@ -9,6 +9,7 @@ more influences or, after a change, more error.
 from __future__ import annotations
 
 import contextlib
+import copy
 import dataclasses
 import functools
 import inspect
@@ -22,13 +23,18 @@ from numpy.typing import NDArray
 from ..parallel import serial_blas
 from ..problem.initial import Given
 from ..problem.progress import Clock
-from ..solver.alternation import bone_costs
+from ..solver.alternation import bone_costs, repeat_alternation, vertex_step
 from ..solver.model import Locked, Model
 from ..solver.objective import Objective
 from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import Trajectories
+from .moves import polish_steps
+from .vertex_sample import model_of_all
 
-__all__ = ["Descent", "Schedule", "Stop", "step"]
+__all__ = ["ALTERNATIONS_OF_ALL", "Descent", "Schedule", "Stop", "step"]
+
+# Alternations on all vertices after a sample, and polish steps if the descent is stopped there.
+ALTERNATIONS_OF_ALL, _STEPS_AFTER_STOP = 8, 8
 
 # Objective, relative to the squared motion, below which only rounding errors are left.
 _EXACT = 1e-30
@@ -41,6 +47,29 @@ _EXPECTED = 60
 
 class Stop(Exception):
     """End of a descent before its schedule is done; the argument is the reason."""
+
+
+@dataclasses.dataclass
+class Work:
+    """What is done of a schedule.
+
+    Attributes
+    ----------
+    iteration : int
+        Number of alternations and polish steps so far.
+    done, expected : float
+        Work that is done and that of the whole schedule, in alternations.
+    estimating : bool
+        Whether the work of a schedule is being estimated: steps change nothing then.
+    told : callable or None
+        Called with the phase after each step.
+    """
+
+    iteration: int = 0
+    done: float = 0.0
+    expected: float = 1.0
+    estimating: bool = False
+    told: Callable[[str], None] | None = None
 
 
 class Descent:
@@ -65,12 +94,9 @@ class Descent:
 
     Attributes
     ----------
-    whole : Trajectories
-        Trajectories of all vertices.
     data : Trajectories
-        Trajectories that the present step works on: of all vertices, or of a sample of them.
-    chosen : (n,) int array or None
-        Indices of the vertices of that sample; None if all vertices are used.
+    few : Descent or None
+        Descent on a sample of the vertices while one is in progress, with models of its own.
     model : Model
         Model that the next step starts from; it may have more bones than asked for.  There is none
         before the first step that makes one.
@@ -78,10 +104,8 @@ class Descent:
         Model of lowest objective so far with exactly the number of bones asked for.
     best_value : float
         Objective of `best`.
-    estimating : bool
-        Whether the work of a schedule is being estimated: steps change nothing then.
-    iteration : int
-        Number of alternations and polish steps so far.
+    work : Work
+        What is done of the schedule, shared with a descent on a sample.
     converged : bool
         True if the last step ended by its own stopping test.
     records : list of (iteration, elapsed, squared error, phase)
@@ -104,8 +128,9 @@ class Descent:
         rigid_joints: bool = False,
         normals: bool = False,
     ) -> None:
-        self.whole = self.data = data
-        self.chosen: NDArray[np.intp] | None = None
+        self.data = data
+        self.few: Descent | None = None
+        self._chosen: NDArray[np.intp] = np.zeros(0, dtype=np.intp)
         self.bones, self.influences, self.rng = bones, influences, rng
         self.asked, self.given, self.smoothness = locked, given, smoothness
         self.rigid_joints, self.normals = rigid_joints, normals
@@ -114,26 +139,33 @@ class Descent:
         self.best: Model | None = None
         self.best_value = np.inf
         self.records: list[tuple[int, float, float, str]] = []
-        self.iteration, self.converged = 0, False
-        self._rigid, self.estimating = False, False
-        self._done, self._work = 0.0, 1.0
-        self._told: Callable[[str], None] | None = None
+        self.work, self.converged, self._rigid = Work(), False, False
 
     # --- what steps ask ------------------------------------------------------------------------
 
     @property
     def locked(self) -> Locked:
         """Parts that the present step keeps, and the bone model that it uses."""
-        locked = self.asked if self.chosen is None else self.asked.select_vertices(self.chosen)
-        return dataclasses.replace(locked, bone_model="rigid") if self._rigid else locked
+        return dataclasses.replace(self.asked, bone_model="rigid") if self._rigid else self.asked
 
     @property
     def given_parts(self) -> Given:
-        """Parts for a new start, restricted to the vertices of the present step."""
-        given = self.given.beside_model()
-        if self.chosen is None or given.rest is None:
-            return given
-        return dataclasses.replace(given, rest=given.rest[self.chosen])
+        """Parts for a new start."""
+        return self.given.beside_model()
+
+    @property
+    def iteration(self) -> int:
+        """Number of alternations and polish steps so far."""
+        return self.work.iteration
+
+    @iteration.setter
+    def iteration(self, count: int) -> None:
+        self.work.iteration = count
+
+    @property
+    def estimating(self) -> bool:
+        """Whether the work of a schedule is being estimated: steps change nothing then."""
+        return self.work.estimating
 
     @property
     def best_model(self) -> Model:
@@ -144,7 +176,7 @@ class Descent:
     @property
     def best_error(self) -> float:
         """Squared error of the best model, without the other factors of the objective."""
-        return math.inf if self.best is None else self.best.weighted_error(self.whole)
+        return math.inf if self.best is None else self.best.weighted_error(self.data)
 
     @property
     def idle_bones(self) -> int:
@@ -153,15 +185,49 @@ class Descent:
         In a tree only bones without children count.
         """
         wide = self.best_model.with_restarted_support()
-        idle = bone_costs(self.whole, wide) <= _NO_LOSS * float(
-            self.whole.importance @ self.whole.x2
-        )
+        idle = bone_costs(self.data, wide) <= _NO_LOSS * float(self.data.importance @ self.data.x2)
         if wide.tree is not None:
             idle[wide.tree.parents[wide.tree.non_roots]] = False
         return int(idle.sum())
 
+    def best_of_all(self) -> Model:
+        """Best model so far of all vertices, made from a sample in progress if that is better."""
+        if self.few is None:
+            return self.best_model
+        model = self.of_all(self.few.best_model)
+        polish_steps(self.data, model, _STEPS_AFTER_STOP, self.locked)
+        return model if self.value(model) < self.best_value else self.best_model
+
+    def sample(self, chosen: NDArray[np.intp], *, free: bool) -> Descent:
+        """A descent on the chosen vertices that starts from the present and the best model.
+
+        Its rest pose is free, or else keeps to a coarse surface.
+        """
+        few = copy.copy(self)
+        few.data, few.asked = self.data.select_vertices(chosen), self.asked.select_vertices(chosen)
+        if self.data.surface is not None and not free:
+            few.data = dataclasses.replace(few.data, surface=self.data.surface.sampled(chosen))
+        few.given, few.records = self.given_parts.of_vertices(chosen), []
+        few.objective = Objective(few.asked)
+        if not self.estimating:
+            few.model, few.best = (m.select_vertices(chosen) for m in (self.model, self.best_model))
+            few.best_value = few.value(few.best)
+            self.few, self._chosen = few, chosen
+        return few
+
+    def of_all(self, few: Model) -> Model:
+        """Model of all vertices made from one of the sample in progress, by eight alternations."""
+        given, locked = self.given_parts, self.locked
+        rest = given.first_pose(self.data)
+        model = model_of_all(few, rest, self._chosen)
+        if given.rest is not None:
+            model.rest = rest
+        vertex_step(self.data, model, locked=locked)
+        repeat_alternation(self.data, model, ALTERNATIONS_OF_ALL, locked)
+        return model
+
     def value(self, model: Model) -> float:
-        """Objective of a model on the vertices that the present step works on."""
+        """Objective of a model."""
         return self.objective.value(self.data, model)
 
     def below(self, limit: float, *, expected: bool) -> bool:
@@ -203,9 +269,8 @@ class Descent:
 
     def release(self) -> None:
         """Free the memory of the trajectories, after which no step can be made."""
-        empty = self.whole.z[:, :0].copy()
-        self.whole = dataclasses.replace(self.whole, z=empty, q=None, normals=None)
-        self.data, self.chosen = self.whole, None
+        empty = self.data.z[:, :0].copy()
+        self.data = dataclasses.replace(self.data, z=empty, q=None, normals=None)
 
     # --- schedules -----------------------------------------------------------------------------
 
@@ -225,20 +290,24 @@ class Descent:
         str
             Reason of the stop; "converged" or "effort spent" if there was none.
         """
-        self.estimating, self._done = True, 0.0
+        work = self.work
+        work.estimating, work.done = True, 0.0
         schedule(self)
-        self.estimating, self._work, self._done = False, self._done or 1.0, 0.0
-        self._told = after_step
+        work.estimating, work.expected, work.done = False, work.done or 1.0, 0.0
+        work.told = after_step
         try:
             schedule(self)
         except Stop as stop:
+            if self.few is not None:
+                self.best, self.few = self.best_of_all(), None
+                self.best_value = self.value(self.best)
             return str(stop)
         return "converged" if self.converged else "effort spent"
 
     @property
     def fraction(self) -> float:
         """Estimated fraction of the schedule's work that is done."""
-        return min(1.0, self._done / self._work)
+        return min(1.0, self.work.done / self.work.expected)
 
     def make_steps(self, steps: Iterator[None], phase: str, *, cost: float, count: int) -> None:
         """Make the steps of an iterator; remember the best model and tell the caller after each.
@@ -246,20 +315,21 @@ class Descent:
         While the work of a schedule is estimated, `count` steps of this `cost`, in alternations,
         are only counted.
         """
-        end = self._done + cost * min(count, _EXPECTED)
-        for _ in () if self.estimating else steps:
-            self._done = min(self._done + cost, end)
+        work = self.work
+        end = work.done + cost * min(count, _EXPECTED)
+        for _ in () if work.estimating else steps:
+            work.done = min(work.done + cost, end)
             self._remember_best(phase)
-            exact = self.best_value <= _EXACT * float(self.whole.x2.sum())
+            exact = self.best_value <= _EXACT * float(self.data.x2.sum())
             self.converged |= exact
-            if self._told is not None:
-                self._told(phase)
+            if work.told is not None:
+                work.told(phase)
             if exact:
                 raise Stop("converged")
-        self._done = end
+        work.done = end
 
     def _remember_best(self, phase: str) -> None:
-        if self.chosen is not None or not hasattr(self, "model"):
+        if not hasattr(self, "model"):
             return
         model = self.model
         if model.n_bones != self.bones or model.n_influences > self.influences:

@@ -17,12 +17,14 @@ from .descent import Descent
 from .efforts import (
     MANY_BONES,
     NUMBERS,
+    SEARCHED_VERTICES,
     SECONDS_OF_A_NUMBER,
     START_SECONDS,
     STARTS_OF_MANY_BONES,
     TRIALS_OF_A_REBUILD,
     TRIALS_OF_A_START,
     Effort,
+    Rebuilds,
 )
 from .schedule_parts import (
     first_model,
@@ -38,14 +40,13 @@ from .schedule_parts import (
 )
 from .starts import fit_copied_bones, start, start_from_model
 from .steps import (
-    all_vertices,
     alternate,
     beside,
     compress,
+    on_sample,
     polish,
     relax,
     return_to_best,
-    sample_vertices,
     unfold,
 )
 from .tree_schedules import (
@@ -73,12 +74,15 @@ def place_bones(d: Descent) -> None:
     Whether the result is better is then decided on all vertices.
     """
     first_model(d)
-    sample_vertices(d)
+    on_sample(d, merge_and_move)
+    return_to_best(d)
+
+
+def merge_and_move(d: Descent) -> None:
+    """Start with more bones than asked for, merge them, and move the cheapest ones."""
     merged_start(d)
     return_to_best(d)
     move_bones(d, steps=24, patience=6)
-    all_vertices(d, alternations=8)
-    return_to_best(d)
 
 
 def relax_and_search(d: Descent, trials: int) -> None:
@@ -148,9 +152,27 @@ def relax_from_rigid(d: Descent) -> None:
 
 
 def best_bones(d: Descent, size: float, *, stretching: bool) -> None:
-    """Find bones without a hierarchy with the effort "best"."""
-    n, many = rebuilds(size), d.bones >= MANY_BONES
+    """Find bones without a hierarchy with the effort "best".
+
+    The search runs on a sample if that is less than half of the vertices: horse_gallop with 10 and
+    20 bones ends 1 and 2 % lower in two thirds of the time.
+    """
+    n = rebuilds(size)
+    search_bones = partial(search_from_starts, n=n, stretching=stretching)
     first_model(d)
+    many = 2 * SEARCHED_VERTICES
+    if on_sample(d, search_bones, least=SEARCHED_VERTICES, most=many, free=False):
+        polish(d, steps=40, gain=0.01)
+        relax_and_search(d, TRIALS_OF_A_START)
+        return_to_best(d)
+        search(d, steps=TRIALS_OF_A_START)
+    return_to_best(d)
+    last_polish(d, steps=200, gain=0.002)
+
+
+def search_from_starts(d: Descent, n: Rebuilds, *, stretching: bool) -> None:
+    """Relax and search from several starts; then rebuild the best model repeatedly."""
+    many = d.bones >= MANY_BONES
     if many:
         for _ in range(STARTS_OF_MANY_BONES):
             start(d)
@@ -175,8 +197,6 @@ def best_bones(d: Descent, size: float, *, stretching: bool) -> None:
         rebuild(d, n.trials)
     return_to_best(d)
     search(d, steps=n.trials)
-    return_to_best(d)
-    last_polish(d, steps=60, gain=0.002)
 
 
 def rebuild(d: Descent, trials: int) -> None:

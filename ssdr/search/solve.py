@@ -40,7 +40,7 @@ def solve(problem: Problem, schedule: Schedule | None = None) -> Decomposition:
     report = ProgressReport(problem.callback, clock, problem.time_limit)
     reason = d.follow(schedule or schedule_of(problem), after_step(problem, d, report))
     model, steps, reason = rounded_best(problem, d, report, reason)
-    return outcome_of(problem, d.whole, model, steps, reason=reason, idle=d.idle_bones)
+    return outcome_of(problem, d.data, model, steps, reason=reason, idle=d.idle_bones)
 
 
 def schedule_of(problem: Problem) -> Schedule:
@@ -93,7 +93,7 @@ def after_step(
     part : (float, float)
         Fractions of the whole work that are done before and after this descent.
     """
-    unit = d.whole.scale / math.sqrt(d.whole.n_frames * d.whole.n_vertices)
+    unit = d.data.scale / math.sqrt(d.data.n_frames * d.data.n_vertices)
 
     def told(phase: str) -> None:
         rmse = unit * math.sqrt(d.best_error)
@@ -101,8 +101,9 @@ def after_step(
         said = phase, d.iteration, rmse, 100 * fraction
         _logger.debug("%s, iteration %d, rmse %.6g, %.0f %% done", *said)
         if d.best is not None:
-            best = d.best
-            problem.checkpoint.offer(lambda: skinning_of(problem, d.whole, best, sequences))
+            problem.checkpoint.offer(
+                lambda: skinning_of(problem, d.data, d.best_of_all(), sequences)
+            )
         if report(phase, iteration=d.iteration, rmse=rmse, fraction=fraction):
             if d.best is None:
                 raise Cancelled("stopped by the callback before there was any model")

@@ -133,9 +133,9 @@ def _carried(
     Representative frames are few and extreme; solved on these alone, the weights follow motion that
     other frames do not have.
     """
-    ratio = first.whole.scale / data.scale
-    if first.whole.surface is not None:
-        data = dataclasses.replace(data, surface=first.whole.surface.scaled(ratio))
+    ratio = first.data.scale / data.scale
+    if first.data.surface is not None:
+        data = dataclasses.replace(data, surface=first.data.surface.scaled(ratio))
     d = begin(problem, data, given, first.clock)
     d.iteration = first.iteration
     d.model = carried(first.best_model, few.nearest[more.chosen], ratio, given, problem.locked)
@@ -147,11 +147,11 @@ def _all_frames(problem: Problem, chosen: Scan, d: Descent, model: Model) -> All
     locked = problem.locked
     if d.smoothness is not None or problem.storage != "float32":
         # a pass knows neither penalty nor rounding, so that it must keep the weights
-        locked = dataclasses.replace(locked, weights=np.ones(d.whole.n_vertices, dtype=bool))
+        locked = dataclasses.replace(locked, weights=np.ones(d.data.n_vertices, dtype=bool))
     return AllFrames(
         problem.sequences,
         chosen,
-        d.whole,
+        d.data,
         model,
         locked=locked,
         given=problem.given.inside(chosen.alignment),

@@ -31,7 +31,7 @@ def rounded_best(
     str
         `reason`, or "cancelled" or "time limit" if that ended the rounding.
     """
-    best, data, steps = d.best_model, d.whole, list(d.records)
+    best, data, steps = d.best_model, d.data, list(d.records)
     if problem.storage == "float32":
         return best, steps, reason
     unit = data.scale / math.sqrt(data.n_frames * data.n_vertices)

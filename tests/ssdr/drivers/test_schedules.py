@@ -23,7 +23,7 @@ class Listed(Descent):
         data = gather([ssdr.MeshSequence(frames)], bones=bones)
         parts: dict[str, Any] = {"locked": Locked(), "given": Given(), "influences": 4}
         super().__init__(data, bones=bones, rng=np.random.default_rng(0), **parts)
-        self.estimating, self.listed = True, list[tuple[str, int]]()
+        self.work.estimating, self.listed = True, list[tuple[str, int]]()
 
     def make_steps(self, steps: Any, phase: str, *, cost: float, count: int) -> None:
         self.listed.append((phase, count))
