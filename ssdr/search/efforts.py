@@ -13,7 +13,7 @@ __all__ = [
     "MANY_BONES",
     "NUMBERS",
     "REBUILDS",
-    "SEARCHED_VERTICES",
+    "RELAXED_VERTICES",
     "SECONDS_OF_A_NUMBER",
     "STARTS_OF_MANY_BONES",
     "START_SECONDS",
@@ -107,8 +107,8 @@ REBUILDS = (  # size below which the numbers hold, and the numbers
     (math.inf, Rebuilds(trials=6, before=0, after=3, trees=1, tree_searches=3)),
 )
 TRIALS_OF_A_REBUILD = 6
-# Least vertices for each bone of the sample on which "best" searches; with 60 it fits their noise.
-SEARCHED_VERTICES = 128
+# Least vertices for each bone of a sample on which influences are relaxed; 60 are overfitted.
+RELAXED_VERTICES = 128
 # From this number of bones on there are several starts with few trials each, because alternations
 # alone put many bones in better places, and after some starts no rebuild helps.
 MANY_BONES, STARTS_OF_MANY_BONES, TRIALS_OF_A_START = 24, 3, 4

@@ -17,7 +17,7 @@ from .descent import Descent
 from .efforts import (
     MANY_BONES,
     NUMBERS,
-    SEARCHED_VERTICES,
+    RELAXED_VERTICES,
     SECONDS_OF_A_NUMBER,
     START_SECONDS,
     STARTS_OF_MANY_BONES,
@@ -120,12 +120,18 @@ def free_bones(d: Descent, effort: Effort, size: float, *, stretching: bool) -> 
         relax_bones(d)
         relax_from_rigid(d)
         return
-    # with bones that stretch, a long polish before the relaxation leads to worse minima
-    polish(d, steps=60, gain=0.01)
-    # Five polish steps in place of two end 1 % lower to 2 % higher on six sequences, at 1.2 times
-    # the time.  Smooth motion, such as a cloth's, takes many steps at the end.
-    relax(d, polish_steps=2)
+    on_sample(d, polish_and_relax, least=RELAXED_VERTICES, most=2 * RELAXED_VERTICES, free=False)
+    # smooth motion, such as a cloth's, takes many steps
     last_polish(d, steps=200, gain=0.004)
+
+
+def polish_and_relax(d: Descent) -> None:
+    """Polish before and after a relaxation; with bones that stretch, that leads to worse minima."""
+    polish(d, steps=60, gain=0.01)
+    # five polish steps in place of two end 1 % lower to 2 % higher on six sequences
+    relax(d, polish_steps=2)
+    polish(d, steps=20, gain=0.01)
+    return_to_best(d)
 
 
 def stretching_bones_fast(d: Descent, count: int) -> None:
@@ -160,8 +166,7 @@ def best_bones(d: Descent, size: float, *, stretching: bool) -> None:
     n = rebuilds(size)
     search_bones = partial(search_from_starts, n=n, stretching=stretching)
     first_model(d)
-    many = 2 * SEARCHED_VERTICES
-    if on_sample(d, search_bones, least=SEARCHED_VERTICES, most=many, free=False):
+    if on_sample(d, search_bones, least=RELAXED_VERTICES, most=2 * RELAXED_VERTICES, free=False):
         polish(d, steps=40, gain=0.01)
         relax_and_search(d, TRIALS_OF_A_START)
         return_to_best(d)

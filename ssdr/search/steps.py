@@ -188,8 +188,9 @@ def all_vertices(d: Descent) -> Iterator[None]:
 
 @step("return to best", cost=0)
 def return_to_best(d: Descent) -> Iterator[None]:
-    """Continue from the best model so far."""
-    d.model = d.best_model.with_restarted_support()
+    """Continue from the best model so far; the present one keeps its support if it is that one."""
+    if d.value(d.model) != d.best_value:
+        d.model = d.best_model.with_restarted_support()
     yield
 
 

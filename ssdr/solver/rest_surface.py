@@ -94,7 +94,9 @@ class RestSurface:
     def sampled(self, chosen: NDArray[np.intp]) -> RestSurface | None:
         """The surface of some vertices, joined where an edge joins vertices nearest to them."""
         nearest = np.asarray(cKDTree(self.pose[chosen]).query(self.pose)[1])
-        return RestSurface._of_edges(self.pose[chosen], nearest[np.stack(self.edges.nonzero(), axis=1)])
+        return RestSurface._of_edges(
+            self.pose[chosen], nearest[np.stack(self.edges.nonzero(), axis=1)]
+        )
 
     def factor(self, rest: Array) -> float:
         """The factor 1 + c·S of a rest pose (V, 3)."""
