@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import importlib.util
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -163,37 +162,6 @@ def test_smooth_weights_with_bones_that_stretch(kind: str) -> None:
     result = ssdr.decompose(frames, bone_model=kind, **call)
     check_kind(result.skinning.transforms, kind)
     assert result.rmse < ssdr.decompose(frames, **call).rmse
-
-
-REFUSED = {
-    "rigid, grown": ("rigid", 1.1 * np.eye(3), "off by"),
-    "similarity, sheared": ("similarity", np.diag([1, 1, 1.1]), "off by"),
-    "similarity, mirrored": ("similarity", np.diag([2, 2, -2.0]), "reflection"),
-    "similarity, of size 0": ("similarity", np.zeros((3, 3)), "zeros"),
-    "affine, mirrored": ("affine", np.diag([2, 1, -1.0]), "reflection"),
-    "affine, flat": ("affine", np.diag([2, 1, 0.0]), "singular"),
-}
-
-
-@pytest.mark.parametrize("case", REFUSED)
-def test_refuses_transforms_of_another_kind(case: str) -> None:
-    kind, linear, why = REFUSED[case]
-    m = np.zeros((5, 2, 3, 4))
-    m[..., :3] = np.eye(3)
-    m[3, 1, :, :3] = linear
-    frames = np.random.default_rng(0).standard_normal((5, 20, 3))
-    with pytest.raises(ssdr.InputError, match=why) as caught:
-        ssdr.decompose(frames, bones=2, start=ssdr.Start(transforms=m), bone_model=kind)
-    assert caught.value.argument == "start.transforms"
-
-
-@pytest.mark.parametrize("call", [ssdr.decompose, ssdr.initialize, ssdr.fit_bones])
-def test_refuses_an_unknown_kind(call: Any) -> None:
-    frames = np.random.default_rng(0).standard_normal((5, 20, 3))
-    about = {"rest": motions.model(frames[0])} if call is ssdr.fit_bones else {"bones": 2}
-    with pytest.raises(ssdr.InputError, match="affine") as caught:
-        call(frames, bone_model="soft", **about)
-    assert caught.value.argument == "bone_model"
 
 
 def small_model(kind: str) -> ssdr.Skinning:
