@@ -17,18 +17,6 @@ from ssdr.drivers import scan
 from ssdr.frames import executor
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_data_of_a_kind_are_recovered_by_it_and_not_by_less(kind: str) -> None:
-    truth = rig(kind, rows=24)
-    frames = truth.frames
-    size = float(np.linalg.norm(np.ptp(frames.reshape(-1, 3), axis=0)))
-    found = check(ssdr.decompose(frames, bones=4, bone_model=kind), frames, 4)
-    assert found.skinning.bone_model == kind
-    assert found.rmse < 5e-4 * size
-    less = ssdr.decompose(frames, bones=4, bone_model=MODELS[MODELS.index(kind) - 1])
-    assert less.rmse > 10 * found.rmse
-
-
 def test_decompositions_warm_started_along_the_chain_fall() -> None:
     frames = motions.wobble(rig("affine", bones=3, frames=12), 0.03)
     start, errors = None, []

@@ -51,6 +51,7 @@ def test_normals_take_more_bones_than_positions() -> None:
     assert influences.after < influences.before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind", [{}, {"measure": "max", "tolerance": "3%"}, {"influences": (4, "uint8")}]
 )

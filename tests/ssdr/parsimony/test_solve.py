@@ -135,17 +135,6 @@ def test_an_unreachable_tolerance_says_what_was_reached() -> None:
     assert result.parsimony.prunings == ()
 
 
-def test_the_same_bits_again_and_with_two_threads() -> None:
-    first = small().skinning
-    try:
-        ssdr.set_threads(2)
-        again = ssdr.smallest(wavy(), tolerance="0.8%", effort="fast").skinning
-    finally:
-        ssdr.set_threads(None)
-    for name in ("rest", "indices", "weights", "transforms", "keyframes"):
-        assert (getattr(first, name) == getattr(again, name)).all(), name
-
-
 def test_size_and_place_of_the_mesh_do_not_matter() -> None:
     base = small().skinning
     moved = ssdr.smallest(1e3 * wavy() + 1e4, tolerance="0.8%", effort="fast").skinning
