@@ -85,7 +85,7 @@ def marked(name: str) -> Any:
     return pytest.param(name, marks=[pytest.mark.slow] * name.endswith("best"))
 
 
-@pytest.mark.parametrize("name", map(marked, EXACT))
+@pytest.mark.parametrize("name", [*map(marked, EXACT)])
 def test_exact_data_are_found_again(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     bound, make = EXACT[name]
     if name.startswith("streamed"):
