@@ -44,6 +44,7 @@ def rigid_on(name: str) -> tuple[np.ndarray, ssdr.Decomposition]:
     return frames, ssdr.decompose(frames, bones=bones)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", THIN)
 @pytest.mark.parametrize("kind", KINDS)
 def test_bones_that_stretch_are_no_worse_on_thin_sheets(kind: str, name: str) -> None:
@@ -56,6 +57,7 @@ def test_bones_that_stretch_are_no_worse_on_thin_sheets(kind: str, name: str) ->
         assert found.rmse <= 0.7 * rigid.rmse
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", THIN)
 @pytest.mark.parametrize("kind", KINDS)
 def test_fitted_bones_that_stretch_are_no_worse_on_thin_sheets(kind: str, name: str) -> None:
