@@ -82,7 +82,9 @@ EXACT: dict[str, tuple[float, Callable[[], Made]]] = {
 
 
 def marked(name: str) -> Any:
-    return pytest.param(name, marks=[pytest.mark.slow] * name.endswith("best"))
+    return pytest.param(
+        name, marks=[pytest.mark.slow] * (name.endswith("best") or "stream" in name)
+    )
 
 
 @pytest.mark.parametrize("name", [*map(marked, EXACT)])
@@ -129,4 +131,4 @@ def test_data_of_a_kind_are_not_found_by_less(kind: str) -> None:
     array, _ = stretching(kind)
     less = stretches.MODELS[stretches.MODELS.index(kind) - 1]
     found = ssdr.decompose(array, bones=4, bone_model=less)
-    assert found.rmse > 5e-3 * diagonal(array)
+    assert found.rmse > 4e-3 * diagonal(array)
