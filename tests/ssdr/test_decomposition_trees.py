@@ -182,6 +182,7 @@ def test_a_tolerance_finds_as_many_joints_as_there_are(tmp_path: Path) -> None:
     assert rmse_of(back, made.frames) <= 2.1e-4 * size
 
 
+@pytest.mark.slow
 def test_a_tolerance_of_the_largest_error() -> None:
     made, size = trees.six_bones(), diagonal(trees.six_bones().frames)
     call = {"influences": 2, "tolerance": 0.02 * size, "measure": "max"}

@@ -116,20 +116,6 @@ def test_a_bone_that_moves_nothing_may_be_no_number() -> None:
     assert np.isnan(found.weights[indices == 2]).all()
 
 
-def test_same_bits_for_any_number_of_threads() -> None:
-    arrays = parts(6, n=5000, n_frames=7)
-    g = np.random.default_rng(1).standard_normal((7, 5000, 3))
-    try:
-        results = []
-        for threads in (1, 3):
-            ssdr.set_threads(threads)
-            results.append(ssdr.skin_gradients(*arrays, g))
-    finally:
-        ssdr.set_threads(None)
-    for name in ("rest", "weights", "transforms"):
-        assert np.array_equal(getattr(results[0], name), getattr(results[1], name))
-
-
 @pytest.mark.parametrize(
     ("argument", "change"),
     [

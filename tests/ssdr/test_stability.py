@@ -18,7 +18,7 @@ def marked(case: Case) -> Any:
     return pytest.param(case, id=case.name, marks=[pytest.mark.slow] * (case.name in SLOW))
 
 
-@pytest.mark.parametrize("case", map(marked, CASES))
+@pytest.mark.parametrize("case", [*map(marked, CASES)])
 def test_a_case_is_solved_or_refused_as_its_table_says(case: Case) -> None:
     outcome = run(case)
     assert outcome.passed, outcome

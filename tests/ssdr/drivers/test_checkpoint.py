@@ -44,7 +44,7 @@ def assert_goes_on(path: Path, array: np.ndarray, **options: Any) -> None:
 
 
 @pytest.mark.usefixtures("always")
-@pytest.mark.parametrize("joints", [None, "loose", "rigid"])
+@pytest.mark.parametrize("joints", [None, pytest.param("rigid", marks=pytest.mark.slow)])
 def test_a_checkpoint_is_the_best_model_so_far(tmp_path: Path, joints: str | None) -> None:
     path, seen = tmp_path / "model.npz", []
 

@@ -51,6 +51,7 @@ def test_normals_take_more_bones_than_positions() -> None:
     assert influences.after < influences.before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind", [{}, {"measure": "max", "tolerance": "3%"}, {"influences": (4, "uint8")}]
 )
@@ -119,20 +120,3 @@ def test_out_of_reach_is_said() -> None:
     assert not found.parsimony.held
     assert found.parsimony.error <= found.parsimony.tolerance
     assert found.stop_reason == "tolerance out of reach"
-
-
-@pytest.mark.parametrize(
-    ("argument", "change"),
-    [
-        ("normals_tolerance", {"normals_tolerance": 0}),
-        ("normals_tolerance", {"normals_tolerance": "5°"}),
-        ("normals_tolerance", {"normals_tolerance": 5, "faces": None}),
-        ("normals", {"normals_tolerance": 5, "normals": False}),
-        ("normals", {"normals": "no"}),
-    ],
-)
-def test_what_is_not_usable_is_refused(argument: str, change: dict[str, Any]) -> None:
-    sheet = tube()
-    with pytest.raises(ssdr.InputError, match="expected") as caught:
-        ssdr.smallest(sheet.vertices, **{"faces": sheet.faces, "tolerance": "2%", **change})
-    assert caught.value.argument == argument

@@ -45,17 +45,6 @@ def test_every_style_draws_something_of_its_own(model, wave, style):
     assert np.abs(np.asarray(picture, dtype=int) - np.asarray(other, dtype=int)).max() > 30
 
 
-def test_same_bits_whatever_the_number_of_threads(model):
-    pictures = []
-    try:
-        for threads in (1, 3):
-            ssdr.set_threads(threads)
-            pictures.append(np.asarray(render.render_frame(model, 2, size=(200, 200))))
-    finally:
-        ssdr.set_threads(None)
-    np.testing.assert_array_equal(*pictures)
-
-
 def test_contact_sheet_has_its_rows_and_columns(model, wave, tmp_path, monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     full = render.contact_sheet(model, reference=wave, frames=3, width=600)
