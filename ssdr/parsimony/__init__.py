@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from ..storage.size import Size, size
 from .rate_distortion import Curve, curve
-from .report import Attempt, FileSize, Parsimony, Pruning, Size, Smallest, size
+from .report import Attempt, FileSize, Parsimony, Pruning, Smallest
 
 __all__ = [
     "Attempt",

@@ -23,7 +23,8 @@ from ..solver.model import Locked, Model
 from ..solver.objective import normal_length
 from ..solver.trajectories import Trajectories
 from ..storage.keyframes import Tracks
-from .report import Pruning, influence_bytes
+from ..storage.size import influence_bytes
+from .report import Pruning
 from .solved_frames import SolvedFrames
 
 __all__ = ["Nested", "Pruner"]

@@ -1,38 +1,16 @@
-"""Report of a search for the smallest model: attempts, prunings, and the size in bytes."""
+"""Report of a search for the smallest model: attempts and prunings."""
 
 from __future__ import annotations
 
 import dataclasses
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
-from ..errors import check_choice
-from ..hierarchy.transforms import rest_diagonal, translating
-from ..quantisation import WeightStorage
 from ..result import Decomposition
-from ..skinning import Skinning, check_skinning
+from ..storage.size import Size
 
-__all__ = [
-    "Attempt",
-    "FileSize",
-    "Measure",
-    "Parsimony",
-    "Pruning",
-    "Size",
-    "Smallest",
-    "influence_bytes",
-    "key_bytes",
-    "size",
-    "time_bytes",
-]
+__all__ = ["Attempt", "FileSize", "Measure", "Parsimony", "Pruning", "Smallest"]
 
 Measure = Literal["rmse", "max"]
-
-# Float32 numbers: rotation and translation; rotation, translation and scale; a 3×4 matrix.
-_KEY_BYTES = {"rigid": 28, "similarity": 32, "affine": 48}
-_TRANSLATION_BYTES = 12
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,44 +40,6 @@ class Attempt:
     error: float
     iterations: int
     start: str
-
-
-@dataclasses.dataclass(frozen=True)
-class Size:
-    """Bytes of a model at the precision that engines store.
-
-    Attributes
-    ----------
-    rest : int
-        Bytes of the rest pose: 12 per vertex (three float32).
-    weights : int
-        Bytes of the weights: 1 per vertex for the number of its influences, and per influence 2 for
-        a weight of 16 bits (1 of 8 bits) and 1 for the bone's index (2 if there are more than 256
-        bones).
-    joints : int
-        Bytes of the joints: 12 per bone for its position in the rest pose, and in a hierarchy 1 for
-        its parent (2 if there are more than 256 bones).
-    keys : int
-        Bytes of the keys: 28 per key of a rigid bone (rotation 16, translation 12, in float32), 32
-        of a similarity bone, and 48 of an affine bone.  A key has 12 bytes less if the bone does
-        not translate relative to its parent or, for a root, does not translate at all.  It has 2
-        more (4 if there are more than 65,536 frames) for its frame number, unless the bone has a
-        key at every frame.
-
-    Examples
-    --------
-    >>> ssdr.parsimony.Size(rest=1200, weights=400, joints=48, keys=112).total
-    1760
-    """
-
-    rest: int
-    weights: int
-    joints: int
-    keys: int
-
-    @property
-    def total(self) -> int:
-        return self.rest + self.weights + self.joints + self.keys
 
 
 @dataclasses.dataclass(frozen=True)
@@ -238,71 +178,3 @@ class Smallest(Decomposition):
     """
 
     parsimony: Parsimony
-
-
-def size(skinning: Skinning, *, storage: WeightStorage = "uint16") -> Size:
-    """Bytes of a model: rest pose, nonzero weights, joints, and keys.
-
-    Parameters
-    ----------
-    skinning : Skinning
-        If its `keyframes` are None, every frame is a key of every bone.
-    storage : {"uint16", "uint8", "float32"}
-        Type in which a weight is stored; "float32" counts as "uint16", which is precise enough.
-
-    Returns
-    -------
-    Size
-
-    Raises
-    ------
-    InputError
-        If an argument is not usable.
-
-    Examples
-    --------
-    >>> dancer = ssdr.samples.load("dancer_small")
-    >>> size = ssdr.parsimony.size(ssdr.initialize(dancer, bones=4))
-    >>> size.rest == 12 * 799, size.joints == 12 * 4
-    (True, True)
-    """
-    skinning = check_skinning(skinning)
-    frames, bones = skinning.transforms.shape[:2]
-    keys = np.full(bones, frames)
-    if skinning.keyframes is not None:
-        keys = np.asarray(skinning.keyframes).sum(axis=0)
-    check_choice(storage, "storage", WeightStorage)
-    influence = influence_bytes(bones, storage)
-    parent = index_bytes(bones) if skinning.parents is not None else 0
-    times = np.where(keys < frames, keys * time_bytes(frames), 0)
-    return Size(
-        rest=12 * skinning.n_vertices,
-        weights=skinning.n_vertices + influence * int(np.count_nonzero(skinning.weights)),
-        joints=(12 + parent) * bones,
-        keys=int((keys * key_bytes(skinning) + times).sum()),
-    )
-
-
-def influence_bytes(bones: int, storage: WeightStorage) -> int:
-    """Bytes per influence: a weight of 16 bits, or of 8, and an index."""
-    return (1 if storage == "uint8" else 2) + index_bytes(bones)
-
-
-def index_bytes(bones: int) -> int:
-    """Bytes of the index of a bone."""
-    return 1 if bones <= 256 else 2
-
-
-def key_bytes(skinning: Skinning) -> NDArray[np.int64]:
-    """Bytes (B,) of one key of each bone."""
-    each = np.full(skinning.n_bones, _KEY_BYTES[skinning.bone_model])
-    if skinning.parents is None:
-        return each
-    tree = skinning.parents, skinning.joint_positions
-    moving = translating(skinning.transforms, *tree, rest_diagonal(skinning.rest))
-    return np.where(moving, each, each - _TRANSLATION_BYTES)
-
-
-def time_bytes(frames: int) -> int:
-    """Bytes of a key's frame number in an animation of `frames` frames."""
-    return 2 if frames <= 1 << 16 else 4

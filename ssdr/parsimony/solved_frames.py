@@ -32,7 +32,8 @@ from ..solver.model import Model
 from ..solver.rest_normals import with_rest_normals
 from ..solver.rounding import rounded_models
 from ..solver.trajectories import Trajectories
-from .report import FileSize, Measure, Size, size
+from ..storage.size import Size, size
+from .report import FileSize, Measure
 
 __all__ = ["SolvedFrames", "Written"]
 

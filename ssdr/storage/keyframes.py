@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from ..hierarchy.transforms import from_local, parents_first, rest_diagonal, to_local, translating
 from ..parallel import chunk_bounds, run_chunks
-from ..parsimony.report import key_bytes, time_bytes
 from ..rigid import matrix_from_quaternion, quaternion_from_matrix, slerp, unflip_quaternions
 from ..skinning import Skinning
 from ..solver.trajectories import Array
+from .size import key_bytes, time_bytes
 
 __all__ = ["Tracks"]
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from rich.filesize import decimal
 
 from .. import metrics
-from ..parsimony.report import size
 from ..skinning import Skinning
+from ..storage.size import size
 from .motion import Motion, Truth
 
 __all__ = ["figures", "summary"]
