@@ -11,7 +11,7 @@ from typing import Any
 
 from ..errors import FormatError, InputError, check_flag
 from ..io.references import trust
-from ..io.registry import FORMATS, Format, format_to_read, function_of
+from ..io.registry import FORMATS, Format, format_to_read
 from ..quantisation import WeightStorage
 from .options import FitOptions, Options, SpaceOptions
 
@@ -100,9 +100,9 @@ def write_weights(options: FitOptions, storage: WeightStorage) -> bool:
 
 def keywords(format_: Format | None, role: str) -> set[str]:
     """Names of the options of a format's function, such as ``"read"``; empty if it has none."""
-    if format_ is None or getattr(format_, role) is None:
+    if format_ is None or not format_.has(role):
         return set()
-    parameters = inspect.signature(function_of(format_, role)).parameters.values()
+    parameters = inspect.signature(format_.function(role)).parameters.values()
     return {p.name for p in parameters if p.kind is p.KEYWORD_ONLY}
 
 

@@ -52,7 +52,7 @@ def meshes_text(path: Path) -> str:
     from ..io import list_meshes
 
     known = readable_format(path)
-    names = list_meshes(path) if known is not None and known.list_meshes else ()
+    names = list_meshes(path) if known is not None and known.has("list_meshes") else ()
     if len(names) < 2:
         return ""
     listed = ", ".join(names[:_MOST_NAMES]) + ", ..." * (len(names) > _MOST_NAMES)

@@ -49,7 +49,7 @@ def check_outputs(
             suffix, format_ = format_of(path)
         except FormatError as error:
             raise InputError("--output", "a known suffix", str(error)) from error
-        if format_.write_skinning is None and format_.write_sequence is None:
+        if not format_.has("write_skinning", "write_sequence"):
             raise InputError("--output", "a format that can be written", f"{path} ({suffix})")
         if format_.extra == "blender":
             from ..io.blender import finder
@@ -142,7 +142,7 @@ def save_model(model: Skinning, outputs: Mapping[Path, Settings]) -> list[SaveRe
         return reports
     for path, other in failed[1:]:
         Output.current.warn(f"{path}: {error_text(other)}")
-    if not any(format_of(report.path)[1].read_skinning for report in reports):
+    if not any(format_of(report.path)[1].has("read_skinning") for report in reports):
         kept = _save_beside(model, failed[0][0])
         Output.current.warn(f"the model is kept in {kept}" if kept else "the model is lost")
     raise failed[0][1]

@@ -18,7 +18,7 @@ _AXES = "orientations of the joints"
 def shared_format(source: Path, target: Path) -> Format | None:
     """Format of both files, if it is the same and its files can be copied whole; else None."""
     format_ = readable_format(source)
-    if format_ is None or not format_.copy or format_of(target)[1] is not format_:
+    if format_ is None or not format_.has("copy") or format_of(target)[1] is not format_:
         return None
     return format_ if source.is_file() else None
 

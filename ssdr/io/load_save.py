@@ -102,11 +102,11 @@ def load(
     """
     source, format_ = readable_path(path, fps, scale)
     space = Space(units, up)
-    if format_.list_clips is not None and clip is not None:
+    if format_.has("list_clips") and clip is not None:
         options["clip"] = clip
     with trusting(folder):
         sequence: MeshSequence = call(format_, "read", source, fps=fps, **options)
-    if format_.list_clips is None:
+    if not format_.has("list_clips"):
         pick([_only_clip(sequence, source).name], clip)
     sequence = scaled(sequence, scale, space)
     if weld:
@@ -143,7 +143,7 @@ def list_clips(
     (Clip(name='dancer_small', start=0, stop=24, fps=8.0),)
     """
     source, format_ = readable_path(path, fps)
-    if format_.list_clips is None:
+    if not format_.has("list_clips"):
         return (_only_clip(load(source, fps=fps, folder=folder, **options), source),)
     with trusting(folder):
         clips: tuple[Clip, ...] = call(format_, "list_clips", source, fps=fps, **options)
@@ -178,7 +178,7 @@ def list_meshes(
     ('dancer_small',)
     """
     source, format_ = readable_path(path)
-    if format_.list_meshes is None:
+    if not format_.has("list_meshes"):
         return ()
     with trusting(folder):
         names: tuple[str, ...] = call(format_, "list_meshes", source)
@@ -313,21 +313,21 @@ def save(
         raise InputError("thing", "a MeshSequence, Skinning or Decomposition", type(thing).__name__)
     writer, joined = "write_sequence", ""
     if isinstance(thing, Skinning):
-        if format_.write_skinning is not None:
+        if format_.has("write_skinning"):
             writer = "write_skinning"
-        elif format_.write_sequence is not None:
+        elif format_.has("write_sequence"):
             if len(thing.clips) > 1:
                 names = ", ".join(f"{c.name} from frame {c.start}" for c in thing.clips)
                 joined = f"clips are not kept apart: {names}"
             thing = bake(thing)
-    if getattr(format_, writer) is None:
+    if not format_.has(writer):
         able = writable(type(thing))
         raise InputError(
             "path", f"a suffix of {', '.join(able)} for a {type(thing).__name__}", suffix
         )
     given = with_space(thing, thing.space.but(Space(units, up)))
     space, template = format_.space, options.get("template")
-    if template is not None and format_.template_space is not None:
+    if template is not None and format_.has("template_space"):
         with trusting(folder):
             space = call(format_, "template_space", as_path(template))
     ready, said = ready_to_write(given, format_.title, space)

@@ -23,8 +23,8 @@ def readable_path(
             raise InputError(argument, "a positive number", repr(value))
     source = as_path(path)
     format_ = format_to_read(source) if function == "read" else format_of(source)[1]
-    if getattr(format_, function) is None:
-        able = ", ".join(sorted(s for s, f in FORMATS.items() if getattr(f, function)))
+    if not format_.has(function):
+        able = ", ".join(sorted(s for s, f in FORMATS.items() if f.has(function)))
         what = "mesh" if function == "read" else "skinning"
         hint = "; ssdr.io.read_weights reads skin weights" if format_ is FORMATS[".csv"] else ""
         raise FormatError(
@@ -32,18 +32,15 @@ def readable_path(
         )
     if not (function == "read" and is_many(source)) and not source.exists():
         raise FileNotFoundError(f"{source}: no such file")
-    if source.is_dir() and format_.read not in (FORMATS[".obj"].read, FORMATS[".zarr"].read):
+    if source.is_dir() and format_.module not in (FORMATS[".obj"].module, FORMATS[".zarr"].module):
         raise FormatError(f"{source}: a folder, not a file")
     refuse_device(source)
     return source, format_
 
 
 def writable(kind: type | None = None) -> list[str]:
-    return sorted(
-        suffix
-        for suffix, format_ in FORMATS.items()
-        if format_.write_sequence or (format_.write_skinning and kind is not MeshSequence)
-    )
+    able = ["write_sequence", *(["write_skinning"] if kind is not MeshSequence else [])]
+    return sorted(suffix for suffix, format_ in FORMATS.items() if format_.has(*able))
 
 
 def as_path(path: Any) -> Path:

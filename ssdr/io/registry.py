@@ -81,100 +81,94 @@ class SaveReport:
 
 @dataclasses.dataclass(frozen=True)
 class Format:
-    """A file format, and the modules that hold its functions.
+    """A file format, and what its module or folder in this package does.
 
-    `extra` is the extra of ssdr that the format needs. `space` is the space that its files must
-    have, whose unknown parts they may choose; None if they cannot state any. Each field after it is
-    named after a function, and holds the name of the module with that function, or None. If a
-    format has `list_clips`, a file can hold several clips, and `read` takes the option `clip`. If
-    it has `list_meshes`, a file can hold several meshes, and `read` takes the option `meshes`. If
-    it has `compact_size`, that counts the bytes of a compact file before there is one. If it has
-    `copy`, files can be copied whole and can be templates: `write_skinning` takes the option
-    `template`, and `template_problem` returns the reason why a file cannot be a template.
+    Attributes
+    ----------
+    title : str
+    module : str
+        Module that exposes the functions; it is imported when the first of them is needed.
+    functions : frozenset of str
+        ``read``, ``read_skinning``, ``write_sequence``, ``write_skinning``, as far as the format
+        goes.  With ``list_clips`` a file can hold several clips, and ``read`` takes the option
+        `clip`; with ``list_meshes`` it can hold several meshes, and ``read`` takes `meshes`;
+        ``compact_size`` counts the bytes of a compact file before there is one.  With ``copy``,
+        files can be copied whole and can be templates: ``write_skinning`` takes `template`, and
+        ``template_problem`` returns the reason why a file cannot be one; ``left_out`` lists what is
+        not read.
+    extra : str or None
+        Extra of ssdr that the format needs.
+    space : Space or None
+        Space that its files must have, whose unknown parts they may choose; None if they cannot
+        state any.
     """
 
     title: str
+    module: str
+    functions: frozenset[str]
     extra: str | None = None
     space: Space | None = None
-    read: str | None = None
-    write_sequence: str | None = None
-    read_skinning: str | None = None
-    write_skinning: str | None = None
-    compact_size: str | None = None
-    list_clips: str | None = None
-    list_meshes: str | None = None
-    copy: str | None = None
-    left_out: str | None = None
-    template_problem: str | None = None
-    template_space: str | None = None
+
+    def has(self, *names: str) -> bool:
+        """Whether the format has one of the functions."""
+        return not self.functions.isdisjoint(names)
+
+    def function(self, name: str) -> Callable[..., Any]:
+        """Function of the format, whose module is imported now."""
+        module = importlib.import_module(f".{self.module}", __package__)
+        return getattr(module, name)  # type: ignore[no-any-return]
 
 
-def _format(title: str, extra: str | None = None, space: Any = None, **modules: str) -> Format:
-    """Format from keywords ``module="function ..."``, where ``__`` in a module stands for a dot."""
-    places = {
-        function: module.replace("__", ".")
-        for module, functions in modules.items()
-        for function in functions.split()
-    }
-    return Format(title, extra, space, **places)
-
-
-_READS = "read list_clips read_skinning"
-_PASSES = "copy left_out template_problem"
-_ALL = f"{_READS} write_sequence write_skinning"
-_NUMBERED = _format("numbered meshes", meshes__numbered="read")
-_CACHE = "read write_sequence"
-_SKIN = "write_skinning"
-_GLTF = _format(
+_READ, _CACHE = frozenset({"read"}), frozenset({"read", "write_sequence"})
+_READ_ALL = frozenset({"read", "read_skinning", "list_clips"})
+_READ_MESHES = _READ_ALL | {"list_meshes"}
+_WRITE = frozenset({"write_sequence", "write_skinning"})
+_PASSES = frozenset({"copy", "left_out", "template_problem"})
+_NUMBERED = Format("numbered meshes", "meshes.numbered", _READ)
+_GLTF = Format(
     "glTF 2.0",
-    None,
-    METRES_Y_UP,
-    gltf__reader=f"{_READS} list_meshes",
-    gltf__writer="write_skinning compact_size",
-    gltf__passing=_PASSES,
+    "gltf",
+    _READ_MESHES | _PASSES | {"write_skinning", "compact_size"},
+    space=METRES_Y_UP,
 )
-_USD = _format(
+_USD = Format(
     "Universal Scene Description",
     "usd",
+    _READ_MESHES | _PASSES | _WRITE | {"template_space"},
+    "usd",
     UNKNOWN,
-    usd__reader=f"{_READS} list_meshes",
-    usd__writer="write_sequence write_skinning",
-    usd__template=f"{_PASSES} template_space",
 )
+_PACKAGE = "package of Universal Scene Description"
 
 FORMATS: dict[str, Format] = {
-    ".npz": _format("NumPy archive", None, UNKNOWN, arrays__npz=_ALL),
-    ".npy": _format("NumPy array", arrays__npy=_CACHE),
-    ".zarr": _format("zarr store", "zarr", arrays__zarr_store=_CACHE),
-    ".obj": _format("numbered Wavefront OBJ", meshes__numbered=_CACHE),
-    ".ply": _format("numbered PLY", meshes__numbered=_CACHE),
-    ".off": _format("numbered OFF", meshes__numbered="read"),
-    ".stl": _format("numbered STL", meshes__numbered="read"),
-    ".pc2": _format("PC2 point cache", pointcache=_CACHE),
-    ".mdd": _format("MDD point cache", pointcache=_CACHE),
-    ".csv": _format("skin weights, CSV", None, UNKNOWN, tables=_SKIN),
+    ".npz": Format(
+        "NumPy archive",
+        "arrays.npz",
+        _READ_ALL | _WRITE,
+        space=UNKNOWN,
+    ),
+    ".npy": Format("NumPy array", "arrays.npy", _CACHE),
+    ".zarr": Format("zarr store", "arrays.zarr_store", _CACHE, "zarr"),
+    ".obj": Format("numbered Wavefront OBJ", "meshes.numbered", _CACHE),
+    ".ply": Format("numbered PLY", "meshes.numbered", _CACHE),
+    ".off": Format("numbered OFF", "meshes.numbered", _READ),
+    ".stl": Format("numbered STL", "meshes.numbered", _READ),
+    ".pc2": Format("PC2 point cache", "pointcache", _CACHE),
+    ".mdd": Format("MDD point cache", "pointcache", _CACHE),
+    ".csv": Format("skin weights, CSV", "tables", frozenset({"write_skinning"}), space=UNKNOWN),
     ".glb": _GLTF,
     ".gltf": _GLTF,
     ".usd": _USD,
     ".usda": _USD,
     ".usdc": _USD,
-    ".usdz": _format(
-        "package of Universal Scene Description",
-        "usd",
-        usd__reader=f"{_READS} list_meshes",
-        usd__template="left_out",
-    ),
-    ".abc": _format(
-        "Alembic",
-        "alembic",
-        alembic__reader="read list_meshes",
-        alembic__writer="write_sequence",
-    ),
-    ".fbx": _format(
+    ".usdz": Format(_PACKAGE, "usd", _READ_MESHES | {"left_out"}, "usd"),
+    ".abc": Format("Alembic", "alembic", _CACHE | {"list_meshes"}, "alembic"),
+    ".fbx": Format(
         "FBX",
+        "blender.bridge",
+        _READ_MESHES | {"write_skinning", "left_out"},
         "blender",
         METRES_Y_UP,
-        blender__bridge=f"{_READS} list_meshes write_skinning left_out",
     ),
 }
 
@@ -210,15 +204,9 @@ def format_to_read(path: Path) -> Format:
         If the suffix is not in `FORMATS`.
     """
     stated = FORMATS.get(path.suffix.lower(), _NUMBERED)
-    if is_many(path) and (stated is _GLTF or stated.read == _NUMBERED.read):
+    if is_many(path) and (stated is _GLTF or stated.module == _NUMBERED.module):
         return _NUMBERED
     return format_of(path)[1]
-
-
-def function_of(format_: Format, name: str) -> Callable[..., Any]:
-    """Function of a format by its name, such as ``"read"``; its module is imported now."""
-    module = importlib.import_module(f".{getattr(format_, name)}", __package__)
-    return getattr(module, name)  # type: ignore[no-any-return]
 
 
 def call(format_: Format, function: str, *args: Any, **options: Any) -> Any:
@@ -229,7 +217,7 @@ def call(format_: Format, function: str, *args: Any, **options: Any) -> Any:
     InputError
         If the function does not have an option, or the option's value has another type.
     """
-    target = function_of(format_, function)
+    target = format_.function(function)
     parameters = inspect.signature(target).parameters
     if not any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
         known = [n for n, p in parameters.items() if p.kind is p.KEYWORD_ONLY]

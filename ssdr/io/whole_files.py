@@ -46,7 +46,7 @@ def copy(
     ()
     """
     (source, format_), to = readable_path(path), as_path(target)
-    if format_.copy is None or format_of(to)[1] is not format_:
+    if not format_.has("copy") or format_of(to)[1] is not format_:
         raise InputError("target", f"a file of the format of {source}", str(to))
     report: SaveReport = call(format_, "copy", source, to, clips=clips)
     return report
@@ -75,7 +75,7 @@ def left_out(path: str | os.PathLike[str], **options: Any) -> tuple[str, ...]:
     """
     source = as_path(path)
     format_ = FORMATS.get(source.suffix.lower())
-    if format_ is None or format_.left_out is None:
+    if format_ is None or not format_.has("left_out"):
         return ()
     chosen = {k: v for k, v in options.items() if k == "meshes"}
     with trusting(options.get("folder")):

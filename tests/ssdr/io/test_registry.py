@@ -18,7 +18,7 @@ from ssdr.io.optional import PACKAGES
 def test_every_row_of_the_table_says_what_it_can():
     for suffix, row in FORMATS.items():
         assert suffix == suffix.lower()
-        assert row.read or row.write_skinning
+        assert row.has("read", "write_skinning")
     assert {s for s, row in FORMATS.items() if row.extra == "blender"} == {".fbx"}
 
 
@@ -59,9 +59,9 @@ def test_the_page_on_formats_names_them_all():
     for suffix, row in FORMATS.items():
         line = next(line for line in table.splitlines() if f"`{suffix}`" in line)
         cells = [cell.strip() for cell in line.strip("|").split("|")]
-        able = [row.read, row.read_skinning, row.write_sequence, row.write_skinning]
-        assert [cell == "yes" for cell in cells[2:5]] == [bool(f) for f in able[:3]]
-        assert bool(cells[5]) == bool(row.write_sequence or row.write_skinning)
+        able = [row.has(name) for name in ("read", "read_skinning", "write_sequence")]
+        assert [cell == "yes" for cell in cells[2:5]] == able
+        assert bool(cells[5]) == row.has("write_sequence", "write_skinning")
         needs = {None: "", "blender": "[Blender](export.md#blender)"}
         assert cells[6].startswith(needs.get(row.extra, f"`ssdr[{row.extra}]`"))
 
