@@ -35,8 +35,8 @@ $(READY): pyproject.toml garmentnet/pyproject.toml .ci/constraints.txt .ci/setup
 demo: $(READY)
 	@OUT="$(OUT)" .ci/demo.sh
 
-# Otherwise each process of the tests would compile the kernels for itself.
-KERNELS := $(BIN)/python -c 'from ssdr.solver.warmup import compile_kernels; compile_kernels()'
+# Compiles the kernels, which each process of the tests would otherwise do for itself.
+KERNELS := $(BIN)/python -c 'import numpy, ssdr; ssdr.decompose(numpy.eye(9).reshape(3, 9, 3), bones=2, effort="fast")'
 
 test: $(READY)
 	@$(KERNELS)

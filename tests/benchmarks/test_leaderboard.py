@@ -275,12 +275,6 @@ def test_a_model_file_is_scored_beside_what_is_known(
         score.score_file(str(tmp_path / "mine.npz"), "toy")
 
 
-def test_a_solver_is_asked_about_one_sequence_by_its_name() -> None:
-    some = score.cases("ssdr fast", "ea_bone")
-    assert {row["sequence"] for row in some.values()} == {"ea_bone"}
-    assert some.items() < score.cases("ssdr fast").items()
-
-
 def test_a_solver_whose_process_dies_has_a_row_and_others_go_on(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

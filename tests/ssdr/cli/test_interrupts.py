@@ -22,8 +22,11 @@ def send(*names):
 
 @pytest.fixture
 def interrupted(monkeypatch):
-    """A solver that gets signals before it tells its first step; handlers are put back."""
-    before = {n: signal.getsignal(getattr(signal, n)) for n in SIGNALS}
+    """A solver that gets signals before it tells its first step; handlers are put back.
+
+    Tests that run in the background or under nohup have signals ignored; the command has not.
+    """
+    before = {n: signal.signal(getattr(signal, n), signal.default_int_handler) for n in SIGNALS}
 
     def install(*names):
         def decompose(sequence, *, callback, **options):
