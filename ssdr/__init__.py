@@ -22,6 +22,7 @@ _PUBLIC = {
     "fit.descent": ("ssdr2012",),
     "fit.initialization": ("initialize",),
     "fit.rest_pose": ("fit_rest_pose",),
+    "fit.shapes": ("fit_shapes",),
     "fit.weights": ("fit_weights",),
     "io": ("list_clips", "load", "load_skinning", "save"),
     "joints.mirror": ("Mirror", "find_mirror"),
@@ -33,6 +34,7 @@ _PUBLIC = {
     "rigid": ("kabsch",),
     "rounding": ("round_weights",),
     "sequence": ("MeshSequence", "WeldReport"),
+    "shapes": ("Shapes",),
     "skinning": ("Skinning",),
     "space": ("Space",),
     "start": ("Skeleton", "Start"),
@@ -52,6 +54,7 @@ __all__ = [
     "MeshSequence",
     "Mirror",
     "MissingDependencyError",
+    "Shapes",
     "Skeleton",
     "SkinGradients",
     "Skinning",
@@ -67,6 +70,7 @@ __all__ = [
     "find_mirror",
     "fit_bones",
     "fit_rest_pose",
+    "fit_shapes",
     "fit_weights",
     "get_threads",
     "initialize",
@@ -110,6 +114,7 @@ if TYPE_CHECKING:
     from .fit.descent import ssdr2012
     from .fit.initialization import initialize
     from .fit.rest_pose import fit_rest_pose
+    from .fit.shapes import fit_shapes
     from .fit.weights import fit_weights
     from .io import list_clips, load, load_skinning, save
     from .joints.mirror import Mirror, find_mirror
@@ -121,6 +126,7 @@ if TYPE_CHECKING:
     from .rigid import kabsch
     from .rounding import round_weights
     from .sequence import MeshSequence, WeldReport
+    from .shapes import Shapes
     from .skinning import Skinning
     from .space import Space
     from .start import Skeleton, Start
