@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import check_floats, check_whole, parse_tolerance
-from ..drivers import in_memory
-from ..drivers.problem import check_problem
 from ..errors import InputError
 from ..frames.vector_fit import fit_vectors
 from ..hierarchy.transforms import rest_diagonal
 from ..parallel import serial_blas
-from ..parsimony.report import key_bytes
+from ..problem.problem import check_problem
+from ..search import solve
 from ..sequence import MeshSequence
 from ..shapes import Shapes
 from ..skinning import Skinning
+from ..storage.size import key_bytes
 from .fit import Fit, checked
 
 __all__ = ["ShapeFit", "fit_shapes"]
@@ -234,7 +234,7 @@ def _worth(
     half = max(1, bones // 2)
     if bones < 2:
         return math.inf
-    few = in_memory.solve(
+    few = solve.solve(
         check_problem(
             sequences,
             None,
@@ -242,6 +242,7 @@ def _worth(
             influences=min(8, model.n_influences),
             effort="fast",
             bone_model=model.bone_model,
+            rng=0,
         )
     )
     # squared errors fall by a power of the number of bones, whose slope is steeper with few
