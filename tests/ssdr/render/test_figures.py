@@ -12,23 +12,6 @@ import ssdr
 from ssdr import render
 
 
-@pytest.fixture
-def model(wave):
-    """Two bones over the waving grid: near it, not on it."""
-    x = wave.vertices[0, :, 0].astype(np.float64) / 2
-    transforms = np.zeros((wave.n_frames, 2, 3, 4))
-    transforms[..., :3] = np.eye(3)
-    transforms[:, 1, 2, 3] = 0.2 * np.arange(wave.n_frames)
-    return ssdr.Skinning(
-        wave.vertices[0],
-        np.tile([0, 1], (len(x), 1)),
-        np.stack([1 - x, x], axis=1),
-        transforms,
-        faces=wave.faces,
-        fps=wave.fps,
-    )
-
-
 def is_drawn(picture):
     return np.asarray(picture.convert("L")).std() > 3
 
