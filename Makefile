@@ -12,11 +12,12 @@ PYTEST ?=
 # A Python that runs from elsewhere must not shadow the environment.
 unexport PYTHONPATH PYTHONHOME
 
-.PHONY: help setup demo test lint format docs wheel blender release bench bench-full clean
+.PHONY: help setup demo test test-all lint format docs wheel blender release bench bench-full clean
 
 help:
 	@echo 'make demo    decompose the sample that ships with the package: out/'
 	@echo 'make test    run the tests              (PYTEST="-k rigid" passes options on)'
+	@echo 'make test-all  all of them: pages, browser, Blender, benchmarks, the highest effort, too'
 	@echo 'make lint    ruff, its format, mypy'
 	@echo 'make docs    check the links and run the snippets of README and docs, build out/docs'
 	@echo 'make wheel   build dist/ and try ssdr in a new environment without a compiler'
@@ -34,8 +35,17 @@ $(READY): pyproject.toml garmentnet/pyproject.toml .ci/constraints.txt .ci/setup
 demo: $(READY)
 	@OUT="$(OUT)" .ci/demo.sh
 
+# Compiles the kernels, which each process of the tests would otherwise do for itself.
+KERNELS := $(BIN)/python -c 'import numpy, ssdr; ssdr.decompose(numpy.eye(9).reshape(3, 9, 3), bones=2, effort="fast")'
+
 test: $(READY)
-	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -q $(PYTEST)
+	@$(KERNELS)
+	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -q -m 'not slow' $(PYTEST)
+
+# SSDR_EXACT_DOCS= allows the figures of the pages to differ, as on another processor.
+test-all: $(READY)
+	@$(KERNELS)
+	SSDR_EXACT_DOCS="$${SSDR_EXACT_DOCS-1}" $(BIN)/python -m pytest -n $(JOBS) --dist worksteal -q $(PYTEST)
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -22,6 +22,7 @@ _PUBLIC = {
     "fit.ssdr2012": ("ssdr2012",),
     "fit.start": ("initialize",),
     "fit.rest_pose": ("fit_rest_pose",),
+    "fit.shapes": ("fit_shapes",),
     "fit.weights": ("fit_weights",),
     "io": ("list_clips", "load", "load_skinning", "save"),
     "joints.mirror": ("Mirror", "find_mirror"),
@@ -33,6 +34,7 @@ _PUBLIC = {
     "rigid": ("kabsch",),
     "weight_rounding": ("round_weights",),
     "sequence": ("MeshSequence", "WeldReport"),
+    "shapes": ("Shapes",),
     "skinning": ("Skinning",),
     "space": ("Space",),
     "start": ("Skeleton", "Start"),
@@ -52,6 +54,7 @@ __all__ = [
     "MeshSequence",
     "Mirror",
     "MissingDependencyError",
+    "Shapes",
     "Skeleton",
     "SkinGradients",
     "Skinning",
@@ -67,6 +70,7 @@ __all__ = [
     "find_mirror",
     "fit_bones",
     "fit_rest_pose",
+    "fit_shapes",
     "fit_weights",
     "get_threads",
     "initialize",
@@ -108,6 +112,7 @@ if TYPE_CHECKING:
     )
     from .fit.bones import fit_bones
     from .fit.rest_pose import fit_rest_pose
+    from .fit.shapes import fit_shapes
     from .fit.ssdr2012 import ssdr2012
     from .fit.start import initialize
     from .fit.weights import fit_weights
@@ -120,6 +125,7 @@ if TYPE_CHECKING:
     from .result import Decomposition
     from .rigid import kabsch
     from .sequence import MeshSequence, WeldReport
+    from .shapes import Shapes
     from .skinning import Skinning
     from .space import Space
     from .start import Skeleton, Start

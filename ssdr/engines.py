@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from .frames.motion import motion_rms, share_of
 from .hierarchy.transforms import rest_diagonal
-from .lbs import skin
 from .quantisation import WeightStorage, quantise, weight_values
 from .sequence import MeshSequence
 from .skinning import Skinning
@@ -48,6 +47,14 @@ class Engine:
         Whether the engine refuses a mesh with more bones, or cuts bones off.
     bones_why : str
         Explanation of `bones`.
+    shapes : int or None
+        Most shapes of a mesh; None if no limit is known.
+    shapes_kind : {"refused", "cut off"}
+        Whether the engine refuses a mesh with more shapes, or leaves shapes out.
+    shapes_why : str
+        Explanation of `shapes`.
+    clamps_shapes : bool
+        Whether it takes amounts below 0 for 0, and those above 1 for 1.
     storage : {"float32", "uint16", "uint8"}
         Type in which the engine stores weights with its default settings.
     rounds_down : bool
@@ -73,6 +80,10 @@ class Engine:
     still_bones: bool = True
     bones_kind: Literal["refused", "cut off"] = "cut off"
     bones_why: str = ""
+    shapes: int | None = None
+    shapes_kind: Literal["refused", "cut off"] = "cut off"
+    shapes_why: str = ""
+    clamps_shapes: bool = False
     storage: WeightStorage = "float32"
     rounds_down: bool = False
     write: WeightStorage = "float32"
@@ -103,6 +114,7 @@ ENGINES: dict[EngineName, Engine] = {
         title="Unity",
         suffixes=(".fbx", ".glb", ".gltf"),
         influences_why="of .fbx, Skin Weights: Custom and Quality: Auto keep up to 255",
+        clamps_shapes=True,
     ),
     "godot": Engine(
         title="Godot",
@@ -125,6 +137,9 @@ ENGINES: dict[EngineName, Engine] = {
         influences_why="JOINTS_0 alone is read",
         bones=256,
         bones_why="where the GPU has no storage buffers, as in WebGL 2",
+        shapes=256,
+        shapes_kind="refused",
+        shapes_why="MAX_MORPH_WEIGHTS",
     ),
     "web": Engine(
         title="glTF viewers",
@@ -132,6 +147,8 @@ ENGINES: dict[EngineName, Engine] = {
         bones=65535,
         bones_kind="refused",
         bones_why="JOINTS_0 is of 16 bits",
+        shapes=4,
+        shapes_why="a viewer need not add more than eight attributes, positions and normals",
         write="uint16",
     ),
 }
@@ -174,6 +191,7 @@ def _findings(model: Skinning, engine: Engine, suffix: str) -> Iterator[Finding]
     if engine.one_root and roots > 1:
         text = f"{roots} root bones: takes 1, unless it counts a node above them as one"
         yield Finding("refused", text)
+    yield from _of_shapes(model, engine)
     kept = model
     used = (model.weights > 0).sum(axis=1)
     if used.max() > engine.influences:
@@ -194,6 +212,18 @@ def _findings(model: Skinning, engine: Engine, suffix: str) -> Iterator[Finding]
             moved = _moved(kept, indices, weights)
             yield Finding("rounded", f"{text}: off by up to {off:.2g}; {moved}")
     yield from _renamed(model.names(), engine)
+
+
+def _of_shapes(model: Skinning, engine: Engine) -> Iterator[Finding]:
+    if model.shapes is None:
+        return
+    if engine.shapes is not None and len(model.shapes) > engine.shapes:
+        text = f"{len(model.shapes)} shapes: takes {engine.shapes} ({engine.shapes_why})"
+        yield Finding(engine.shapes_kind, text)
+    low, high = (float(f(model.shapes.amounts)) for f in (np.min, np.max))
+    if engine.clamps_shapes and (low < -1e-6 or high > 1 + 1e-6):
+        text = f"amounts of shapes, from {low:.3g} to {high:.3g}: clamped to 0 to 1"
+        yield Finding("cut off", text)
 
 
 def _rounded(model: Skinning, engine: Engine) -> tuple[NDArray[np.integer], NDArray[np.floating]]:
@@ -226,9 +256,9 @@ def n_roots(model: Skinning) -> int:
 def _moved(model: Skinning, indices: NDArray[np.integer], weights: NDArray[np.floating]) -> str:
     """Text that says how far vertices move at most if they get other weights."""
     far, squares = 0.0, 0.0
+    changed = dataclasses.replace(model, indices=indices, weights=weights)
     for frame in range(model.n_frames):
-        other = skin(model.rest, indices, weights, model.transforms[frame], dtype=float)
-        apart = model.skin([frame], dtype=float)[0] - other
+        apart = model.skin([frame], dtype=float)[0] - changed.skin([frame], dtype=float)[0]
         far = max(far, float(np.linalg.norm(apart, axis=-1).max()))
         squares += float((apart**2).sum())
     share = 100 * far / (rest_diagonal(model.rest) or 1.0)

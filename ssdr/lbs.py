@@ -71,6 +71,28 @@ def skin(
     return out if np.ndim(transforms) == 4 else out[0]
 
 
+def skin_each(
+    rests: NDArray[np.floating],
+    indices: ArrayLike,
+    weights: ArrayLike,
+    transforms: NDArray[np.floating],
+    *,
+    dtype: Any = None,
+) -> NDArray[np.floating]:
+    """Positions ``(F, V, 3)`` skinned as by :func:`skin`, from a rest pose of each frame's own.
+
+    Parameters
+    ----------
+    rests : (F, V, 3) array
+    indices, weights, dtype
+        As of :func:`skin`.
+    transforms : (F, B, 3, 4) array
+    """
+    both = zip(rests, transforms, strict=True)
+    posed = [skin(p, indices, weights, moves, dtype=dtype) for p, moves in both]
+    return np.stack(posed) if posed else np.empty(rests.shape, dtype=dtype or rests.dtype)
+
+
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class SkinGradients:
     """Gradients of a number in the arrays of :func:`skin`, in the precision of the call.

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import ssdr
-from ssdr import Skinning
+from ssdr import Shapes, Skinning
 from ssdr.errors import InputError
-from ssdr.io.gltf.shapes import Shapes
 
 from ..data.skeleton import Skeleton
 from ..io.files import writing
@@ -33,16 +32,13 @@ class Rigged:
     ----------
     skinning : Skinning
         The body's joints with their hierarchy, followed by the virtual bones as children of the
-        first joint.
-    shapes : Shapes
-        Morph targets: principal components of the difference between the prediction and the
-        skinned mesh, with amounts from 0 to 1.
+        first joint.  Its shapes are principal components of the difference between the prediction
+        and the skinned mesh, with amounts from 0 to 1.
     error, still : float
         RMSE of the vertices, metres; and the same if the morph targets keep their mean amounts.
     """
 
     skinning: Skinning
-    shapes: Shapes
     error: float
     still: float
 
@@ -86,8 +82,9 @@ def rigged(prediction: Prediction, skeleton: Skeleton, *, shapes: int = 8) -> Ri
     amounts = (amounts - low) / span
     found = Shapes((span[:, None] * moved).reshape(-1, *mean.shape), amounts)
     still = np.broadcast_to(amounts.mean(axis=0), amounts.shape)
-    errors = (_error(model, found.displacements, a, truth) for a in (amounts, still))
-    return Rigged(model, found, *errors)
+    both = (found, dataclasses.replace(found, amounts=still))
+    models = [dataclasses.replace(model, shapes=some) for some in both]
+    return Rigged(models[0], *(ssdr.metrics.distances(truth, one).rmse for one in models))
 
 
 def save_rigged(model: Rigged, path: Path | str) -> str:
@@ -100,9 +97,9 @@ def save_rigged(model: Rigged, path: Path | str) -> str:
     """
     file = Path(path)
     with writing(file):
-        report = ssdr.save(model.skinning, file, shapes=model.shapes)
+        report = ssdr.save(model.skinning, file)
     return (
-        f"{model.skinning.n_bones} joints, {len(model.shapes.displacements)} morph targets, "
+        f"{model.skinning.n_bones} joints, {model.skinning.n_shapes} morph targets, "
         f"{model.skinning.n_frames} frames, {report.bytes / 1e6:.1f} MB; RMSE to the prediction "
         f"{1e3 * model.error:.2f} mm, with the targets still {1e3 * model.still:.2f} mm"
     )
@@ -132,17 +129,3 @@ def _components(
     vectors = np.linalg.eigh((rows @ rows.T).astype(np.float64))[1][:, ::-1]
     amounts = vectors[:, :count].astype(np.float32)
     return amounts.T @ rows, amounts
-
-
-def _error(
-    model: Skinning,
-    moved: NDArray[np.floating],
-    amounts: NDArray[np.floating],
-    truth: NDArray[np.float32],
-) -> float:
-    total = 0.0
-    for f, transforms in enumerate(model.transforms):
-        rest = model.rest + np.tensordot(amounts[f], moved, 1)
-        v = ssdr.skin(rest, model.indices, model.weights, transforms[None])[0]
-        total += float(((v - truth[f]) ** 2).sum(-1).mean())
-    return float(np.sqrt(total / len(truth)))

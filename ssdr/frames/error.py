@@ -68,17 +68,18 @@ def of_each_span(
     skinning: Sequence[Any],
     executor: Executor | None,
     spans: list[tuple[int, int]] | None = None,
+    also: Sequence[Any] = (),
 ) -> Iterator[Any]:
-    """Results of ``function(frames, transforms, *skinning[:-1])`` for each span, in their order.
+    """Results of ``function(frames, transforms, *also, *skinning[:-1])`` for each span, in order.
 
-    `transforms` are those of the frames of the span, out of ``skinning[-1]``.  By default the
-    spans cover all frames.
+    `transforms` are those of the frames of the span, out of ``skinning[-1]``, and `also` are
+    arrays of which the function gets these frames, too.  By default the spans cover all frames.
     """
     *bound, transforms = skinning
     spans = spans_of(len(transforms)) if spans is None else spans
 
-    def own(k: int) -> tuple[Any]:
-        return (transforms[slice(*spans[k])],)
+    def own(k: int) -> tuple[Any, ...]:
+        return tuple(array[slice(*spans[k])] for array in (transforms, *also))
 
     return (executor or Local()).map(SpanTask(function, sequences, spans, own, tuple(bound)))
 

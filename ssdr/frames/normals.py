@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..kernels.normals import angles_range, fit_range
-from ..lbs import skin
+from ..lbs import skin, skin_each
 from ..normals import NormalHolders, normal_holders, normals_at_corners, surface_normals, unit
 from ..parallel import chunk_bounds, run_chunks
 from ..sequence import MeshSequence
@@ -18,6 +18,7 @@ from ..skinning import Skinning
 from ..surface import Surface
 from .error import of_each_span
 from .executor import Executor, Frames, spans_of
+from .shaped_normals import shaped_normals
 
 __all__ = ["Angles", "drawn_angles", "holders_of", "with_fitted_normals"]
 
@@ -120,14 +121,22 @@ def drawn_angles(
     normals = None if skinning.surface is None else skinning.surface.normals
     if normals is None:
         normals = normals_at_corners(skinning.rest, holders)
-    rest = np.zeros((len(holders.vertex), 3))
-    np.add.at(rest, holders.corner.reshape(-1), normals.reshape(-1, 3))
+    position = np.asarray(skinning.rest, dtype=np.float64)[None]
+    at_corners, amounts = normals[None], np.zeros((skinning.n_frames, 0))
+    if skinning.shapes is not None and len(skinning.faces):
+        fitted, amounts = shaped_normals(skinning), skinning.shapes.amounts
+        position = np.concatenate([position, skinning.shapes.displacements])
+        at_corners = np.concatenate([fitted.rest[None], fitted.added])[:, fitted.corner]
+    rest = np.zeros((len(at_corners), len(holders.vertex), 3))
+    for row, some in zip(rest, at_corners, strict=True):
+        np.add.at(row, holders.corner.reshape(-1), some.reshape(-1, 3))
     spans = spans_of(skinning.n_frames, most)
     shared = (
-        *(np.asarray(skinning.rest, dtype=np.float64), rest, *_skin_of(skinning), holders),
+        *(position, rest, *_skin_of(skinning), holders),
         np.asarray(skinning.transforms, dtype=np.float64),
     )
-    found = list(of_each_span(_angles_of_span, sequences, shared, executor, spans))
+    walk = sequences, shared, executor, spans, (amounts,)
+    found = list(of_each_span(_angles_of_span, *walk))
     frames = np.concatenate([np.arange(*span) for span in spans])
     return frames, Angles.joined(one for one, _ in found), Angles.joined(one for _, one in found)
 
@@ -159,21 +168,30 @@ def _fit_of_span(
 def _angles_of_span(
     frames: Frames,
     transforms: Array,
+    amounts: Array,
     rest: Array,
     rest_normals: Array,
     indices: NDArray[np.int32],
     weights: Array,
     holders: NormalHolders,
 ) -> tuple[Angles, Angles]:
-    skin_of_normals = rest_normals, indices[holders.vertex], weights[holders.vertex]
+    # `rest` (1 + S, V, 3) and `rest_normals` (1 + S, N, 3) are followed by what shapes add to them
+    skin_of_normals = indices[holders.vertex], weights[holders.vertex]
     drawn, own = [], []
+
+    def posed(base: Array, skinned: tuple[Any, Any], moves: Array, factors: Array) -> Any:
+        if len(base) == 1:
+            return skin(base[0], *skinned, moves)
+        return skin_each(base[0] + np.tensordot(factors, base[1:], 1), *skinned, moves)
+
     for start, block in frames.blocks():
-        moves = transforms[start : start + len(block)]
+        some = slice(start, start + len(block))
+        moves, factors = transforms[some], amounts[some]
         normals = surface_normals(block, holders)
-        turned = skin(*skin_of_normals, moves * [1, 1, 1, 0])
+        turned = posed(rest_normals, skin_of_normals, moves * [1, 1, 1, 0], factors)
         drawn.append(Angles.between(normals, turned, holders.vertex))
-        posed = surface_normals(skin(rest, indices, weights, moves), holders)
-        own.append(Angles.between(normals, posed, holders.vertex))
+        surface = surface_normals(posed(rest, (indices, weights), moves, factors), holders)
+        own.append(Angles.between(normals, surface, holders.vertex))
     return Angles.joined(drawn), Angles.joined(own)
 
 

@@ -114,7 +114,7 @@ class Articulated:
         Returns
         -------
         Skinning
-            With f frames, all of them keys of one clip.
+            With f frames, all of them keys of one clip, and without shapes.
 
         Raises
         ------
@@ -138,7 +138,8 @@ class Articulated:
         moved = from_local(local, parents, positions).astype(self.transforms.dtype)
         one = (Clip(self.name, 0, len(moved), self.fps),)
         model: Any = self  # a dataclass, as the classes derived from this one are
-        return dataclasses.replace(model, transforms=moved, keyframes=None, clips=one)  # type: ignore[no-any-return]
+        free = {"keyframes": None, "clips": one, "shapes": None}
+        return dataclasses.replace(model, transforms=moved, **free)  # type: ignore[no-any-return]
 
     def _hierarchy(self, what: str) -> tuple[NDArray[np.int32], NDArray[np.floating]]:
         if self.parents is None:

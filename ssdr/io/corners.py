@@ -28,12 +28,15 @@ class Corners:
     faces : (T, 3) int32
     uv : (N, 2) float32 or None
     normals : (N, 3) float32 or None
+    number : (N,) int32 or None
+        Number of the normal of each vertex among those of a model with shapes.
     """
 
     vertex: NDArray[np.int32]
     faces: NDArray[np.int32]
     uv: NDArray[np.float32] | None
     normals: NDArray[np.float32] | None
+    number: NDArray[np.int32] | None = None
 
 
 def split_corners(

@@ -26,9 +26,11 @@ from ..hierarchy.transforms import (
     to_world,
     translating,
 )
+from ..lbs import skin, skin_each
 from ..quantisation import WeightStorage, quantise, weight_values
 from ..rigid import matrix_from_quaternion, quaternion_from_matrix, slerp, unflip_quaternions
-from ..skinning import Skinning, skin
+from ..shapes import Shapes
+from ..skinning import Skinning
 from .registry import SaveReport
 from .sampling import off_frames
 from .storage_error import StorageError, frame_blocks
@@ -74,6 +76,8 @@ class Rig:
     axes : (B, 3, 3) float64 or None
         Orientations of the joints in the rest pose, used only with a hierarchy. None if all joints
         are aligned with the world.
+    shapes : Shapes or None
+        Shapes of the rest pose, with the amounts of every frame.
     """
 
     rest: NDArray[np.float32]
@@ -90,6 +94,7 @@ class Rig:
     names: tuple[str, ...]
     clips: tuple[Clip, ...]
     axes: NDArray[np.float64] | None = None
+    shapes: Shapes | None = None
 
     @property
     def n_frames(self) -> int:
@@ -131,6 +136,16 @@ class Rig:
         shift = moved - np.einsum("fbij,bj->fbi", rotation, self.centers.astype(np.float64))
         return np.concatenate([rotation, shift[..., None]], axis=-1)
 
+    def skin(self, times: NDArray[np.float64]) -> NDArray[np.floating]:
+        """Vertices ``(n, V, 3)`` at n `times` (in frames), from the stored arrays in float64."""
+        rest, moves = self.rest.astype(np.float64), self.matrices(times)
+        skinned = self.indices, weight_values(self.weights)
+        if self.shapes is None:
+            return skin(rest, *skinned, moves)
+        before, after = (self.shapes.added(x(times).astype(int)) for x in (np.floor, np.ceil))
+        share = (times - np.floor(times))[:, None, None]
+        return skin_each(rest + (1 - share) * before + share * after, *skinned, moves)
+
     def error(self, model: Skinning, *, between: bool = False) -> tuple[float | None, float | None]:
         """Root mean square and largest distance between the vertices of this rig and of `model`.
 
@@ -146,13 +161,12 @@ class Rig:
             lies on the chord, so a part of the distance is no error of the rig; this part falls
             with the square of the frame time.
         """
-        rest, weights = self.rest.astype(np.float64), weight_values(self.weights)
         error = StorageError()
         for clip in self.clips:
             # nothing is between two clips
-            for block in frame_blocks(clip.start, clip.stop - between, len(rest)):
+            for block in frame_blocks(clip.start, clip.stop - between, len(self.rest)):
                 times = np.arange(block.start, block.stop) + 0.5 * between
-                stored = skin(rest, self.indices, weights, self.matrices(times))
+                stored = self.skin(times)
                 truth = model.skin(slice(block.start, block.stop + between), dtype=np.float64)
                 error.add(stored, (truth[1:] + truth[:-1]) / 2 if between else truth)
         return error.rmse, error.largest
@@ -245,7 +259,13 @@ def build_rig(
         keys=_stored_frames(skinning),
         names=unique_names(skinning.names()),
         clips=skinning.clips,
+        shapes=None if skinning.shapes is None else _in_float32(skinning.shapes),
     )
+
+
+def _in_float32(shapes: Shapes) -> Shapes:
+    moved, amounts = (x.astype(np.float32) for x in (shapes.displacements, shapes.amounts))
+    return Shapes(moved, amounts, names=shapes.names)
 
 
 def _sorted_weights(skinning: Skinning) -> tuple[NDArray[np.int32], NDArray[np.float64]]:

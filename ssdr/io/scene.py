@@ -16,10 +16,12 @@ from ..errors import InputError
 from ..lbs import skin
 from ..normals import corner_normals
 from ..sequence import MeshSequence
+from ..shapes import Shapes
 from ..skinning import BoneModel, Skinning
 from ..space import Space
 from ..surface import Material, Surface
 from .budget import MOST_BYTES, afford
+from .joined_shapes import join_shapes
 from .registry import check
 from .sampling import Sample
 from .storage_error import frame_blocks
@@ -72,7 +74,8 @@ class ScenePart(Protocol):
     """Vertices of a scene that one skeleton moves, and their triangles.
 
     `shape(time)` returns the vertices (V, 3) before skinning or, if these change over time, a
-    function from a frame's number to them. `transforms(time)` returns the transforms (F, B, 3, 4)
+    function from a frame's number to them. `at_rest(time)` returns the vertices without shapes, and
+    these shapes. `transforms(time)` returns the transforms (F, B, 3, 4)
     of the bones from the rest pose. `bones(transforms)` returns the skeleton with such transforms.
     `time` is that of a :class:`Sample`.
 
@@ -102,6 +105,7 @@ class ScenePart(Protocol):
     @property
     def normals(self) -> NDArray[np.float32] | None: ...
     def shape(self, time: Any, /) -> Shape: ...
+    def at_rest(self, time: Any, /) -> tuple[NDArray[np.float64], Shapes | None]: ...
     def transforms(self, time: Any, /) -> NDArray[np.float64]: ...
     def bones(self, transforms: NDArray[np.float64], /) -> Bones: ...
 
@@ -236,7 +240,7 @@ def join_skinning(
     Raises
     ------
     FormatError
-        If the vertices of a part change before they are skinned.
+        If the vertices of a part change before they are skinned by more than shapes.
     """
     parts = samples[0].parts
     bones: dict[Hashable, Bones] = {}
@@ -244,11 +248,8 @@ def join_skinning(
         if part.skeleton not in bones:
             moved = [one.parts[k].transforms(one.time) for one in samples]
             bones[part.skeleton] = part.bones(np.concatenate(moved))
-    shapes = [part.shape(one.time) for one in samples for part in one.parts]
-    rest = [shape for shape in shapes if not callable(shape)]
-    problem = "morph targets, blend shapes or points move a mesh, which no skinning holds"
-    check(len(rest) == len(shapes), f"{problem}; ssdr.load bakes them")
-    rest = rest[: len(parts)]
+    held = [[part.at_rest(one.time) for part in one.parts] for one in samples]
+    rest = [points for points, _ in held[0]]
     found = list(bones.values())
     starts = np.cumsum([0, *(len(one.names) for one in found)])[:-1]
     first = dict(zip(bones, starts, strict=True))
@@ -279,6 +280,9 @@ def join_skinning(
         name=name,
         clips=in_order(one.clip for one in samples),
         space=space,
+        shapes=join_shapes(
+            [[shapes for _, shapes in one] for one in held], part_starts(parts), name
+        ),
     )
 
 

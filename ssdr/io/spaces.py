@@ -67,13 +67,16 @@ def transformed(thing: Thing, factor: float, turn: Any = np.eye(3)) -> Thing:  #
         return dataclasses.replace(thing, vertices=vertices, surface=surface)
     m = np.asarray(thing.transforms, dtype=np.float64)
     moved = np.concatenate([turn @ m[..., :3] @ turn.T, at(m[..., 3])[..., None]], axis=-1)
-    joints = thing.joint_positions
+    joints, shapes = thing.joint_positions, thing.shapes
+    if shapes is not None:
+        shapes = dataclasses.replace(shapes, displacements=at(shapes.displacements))
     return dataclasses.replace(
         thing,
         rest=at(thing.rest),
         joint_positions=None if joints is None else at(joints),
         transforms=moved.astype(thing.transforms.dtype),
         surface=surface,
+        shapes=shapes,
     )
 
 

@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from .. import lbs
 from ..errors import InputError
 from ..frames.normals import holders_of
+from ..frames.shaped_normals import ShapedNormals, shaped_normals
 from ..hierarchy.bone_ends import limb_ends
 from ..io.corners import Corners, rest_normals, split_corners
 from ..normals import NormalHolders, surface_normals
@@ -137,7 +138,25 @@ class Scene:
     def split(self) -> Corners:
         """Triangles as they are lit: with a vertex for each rest normal that a model has there."""
         given = rest_normals(self.model, self.model.rest) if self.has_bones else None
+        if self._shaped is not None:
+            given = self._shaped.rest[self._shaped.corner].astype(np.float32)
         return split_corners(self.faces, len(self.measured), None, given)
+
+    @functools.cached_property
+    def _shaped(self) -> ShapedNormals | None:
+        """Normals of a model with shapes."""
+        shaped = self.has_bones and self.model.shapes is not None and len(self.faces)
+        return shaped_normals(self.model) if shaped else None
+
+    def _rest_normals(self, frame: int) -> NDArray[np.floating]:
+        """Normals of the vertices of `split` in the rest pose of a frame."""
+        assert self.split.normals is not None
+        if self._shaped is None or self.model.shapes is None:
+            return self.split.normals
+        added = np.tensordot(self.model.shapes.amounts[frame], self._shaped.added, 1)
+        out = self.split.normals.astype(np.float64)
+        out[self.split.faces] += added[self._shaped.corner]
+        return out
 
     def drawn_normals(self, frame: int) -> Float | None:
         """Unit normals of the vertices of `split` as engines draw them; None for a sequence.
@@ -152,7 +171,7 @@ class Scene:
         turns = self.model.transforms[frame].copy()
         turns[..., 3] = 0
         skin = self.model.indices[rows], self.model.weights[rows]
-        return normalised(lbs.skin(self.split.normals, *skin, turns, dtype=np.float64))
+        return normalised(lbs.skin(self._rest_normals(frame), *skin, turns, dtype=np.float64))
 
     @functools.cached_property
     def diagonal(self) -> float:

@@ -9,6 +9,7 @@ more influences or, after a change, more error.
 from __future__ import annotations
 
 import contextlib
+import copy
 import dataclasses
 import functools
 import inspect
@@ -22,13 +23,18 @@ from numpy.typing import NDArray
 from ..parallel import serial_blas
 from ..problem.initial import Initial
 from ..progress import Monitor, Stop
-from ..solver.alternation import bone_costs
+from ..solver.alternation import bone_costs, repeat_alternation, vertex_step
 from ..solver.model import Locked, Model
 from ..solver.objective import Objective
 from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import Trajectories
+from .moves import polish_steps
+from .vertex_sample import model_of_all
 
-__all__ = ["Descent", "Schedule", "step"]
+__all__ = ["ALTERNATIONS_OF_ALL", "Descent", "Schedule", "step"]
+
+# Alternations on all vertices after a sample, and polish steps if the descent is stopped there.
+ALTERNATIONS_OF_ALL, _STEPS_AFTER_STOP = 8, 8
 
 # Objective, relative to the squared motion, below which only rounding errors are left.
 _EXACT = 1e-30
@@ -37,6 +43,29 @@ _EXACT = 1e-30
 _NO_LOSS = 1e-13
 # Most repetitions of a step that are counted as work: more than that are rarely needed.
 _EXPECTED = 60
+
+
+@dataclasses.dataclass
+class Work:
+    """What is done of a schedule.
+
+    Attributes
+    ----------
+    iteration : int
+        Number of alternations and polish steps so far.
+    done, expected : float
+        Work that is done and that of the whole schedule, in alternations.
+    plan : list of (phase, number of steps) or None
+        Steps of a schedule while it is planned: they change nothing then.
+    report : callable or None
+        Called with the phase after each step.
+    """
+
+    iteration: int = 0
+    done: float = 0.0
+    expected: float = 1.0
+    plan: list[tuple[str, int]] | None = None
+    report: Callable[[str], None] | None = None
 
 
 class Descent:
@@ -61,12 +90,9 @@ class Descent:
 
     Attributes
     ----------
-    full : Trajectories
-        Trajectories of all vertices.
     data : Trajectories
-        Trajectories that the present step works on: of all vertices, or of a sample of them.
-    chosen : (n,) int array or None
-        Indices of the vertices of that sample; None if all vertices are used.
+    few : Descent or None
+        Descent on a sample of the vertices while one is in progress, with models of its own.
     model : Model
         Model that the next step starts from; it may have more bones than asked for.  There is none
         before the first step that makes one.
@@ -74,12 +100,8 @@ class Descent:
         Model of lowest objective so far with exactly the number of bones asked for.
     best_value : float
         Objective of `best`.
-    plan : list of (phase, number of steps) or None
-        Steps of a schedule while it is planned: they change nothing then.
-    done : float
-        Work of the schedule that is done, in alternations.
-    iteration : int
-        Number of alternations and polish steps so far.
+    work : Work
+        What is done of the schedule, shared with a descent on a sample.
     converged : bool
         True if the last step ended by its own stopping test.
     records : list of (iteration, elapsed, squared error, phase)
@@ -102,8 +124,9 @@ class Descent:
         rigid_joints: bool = False,
         normals: bool = False,
     ) -> None:
-        self.full = self.data = data
-        self.chosen: NDArray[np.intp] | None = None
+        self.data = data
+        self.few: Descent | None = None
+        self._chosen: NDArray[np.intp] = np.zeros(0, dtype=np.intp)
         self.bones, self.influences, self.rng = bones, influences, rng
         self.asked, self.initial, self.smoothness = locked, initial, smoothness
         self.rigid_joints, self.normals = rigid_joints, normals
@@ -112,26 +135,33 @@ class Descent:
         self.best: Model | None = None
         self.best_value = np.inf
         self.records: list[tuple[int, float, float, str]] = []
-        self.iteration, self.converged = 0, False
-        self.plan: list[tuple[str, int]] | None = None
-        self._rigid, self.done, self._work = False, 0.0, 1.0
-        self._report: Callable[[str], None] | None = None
+        self.work, self.converged, self._rigid = Work(), False, False
 
     # --- what steps ask ------------------------------------------------------------------------
 
     @property
     def locked(self) -> Locked:
         """Parts that the present step keeps, and the bone model that it uses."""
-        locked = self.asked if self.chosen is None else self.asked.select_vertices(self.chosen)
-        return dataclasses.replace(locked, bone_model="rigid") if self._rigid else locked
+        return dataclasses.replace(self.asked, bone_model="rigid") if self._rigid else self.asked
 
     @property
     def start_parts(self) -> Initial:
-        """Parts for a new start, restricted to the vertices of the present step."""
-        parts = self.initial.beside_model()
-        if self.chosen is None or parts.rest is None:
-            return parts
-        return dataclasses.replace(parts, rest=parts.rest[self.chosen])
+        """Parts for a new start."""
+        return self.initial.beside_model()
+
+    @property
+    def iteration(self) -> int:
+        """Number of alternations and polish steps so far."""
+        return self.work.iteration
+
+    @iteration.setter
+    def iteration(self, count: int) -> None:
+        self.work.iteration = count
+
+    @property
+    def planning(self) -> bool:
+        """Whether a schedule is only planned: steps change nothing then."""
+        return self.work.plan is not None
 
     @property
     def best_model(self) -> Model:
@@ -142,7 +172,7 @@ class Descent:
     @property
     def best_error(self) -> float:
         """Squared error of the best model, without the other factors of the objective."""
-        return math.inf if self.best is None else self.best.weighted_error(self.full)
+        return math.inf if self.best is None else self.best.weighted_error(self.data)
 
     @property
     def removable_bones(self) -> int:
@@ -151,20 +181,55 @@ class Descent:
         In a tree only bones without children count.
         """
         wide = self.best_model.with_restarted_support()
-        removable = bone_costs(self.full, wide) <= _NO_LOSS * float(
-            self.full.importance @ self.full.x2
-        )
+        energy = float(self.data.importance @ self.data.x2)
+        removable = bone_costs(self.data, wide) <= _NO_LOSS * energy
         if wide.tree is not None:
             removable[wide.tree.parents[wide.tree.non_roots]] = False
         return int(removable.sum())
 
+    def best_of_all(self) -> Model:
+        """Best model so far of all vertices, made from a sample in progress if that is better."""
+        if self.few is None:
+            return self.best_model
+        model = self.of_all(self.few.best_model)
+        polish_steps(self.data, model, _STEPS_AFTER_STOP, self.locked)
+        return model if self.value(model) < self.best_value else self.best_model
+
+    def sample(self, chosen: NDArray[np.intp], *, free: bool) -> Descent:
+        """A descent on the chosen vertices that starts from the present and the best model.
+
+        Its rest pose is free, or else keeps to a coarse surface.
+        """
+        few = copy.copy(self)
+        few.data, few.asked = self.data.select_vertices(chosen), self.asked.select_vertices(chosen)
+        if self.data.surface is not None and not free:
+            few.data = dataclasses.replace(few.data, surface=self.data.surface.sampled(chosen))
+        few.initial, few.records = self.start_parts.of_vertices(chosen), []
+        few.objective = Objective(few.asked)
+        if not self.planning:
+            few.model, few.best = (m.select_vertices(chosen) for m in (self.model, self.best_model))
+            few.best_value = few.value(few.best)
+            self.few, self._chosen = few, chosen
+        return few
+
+    def of_all(self, few: Model) -> Model:
+        """Model of all vertices made from one of the sample in progress, by eight alternations."""
+        parts, locked = self.start_parts, self.locked
+        rest = parts.first_pose(self.data)
+        model = model_of_all(few, rest, self._chosen)
+        if parts.rest is not None:
+            model.rest = rest
+        vertex_step(self.data, model, locked=locked)
+        repeat_alternation(self.data, model, ALTERNATIONS_OF_ALL, locked)
+        return model
+
     def value(self, model: Model) -> float:
-        """Objective of a model on the vertices that the present step works on."""
+        """Objective of a model."""
         return self.objective.value(self.data, model)
 
     def below(self, limit: float, *, expected: bool) -> bool:
         """Whether the present objective is below `limit`; `expected` while steps are planned."""
-        return expected if self.plan is not None else self.value(self.model) < limit
+        return expected if self.planning else self.value(self.model) < limit
 
     # --- what steps change ---------------------------------------------------------------------
 
@@ -180,7 +245,7 @@ class Descent:
 
     def drop_tree(self) -> None:
         """Remove the tree from the present model, so that its bones move freely."""
-        if self.plan is None:
+        if not self.planning:
             self.model = dataclasses.replace(self.model.copy(), tree=None)
 
     def accept_if_lower(self, trial: Model) -> bool:
@@ -201,9 +266,8 @@ class Descent:
 
     def release(self) -> None:
         """Free the memory of the trajectories, after which no step can be made."""
-        empty = self.full.z[:, :0].copy()
-        self.full = dataclasses.replace(self.full, z=empty, q=None, normals=None)
-        self.data, self.chosen = self.full, None
+        empty = self.data.z[:, :0].copy()
+        self.data = dataclasses.replace(self.data, z=empty, q=None, normals=None)
 
     # --- schedules -----------------------------------------------------------------------------
 
@@ -222,21 +286,25 @@ class Descent:
         str
             Reason of the stop; "converged" or "effort spent" if there was none.
         """
+        work = self.work
         with serial_blas():
-            self.plan, self.done = [], 0.0
+            work.plan, work.done = [], 0.0
             schedule(self)
-            self.plan, self._work, self.done = None, self.done or 1.0, 0.0
-            self._report = report
+            work.plan, work.expected, work.done = None, work.done or 1.0, 0.0
+            work.report = report
             try:
                 schedule(self)
             except Stop as stop:
+                if self.few is not None:
+                    self.best, self.few = self.best_of_all(), None
+                    self.best_value = self.value(self.best)
                 return str(stop)
         return "converged" if self.converged else "effort spent"
 
     @property
     def fraction(self) -> float:
         """Estimated fraction of the schedule's work that is done."""
-        return min(1.0, self.done / self._work)
+        return min(1.0, self.work.done / self.work.expected)
 
     def after_step(self, phase: str) -> None:
         """Remember the best model and report the step.
@@ -247,15 +315,15 @@ class Descent:
             If the report asks to stop, or no error is left.
         """
         self._remember_best(phase)
-        exact = self.best_value <= _EXACT * float(self.full.x2.sum())
+        exact = self.best_value <= _EXACT * float(self.data.x2.sum())
         self.converged |= exact
-        if self._report is not None:
-            self._report(phase)
+        if self.work.report is not None:
+            self.work.report(phase)
         if exact:
             raise Stop("converged")
 
     def _remember_best(self, phase: str) -> None:
-        if self.chosen is not None or not hasattr(self, "model"):
+        if not hasattr(self, "model"):
             return
         model = self.model
         if model.n_bones != self.bones or model.n_influences > self.influences:
@@ -295,13 +363,14 @@ def step(
         @functools.wraps(generator)
         def make_steps(d: Descent, /, *args: P.args, **options: P.kwargs) -> None:
             count: Any = options.get("steps", 1 if usual is None else usual.default)
-            end = d.done + cost * min(count, _EXPECTED)
-            if d.plan is not None:
-                d.plan.append((phase, count))
-            for _ in () if d.plan is not None else generator(d, *args, **options):
-                d.done = min(d.done + cost, end)
+            work = d.work
+            end = work.done + cost * min(count, _EXPECTED)
+            if work.plan is not None:
+                work.plan.append((phase, count))
+            for _ in () if work.plan is not None else generator(d, *args, **options):
+                work.done = min(work.done + cost, end)
                 d.after_step(phase)
-            d.done = end
+            work.done = end
 
         return make_steps
 

@@ -14,6 +14,7 @@ __all__ = [
     "MANY_BONES",
     "NUMBERS",
     "REBUILDS",
+    "RELAXED_VERTICES",
     "SECONDS_OF_A_NUMBER",
     "STARTS_OF_MANY_BONES",
     "START_SECONDS",
@@ -21,6 +22,7 @@ __all__ = [
     "TRIALS_OF_A_REBUILD",
     "TRIALS_OF_A_START",
     "TRIALS_OF_A_TREE",
+    "Rebuilds",
 ]
 
 
@@ -103,6 +105,8 @@ REBUILDS = (  # size below which the numbers hold, and the numbers
     (math.inf, Rebuilds(trials=6, before=0, after=3, trees=1, tree_searches=3)),
 )
 TRIALS_OF_A_REBUILD = 6
+# Least vertices for each bone of a sample on which influences are relaxed; 60 are overfitted.
+RELAXED_VERTICES = 128
 # From this number of bones on there are several starts with few trials each, because alternations
 # alone put many bones in better places, and after some starts no rebuild helps.
 MANY_BONES, STARTS_OF_MANY_BONES, TRIALS_OF_A_START = 24, 3, 4

@@ -81,14 +81,14 @@ def solve(problem: Problem, schedule: Schedule | None = None) -> Decomposition:
     removable, records = d.removable_bones, list(d.records)
 
     def report(model: Model) -> None:
-        rmse = d.full.rmse(model.weighted_error(d.full))
+        rmse = d.data.rmse(model.weighted_error(d.data))
         monitor.report("round weights", iteration=d.iteration, rmse=rmse, fraction=part[1])
 
-    model = rounded(problem, d.full, d.best_model, report)
+    model = rounded(problem, d.data, d.best_model, report)
     if problem.storage != "float32":
-        error = model.weighted_error(d.full)
+        error = model.weighted_error(d.data)
         records.append((d.iteration, monitor.elapsed, error, "round weights"))
-    alignment: Alignment = d.full
+    alignment: Alignment = d.data
     if few is not None and chosen is not None:
         model, records = _passes_over_all(later, d, chosen, model)
         alignment = few.alignment
@@ -194,9 +194,8 @@ def _follow(
 
     def report(phase: str) -> None:
         if d.best is not None:
-            best = d.best
-            monitor.offer(lambda: skinning_of(problem, d.full, best, sequences))
-        rmse, ready = d.full.rmse(d.best_error), d.best is not None
+            monitor.offer(lambda: skinning_of(problem, d.data, d.best_of_all(), sequences))
+        rmse, ready = d.data.rmse(d.best_error), d.best is not None
         monitor.report(phase, iteration=d.iteration, rmse=rmse, fraction=d.fraction, ready=ready)
 
     with monitor.part(*part):
@@ -213,9 +212,9 @@ def _carried(
     """
     first.release()
     sequences, data, initial = read_frames(problem, more)
-    ratio = first.full.scale / data.scale
-    if first.full.surface is not None:
-        data = dataclasses.replace(data, surface=first.full.surface.scaled(ratio))
+    ratio = first.data.scale / data.scale
+    if first.data.surface is not None:
+        data = dataclasses.replace(data, surface=first.data.surface.scaled(ratio))
     d = _begin(problem, data, initial, normals=True)
     d.iteration = first.iteration
     nearest = few.nearest[more.chosen]
@@ -230,11 +229,11 @@ def _passes_over_all(
     monitor, most, locked = problem.monitor, PASSES[problem.effort], problem.locked
     if d.smoothness is not None or problem.storage != "float32":
         # a pass knows neither penalty nor rounding, so that it must keep the weights
-        locked = locked.with_weights(d.full.n_vertices)
+        locked = locked.with_weights(d.data.n_vertices)
     frames = AllFrames(
         problem.sequences,
         chosen,
-        d.full,
+        d.data,
         model,
         locked=locked,
         initial=problem.initial.inside(chosen.alignment),

@@ -7,25 +7,24 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..solver.alternation import repeat_alternation, vertex_step
+from ..solver.alternation import repeat_alternation
 from ..solver.gauge import free_gauge
 from ..solver.gauss_newton import GaussNewton
 from ..solver.rest_normals import with_rest_normals
 from ..solver.vertex_newton import optimise_some
-from .descent import Descent, Schedule, step
+from .descent import ALTERNATIONS_OF_ALL, Descent, Schedule, step
 from .moves import polish_then_drop_influence
-from .vertex_sample import LEAST, MOST, model_of_all, motion_sample, sample_size
+from .vertex_sample import LEAST, MOST, motion_sample, sample_size
 
 __all__ = [
-    "all_vertices",
     "alternate",
     "beside",
     "compress",
     "lowest",
+    "on_sample",
     "polish",
     "relax",
     "return_to_best",
-    "sample_vertices",
     "solve_normals",
     "unfold",
 ]
@@ -43,7 +42,7 @@ _UNFOLD_ROUNDS = 4  # solves of weights and rest pose after the edges have becom
 @step("compress", cost=4)
 def compress(d: Descent) -> Iterator[None]:
     """Compress the trajectories to as few columns as the bones need: later steps take less time."""
-    d.full = d.data = d.full.compressed(d.bones)
+    d.data = d.data.compressed(d.bones)
     yield
 
 
@@ -104,9 +103,9 @@ def solve_normals(d: Descent) -> Iterator[None]:
 
     They come late, since they lead a search for places of bones to models with more error.
     """
-    if not (d.normals and len(d.full.faces) and d.asked.bone_model == "rigid"):
+    if not (d.normals and len(d.data.faces) and d.asked.bone_model == "rigid"):
         return
-    d.full = d.data = d.full.with_normals()
+    d.data = d.data.with_normals()
     d.model = with_rest_normals(d.data, d.model)
     if d.best is not None:
         d.best = with_rest_normals(d.data, d.best)
@@ -120,21 +119,20 @@ def unfold(d: Descent, *, steps: int = 8) -> Iterator[None]:
 
     It makes the best model the one that is returned, as a rest pose with folds is no surface.
     """
-    if d.full.surface is None:
+    if d.data.surface is None:
         return
     d.model, locked = d.best_model.with_restarted_support(), d.locked
     if d.smoothness is not None:  # which this solve of weights would not know
-        every = np.ones(d.full.n_vertices, dtype=bool)
-        locked = dataclasses.replace(locked, weights=every)
+        locked = locked.with_weights(d.data.n_vertices)
     for _ in range(steps):
-        assert d.full.surface is not None
-        turned = d.full.surface.turned(d.model.rest, d.full.faces)
+        assert d.data.surface is not None
+        turned = d.data.surface.turned(d.model.rest, d.data.faces)
         if not turned.any():
             return
-        surface = d.full.surface.stiffened(d.full.faces[turned])
-        d.full = d.data = dataclasses.replace(d.full, surface=surface)
+        surface = d.data.surface.stiffened(d.data.faces[turned])
+        d.data = dataclasses.replace(d.data, surface=surface)
         # far from the stiffer edges nothing has changed
-        near = surface.around(d.full.faces[turned])
+        near = surface.around(d.data.faces[turned])
         optimise_some(d.data, d.model, near, locked=locked, times=_UNFOLD_ROUNDS)
         d.keep_present()
         yield
@@ -143,54 +141,40 @@ def unfold(d: Descent, *, steps: int = 8) -> Iterator[None]:
 # --- which vertices, which model -----------------------------------------------------------------
 
 
-@step("sample")
-def sample_vertices(d: Descent, *, least: int = LEAST, most: int = MOST) -> Iterator[None]:
-    """Work on a third of the vertices, spread evenly over the range of motion.
+def on_sample(
+    d: Descent, schedule: Schedule, *, least: int = LEAST, most: int = MOST, free: bool = True
+) -> bool:
+    """Follow a schedule on a third of the vertices, then continue from its best model on all.
 
-    There are at least `least` and at most `most` for each bone asked for.
-
-    A sample is enough to tell where bones belong.  If the bounds ask for half of the vertices or
-    more, all are used.
+    The sample is spread evenly over the range of motion; it has at least `least` and at most `most`
+    vertices for each bone asked for.  If that would be half of the vertices or more, all are used.
+    Returns whether it was less.  With `free`, the rest pose of the sample is free: that is enough
+    to tell where bones belong.
     """
-    count = sample_size(d.full.n_vertices, d.bones, least, most)
-    if 2 * count < d.full.n_vertices:
-        d.chosen = motion_sample(d.full, count)
-        d.data = d.full.select_vertices(d.chosen)
-        d.model = d.model.select_vertices(d.chosen)
-    yield
+    count = sample_size(d.data.n_vertices, d.bones, least, most)
+    if 2 * count >= d.data.n_vertices:
+        schedule(d)
+        return False
+    few = d.sample(motion_sample(d.data, count), free=free)
+    schedule(few)
+    all_vertices(d)
+    return True
 
 
 @step("all vertices", cost=8)
-def all_vertices(d: Descent, *, alternations: int = 4) -> Iterator[None]:
+def all_vertices(d: Descent) -> Iterator[None]:
     """Work on all vertices again; each starts with the weights of the nearest sampled vertex."""
-    few, chosen, initial = d.model, d.chosen, d.initial.beside_model()
-    d.data, d.chosen = d.full, None
-    if chosen is not None:
-        rest = initial.first_pose(d.data)
-        model = model_of_all(few, rest, chosen)
-        if initial.rest is not None:
-            model.rest = rest
-        vertex_step(d.data, model, locked=d.locked)
-        repeat_alternation(d.data, model, alternations, d.locked)
-        d.iteration += alternations
-        d.model = model
+    assert d.few is not None
+    d.model, d.few = d.of_all(d.few.best_model), None
+    d.iteration += ALTERNATIONS_OF_ALL
     yield
 
 
 @step("return to best", cost=0)
 def return_to_best(d: Descent) -> Iterator[None]:
-    """Continue from the best model so far.
-
-    While a sample of vertices is used, this is done only if the best model has less error on the
-    sample than the present model.
-    """
-    best = d.best_model
-    if d.chosen is not None:
-        best = best.select_vertices(d.chosen)
-        if best.weighted_error(d.data) >= d.model.weighted_error(d.data):
-            yield
-            return
-    d.model = best.with_restarted_support()
+    """Continue from the best model so far; the present one keeps its support if it is that one."""
+    if d.value(d.model) != d.best_value:
+        d.model = d.best_model.with_restarted_support()
     yield
 
 
@@ -209,6 +193,6 @@ def beside(d: Descent, start: Schedule) -> None:
     """Follow a schedule from another start; keep the best model before it unless errors fall."""
     before, value, known = d.best, d.best_value, len(d.records)
     start(d)
-    if before is not None and d.best_error > before.weighted_error(d.full):
+    if before is not None and d.best_error > before.weighted_error(d.data):
         d.best, d.best_value = before, value
         del d.records[known:]

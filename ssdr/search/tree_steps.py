@@ -72,7 +72,7 @@ def attach(d: Descent, *, steps: int = 20) -> Iterator[None]:
 
 def attach_unattached(d: Descent) -> None:
     """Attach the bones at joints, unless the present model's are."""
-    if d.plan is not None or d.model.tree is None or not d.model.tree.rigid:
+    if d.planning or d.model.tree is None or not d.model.tree.rigid:
         attach(d)
 
 

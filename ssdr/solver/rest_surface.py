@@ -73,6 +73,10 @@ class RestSurface:
     def build(data: Trajectories, pose: Array) -> RestSurface | None:
         """The surface of `pose` under the triangles of the data; None without any edge."""
         ends = data.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+        return RestSurface._of_edges(pose.copy(), ends)
+
+    @staticmethod
+    def _of_edges(pose: Array, ends: NDArray[np.integer]) -> RestSurface | None:
         ends = np.unique(np.sort(ends, axis=1), axis=0).astype(np.int64)
         ends = ends[ends[:, 0] != ends[:, 1]]
         squared = ((pose[ends[:, 0]] - pose[ends[:, 1]]) ** 2).sum(axis=1)
@@ -84,7 +88,15 @@ class RestSurface:
         i, j = ends.T
         both = (np.r_[weight, weight], (np.r_[i, j], np.r_[j, i]))
         edges = csr_array(coo_array(both, shape=(n, n)))
-        return RestSurface(pose.copy(), edges, np.asarray(edges.sum(axis=1), dtype=float).ravel())
+        return RestSurface(pose, edges, np.asarray(edges.sum(axis=1), dtype=float).ravel())
+
+    @serial_blas()
+    def sampled(self, chosen: NDArray[np.intp]) -> RestSurface | None:
+        """The surface of some vertices, joined where an edge joins vertices nearest to them."""
+        nearest = np.asarray(cKDTree(self.pose[chosen]).query(self.pose)[1])
+        return RestSurface._of_edges(
+            self.pose[chosen], nearest[np.stack(self.edges.nonzero(), axis=1)]
+        )
 
     def factor(self, rest: Array) -> float:
         """The factor 1 + c·S of a rest pose (V, 3)."""

@@ -253,17 +253,3 @@ def test_the_catalogue_knows_the_vertices(name: str) -> None:
     assert fetch.same_as_the_tables(SEQUENCES[name], frames)
     frames[0, 0, 0] += np.float32(1e-3)
     assert fetch.same_as_the_tables(SEQUENCES[name], frames) is False
-
-
-def test_a_fetched_sequence_is_known_again(
-    server: Server, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    frames, faces = needs("horse_poses"), common.load("horse_poses")[1]
-    sequence, text = SEQUENCES["horse_poses"], "\n".join(f"f {a} {b} {c}" for a, b, c in faces + 1)
-    files = {f"models/horse-poses/{k + 1}.obj": obj(p, text) for k, p in enumerate(frames)}
-    server.publish(sequence, files | {sequence.rest: obj(frames[3], text)})
-    path = fetch.get("horse_poses", sequence, tmp_path, server.url)
-    assert "10 frames, 8431 vertices; the vertices of the tables" in capsys.readouterr().out
-    with np.load(path) as archive:
-        np.testing.assert_array_equal(archive["vertices"], frames)
-        np.testing.assert_array_equal(archive["faces"], faces)

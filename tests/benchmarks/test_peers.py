@@ -159,7 +159,6 @@ def test_a_solver_runs_in_a_process_of_its_own_and_tells_the_truth() -> None:
     assert record["curve"][-1][1] <= record["total wall"]
 
 
-@pytest.mark.slow
 def test_a_solver_of_ones_own_leaves_the_records_of_the_tables_alone() -> None:
     def folders(*words: str, **given: object) -> tuple[Path, ...]:
         options = {"short": False, "solvers": [*words], "results": None, "images": None}
@@ -173,6 +172,7 @@ def test_a_solver_of_ones_own_leaves_the_records_of_the_tables_alone() -> None:
     assert folders("mine.py", short=True)[0] == ROOT / "out" / "bench-short"
 
 
+@pytest.mark.slow
 def test_solvers_take_turns_and_a_crash_is_a_record() -> None:
     good = race.job("race", "ssdr fast", "tube:200:12", 4)
     bad = race.job("race", "ssdr fast", "tube:200:12", -1)

@@ -50,7 +50,7 @@ def from_gltf(path, *, clip=0):
         values = values_of(document, binary, number).astype(np.float64)
         item = document["accessors"][number]
         if item.get("normalized"):
-            values /= {5121: 255, 5123: 65535}[item["componentType"]]
+            values /= {5120: 127, 5121: 255, 5122: 32767, 5123: 65535}[item["componentType"]]
         return values
 
     nodes = document["nodes"]

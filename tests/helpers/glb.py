@@ -7,7 +7,7 @@ import struct
 
 import numpy as np
 
-KINDS = {5121: "<u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+KINDS = {5120: "<i1", 5122: "<i2", 5121: "<u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 
 
@@ -38,8 +38,20 @@ def rebuild(source, target, change):
 def values_of(document, binary, number):
     """Numbers of an accessor, (count, width)."""
     item = document["accessors"][number]
-    view = document["bufferViews"][item["bufferView"]]
     kind, width = np.dtype(KINDS[item["componentType"]]), WIDTHS[item["type"]]
-    start = view.get("byteOffset", 0) + item.get("byteOffset", 0)
-    step = view.get("byteStride", kind.itemsize * width)
-    return np.ndarray((item["count"], width), kind, binary, start, (step, kind.itemsize)).copy()
+
+    def rows(place, kind, width, count):
+        view = document["bufferViews"][place["bufferView"]]
+        start = view.get("byteOffset", 0) + place.get("byteOffset", 0)
+        step = view.get("byteStride", kind.itemsize * width)
+        return np.ndarray((count, width), kind, binary, start, (step, kind.itemsize)).copy()
+
+    values = np.zeros((item["count"], width), kind)
+    if "bufferView" in item:
+        values = rows(item, kind, width, item["count"])
+    if "sparse" in item:
+        sparse, index = item["sparse"], np.dtype(KINDS[item["sparse"]["indices"]["componentType"]])
+        where = rows(sparse["indices"], index, 1, sparse["count"])[:, 0]
+        assert (np.diff(where.astype(int)) > 0).all()  # as the specification wants
+        values[where] = rows(sparse["values"], kind, width, sparse["count"])
+    return values

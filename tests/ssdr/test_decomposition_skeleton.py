@@ -35,21 +35,6 @@ def _check(result: ssdr.Decomposition, bones: int = 6) -> ssdr.Skinning:
     return model
 
 
-def test_exact_frames_are_explained_by_the_skeleton_they_come_from() -> None:
-    result = _solve(effort="balanced")
-    _check(result)
-    assert result.rmse < 1e-5 * diagonal(trees.six_bones().frames)
-
-
-def test_joints_that_are_a_little_off_end_where_the_right_ones_do() -> None:
-    size = diagonal(trees.six_bones().frames)
-    off = 0.02 * size * np.random.default_rng(0).normal(size=(6, 3)) / np.sqrt(3)
-    moved = dataclasses.replace(_rig(), joint_positions=trees.six_bones().points + off)
-    result = _solve(effort="balanced", skeleton=moved)
-    _check(result)
-    assert result.rmse < 1e-5 * size
-
-
 def test_motion_alone() -> None:
     made = trees.six_bones()
     kept = ssdr.Start(indices=made.indices, weights=made.weights, rest=made.rest)
@@ -63,7 +48,7 @@ def test_motion_alone() -> None:
     np.testing.assert_allclose(model.joint_positions[hung], made.points[hung], atol=1e-12)
 
 
-@pytest.mark.parametrize("effort", ["fast", "balanced", "best"])
+@pytest.mark.parametrize("effort", ["fast", "balanced"])
 def test_loose_joints_keep_the_parents_and_may_come_apart(effort) -> None:
     made = trees.six_bones()
     pulled = made.frames.copy()

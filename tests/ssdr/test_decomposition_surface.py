@@ -11,7 +11,7 @@ import pytest
 
 import ssdr
 from helpers import motions, naive
-from helpers.measures import bits, bits_on_threads, frames, rig
+from helpers.measures import bits, frames, rig
 from ssdr.kernels.normals import normals_range
 
 
@@ -32,6 +32,7 @@ def _rest_normals_off(skinning: ssdr.Skinning) -> float:
     return float(naive.angles(own, stored)[known].mean())
 
 
+@pytest.mark.slow
 def test_a_rest_pose_is_a_surface_by_default(real: Callable[[str], ssdr.MeshSequence]) -> None:
     """A free one has less error, and so it says what the surface costs."""
     horse = real("horse_poses")
@@ -77,33 +78,6 @@ def test_a_cloud_of_points_has_neither() -> None:
         )
         assert bits(default) == bits(bare)
         assert default.normals is None
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"effort": "balanced"},
-        {"rig": "rigid", "effort": "fast"},
-        {"influences": (4, "uint8"), "effort": "fast"},
-        {"smoothness": 0.05, "effort": "fast"},
-    ],
-    ids=str,
-)
-def test_the_same_bits_for_any_number_of_threads(options: dict[str, Any]) -> None:
-    shots, faces = motions.wings(frames=15, rows=40, columns=14)  # more than one chunk
-
-    def solve() -> ssdr.Decomposition:
-        return ssdr.decompose(shots, faces, bones=4, **options)
-
-    assert len(bits_on_threads(solve, (1, 3))) == 1
-
-
-def test_exact_data_are_recovered_although_no_frame_is_their_rest_pose() -> None:
-    """Factors of the error vanish with it."""
-    exact = motions.chain(2, bones=3, frames=25, rows=12)
-    shots = exact.frames[5:]  # none of these is the rest pose
-    result = ssdr.decompose(shots, exact.faces, bones=3, effort="balanced")
-    assert result.rmse < 1e-4 * np.linalg.norm(np.ptp(shots[0], axis=0))
 
 
 def test_a_rest_frame_is_the_one_that_is_resembled() -> None:

@@ -11,8 +11,13 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import ssdr
+from helpers.measures import longest_silence
 from ssdr import InputError
+from ssdr.kernels.bones import sweep_bones
 from ssdr.parallel import chunk_bounds, run_chunks, serial_blas
+from ssdr.solver.model import Model
+from ssdr.solver.moments import bone_sums, coupled_bones
+from ssdr.solver.trajectories import gather
 
 
 @pytest.fixture(autouse=True)
@@ -203,3 +208,26 @@ def test_blas_gets_its_number_back_when_threads_overlap():
         thread.join(20)
         assert set(inside[0]) <= {1}
         assert blas_threads() == before
+
+
+def test_a_kernel_releases_the_lock_of_python() -> None:
+    """One long call of a kernel, nothing of Python in it, and another thread goes on."""
+    bones = 8
+    data = gather([ssdr.MeshSequence(np.random.default_rng(0).random((1, 40, 3)))], bones=bones)
+    indices = np.tile(np.arange(bones, dtype=np.int32), (40, 1))
+    weights = np.random.default_rng(1).dirichlet(np.ones(bones), 40)
+    transforms = np.tile(np.eye(3, 4), (1, bones, 1, 1))
+    u, c = bone_sums(data, Model.with_weights(transforms, data.frame(0), indices, weights, bones))
+    start, neighbour = coupled_bones(u)
+    locked = np.zeros(bones, dtype=bool)
+
+    def sweep(count: int) -> float:
+        began = time.perf_counter()
+        sweep_bones(transforms, c, u, start, neighbour, locked, False, count)
+        return time.perf_counter() - began
+
+    sweep(1)
+    rate = sweep(1000) / 1000
+    spent, silence = longest_silence(lambda: sweep(int(1.0 / rate)))
+    assert spent > 0.3
+    assert silence < 0.5 * spent

@@ -92,7 +92,7 @@ def before(name: str, **options: Any) -> float:
     return ssdr.decompose(frames, faces, bones=bones, **options).rmse
 
 
-@pytest.mark.parametrize("name", ["chain0", "chain1", "chain2", "waves", "blend"])
+@pytest.mark.parametrize("name", ["chain0", "waves", "blend"])
 @pytest.mark.parametrize("change", CHANGES, **by_name)
 def test_a_run_follows_the_input(change: Callable[[Frames, Any], Change], name: str) -> None:
     frames, faces, bones = problem(name)
@@ -142,7 +142,7 @@ def test_exact_motion_stays_exact(change: Callable[[Frames, Any], Change]) -> No
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.filterwarnings("ignore:.*could each go")  # where a polish alone gives it nothing to do
 def test_one_bone_more_never_fits_worse(seed: int, kind: str) -> None:
     """A search from a finished model with one bone duplicated ends no higher."""
@@ -166,7 +166,9 @@ def test_one_bone_more_never_fits_worse(seed: int, kind: str) -> None:
     assert second.skinning.n_bones == bones + 1
 
 
-@pytest.mark.parametrize("first", range(0, 80, 20))
+@pytest.mark.parametrize(
+    "first", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (20, 40, 60))]
+)
 def test_random_problems(first: int) -> None:
     """Valid weights and rotations, true errors, falling histories, kept parts, continued runs."""
     cases = [random_problems.check(seed) for seed in range(first, first + 20)]

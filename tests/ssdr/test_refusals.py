@@ -1,4 +1,4 @@
-"""Arguments that ``ssdr.decompose`` refuses, and the argument that each error names."""
+"""Arguments that ``decompose`` and ``smallest`` refuse, and the argument that each error names."""
 
 from __future__ import annotations
 
@@ -160,27 +160,129 @@ REFUSED_SKELETONS: dict[str, tuple[str, dict[str, Any]]] = {
 }
 
 
-@pytest.mark.parametrize("case", [*REFUSED, *REFUSED_PARTS, *REFUSED_RIGS, *REFUSED_SKELETONS])
-def test_refuses(case: str) -> None:
+def still(n: int = 84, bones: int = 4, **parts: Any) -> ssdr.Skinning:
+    arrays = {"transforms": np.tile(np.eye(3, 4), (15, bones, 1, 1))} | parts
+    return motions.model(np.zeros((n, 3)), **arrays)
+
+
+TWICE = {"indices": np.zeros((84, 2), int), "weights": np.full((84, 2), 0.5)}
+THREE = {"indices": np.tile([0, 1, 2], (84, 1)), "weights": np.full((84, 3), 1 / 3)}
+GROWN = {"transforms": np.tile(2 * np.eye(3, 4), (15, 2, 1, 1)), "bone_model": "affine"}
+DENSE = ssdr.Start(weights=np.eye(84)[:, :2])
+ON = {"sequence": made().frames, "rig": ssdr.Skeleton(skeleton())}
+FLAT = dataclasses.replace(skeleton(), parents=None, joint_positions=None)
+OTHER = dataclasses.replace(skeleton(), parents=[-1, 0, 0, 0, 0, 0])
+REFUSED_STARTS: dict[str, tuple[str, dict[str, Any]]] = {
+    "a frame that is not there": ("start", {"start": 15, "bones": 2}),
+    "a file's name to start from": ("start", {"start": "model.npz", "bones": 2}),
+    "a skeleton": ("start", {"start": ssdr.Skeleton(skeleton()), "bones": 2}),
+    "another mesh": ("start", {"start": still(83)}),
+    "more bones than the start": ("bones", {"start": still(), "bones": 5}),
+    "bones that are true": ("bones", {"start": still(bones=1), "bones": True}),
+    "a start of more bones than vertices": ("start", {"start": still(bones=85)}),
+    "a start of too many influences": (
+        "start.weights",
+        {"start": still(**THREE), "influences": 2},
+    ),
+    "dense weights": ("start.indices", {"start": DENSE, "bones": 2}),
+    "a bone twice in the start": ("start.indices", {"start": still(**TWICE)}),
+    "bones that grow": ("start.transforms", {"start": still(**GROWN)}),
+    "far away": ("start.rest", {"start": motions.model(np.full((84, 3), 1e155))}),
+    "other bones than the skeleton's": ("start", ON | {"start": still(), "sequence": frames()}),
+    "another skeleton's": ("start", ON | {"start": OTHER}),
+    "no skeleton's": ("start", ON | {"start": FLAT}),
+}
+
+
+def linear(matrix: Any) -> np.ndarray:
+    m = np.tile(np.eye(3, 4), (15, 2, 1, 1))
+    m[3, 1, :, :3] = matrix
+    return m
+
+
+REFUSED_KINDS: dict[str, tuple[str, str, np.ndarray]] = {
+    "rigid, grown": ("rigid", "off by", 1.1 * np.eye(3)),
+    "similarity, sheared": ("similarity", "off by", np.diag([1, 1, 1.1])),
+    "similarity, mirrored": ("similarity", "reflection", np.diag([2, 2, -2.0])),
+    "similarity, of size 0": ("similarity", "zeros", np.zeros((3, 3))),
+    "affine, mirrored": ("affine", "reflection", np.diag([2, 1, -1.0])),
+    "affine, flat": ("affine", "singular", np.diag([2, 1, 0.0])),
+}
+REFUSED_STARTS |= {
+    f"{name} ({why})": (
+        "start.transforms",
+        {"bones": 2, "bone_model": kind, "start": ssdr.Start(transforms=linear(matrix))},
+    )
+    for name, (kind, why, matrix) in REFUSED_KINDS.items()
+}
+TOLERANCES = ["half", "0.5", "%", "0%", "-1%", "1.2.3%", "nan%", "inf%", "", 0, -0.1, True, np.nan,
+              np.inf, [1]]  # fmt: skip
+UNEVEN = np.where(np.arange(84) < 42, 5.0, 4e-6)
+REFUSED_SMALLEST: dict[str, tuple[str, dict[str, Any]]] = {
+    "the mean": ("measure", {"measure": "mean"}),
+    "smallest of no bones": ("bones", {"bones": 0}),
+    "smallest of more bones than vertices": ("bones", {"bones": 85}),
+    "a soft rest pose": ("rest_pose", {"rest_pose": "soft"}),
+    "weights beside a tolerance": ("start.weights", {"start": ssdr.Start(**EACH_ONE)}),
+    "bones beside a tolerance": ("start.transforms", {"start": ssdr.Start(transforms=TWO)}),
+    "vertices of no importance": ("vertex_importance", {"vertex_importance": np.arange(84) < 42}),
+    "importances too far apart": ("vertex_importance", {"vertex_importance": UNEVEN}),
+    "no tolerance of normals": ("normals_tolerance", {"normals_tolerance": 0}),
+    "degrees as text": ("normals_tolerance", {"normals_tolerance": "5°"}),
+    "normals without faces": ("normals_tolerance", {"normals_tolerance": 5, "faces": None}),
+    "a tolerance of no normals": ("normals", {"normals_tolerance": 5, "normals": False}),
+    "normals in words": ("normals", {"normals": "no"}),
+    **{f"tolerance {t!r}": ("tolerance", {"tolerance": t}) for t in TOLERANCES},
+}
+
+
+@pytest.mark.parametrize(
+    "case", [*REFUSED, *REFUSED_PARTS, *REFUSED_RIGS, *REFUSED_SKELETONS, *REFUSED_STARTS]
+)
+def test_decompose_refuses(case: str) -> None:
     """The error names the argument as the caller wrote it, before anything is computed."""
-    calls: list[object] = []
-    call = {"sequence": frames(), "faces": rig().faces, "callback": calls.append}
-    argument, change = (REFUSED | REFUSED_PARTS | REFUSED_RIGS | REFUSED_SKELETONS)[case]
-    change = {"bones": 4} | change
+    tables = REFUSED | REFUSED_PARTS | REFUSED_RIGS | REFUSED_SKELETONS | REFUSED_STARTS
+    argument, change = tables[case]
+    change = {"bones": None if case in REFUSED_STARTS else 4} | change
     if case in REFUSED_PARTS:
         argument, change["influences"] = f"start.{argument}", 3
     if case in REFUSED_SKELETONS:
-        call["sequence"] = made().frames
-        change = {"skinning": skeleton(), "bones": None} | REFUSED_SKELETONS[case][1]
+        change = {"sequence": made().frames, "skinning": skeleton(), "bones": None}
+        change |= REFUSED_SKELETONS[case][1]
         parts = {name: change.pop(name) for name in RIG if name in change}
         change["rig"] = ssdr.Skeleton(parts.pop("skinning"), **parts)
     parts = {name: change.pop(name) for name in PARTS if name in change}
     if parts:
         change["start"] = ssdr.Start(**parts)
+    error = refusal(ssdr.decompose, change)
+    assert error.argument == argument
+    assert case.partition("(")[2].rstrip(")") in str(error)
+
+
+@pytest.mark.parametrize("case", REFUSED_SMALLEST)
+def test_smallest_refuses(case: str) -> None:
+    argument, change = REFUSED_SMALLEST[case]
+    error = refusal(ssdr.smallest, {"tolerance": "1%"} | change)
+    assert error.argument == argument
+    assert argument != "tolerance" or "a share of the diagonal such as" in str(error)
+
+
+def refusal(function: Any, change: dict[str, Any]) -> ssdr.InputError:
+    calls: list[object] = []
+    call = {"sequence": frames(), "faces": rig().faces, "callback": calls.append}
     with pytest.raises(ssdr.InputError, match="expected") as caught:
-        ssdr.decompose(**(call | change))
-    assert caught.value.argument == argument
+        function(**(call | change))
     assert not calls
+    return caught.value
+
+
+def test_errors_say_where_a_start_is_found() -> None:
+    for start, said in (
+        (DENSE, r"Skinning\.from_dense has both"),
+        (still(**TWICE), r"from_dense of dense_weights\(\) adds them up"),
+    ):
+        with pytest.raises(ssdr.InputError, match=said):
+            ssdr.decompose(frames(), start=start, bones=2 if start is DENSE else None)
 
 
 PARTS = [field.name for field in dataclasses.fields(ssdr.Start)]

@@ -264,29 +264,7 @@ def test_weld_twice_maps_back_to_the_first_mesh(seam):
     )
 
 
-def test_weld_without_copies_keeps_order(wave):
-    welded, report = wave.weld()
-    assert report.before == report.after
-    np.testing.assert_array_equal(welded.vertices, wave.vertices)
-    np.testing.assert_array_equal(welded.vertex_map, np.arange(12))
-    np.testing.assert_array_equal(wave.unweld(wave.vertices[0]), wave.vertices[0])
-
-
 def test_weld_of_many_copies_at_one_place_is_cheap():
     welded, report = MeshSequence(np.ones((2, 200_000, 3), np.float32)).weld()
     assert (report.before, report.after) == (200_000, 1)
     assert not welded.vertex_map.any()
-
-
-def test_real_soup_welds_back(real):
-    sequence = real("fox")
-    soup = MeshSequence(
-        sequence.vertices[:, sequence.faces.ravel()],
-        np.arange(sequence.faces.size).reshape(-1, 3),
-    )
-    welded, report = soup.weld()
-    used = len(np.unique(sequence.faces))
-    assert report.after == used
-    np.testing.assert_array_equal(
-        welded.vertices[:, welded.faces], sequence.vertices[:, sequence.faces]
-    )

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from helpers.stability import Case, Problem, run
 from helpers.stability_cases import CASES, plain
 
+SLOW = {"exact skinning", "planar rest pose", "collinear rest pose", "nearly still", "V bones",
+        "V - 1 bones", "100,000 vertices", "4,000 frames", "other threads go on"}  # fmt: skip
 
-@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+
+def marked(case: Case) -> Any:
+    return pytest.param(case, id=case.name, marks=[pytest.mark.slow] * (case.name in SLOW))
+
+
+@pytest.mark.parametrize("case", [*map(marked, CASES)])
 def test_a_case_is_solved_or_refused_as_its_table_says(case: Case) -> None:
     outcome = run(case)
     assert outcome.passed, outcome

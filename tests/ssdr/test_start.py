@@ -14,7 +14,6 @@ import pytest
 import ssdr
 from helpers import motions, stretches, trees
 from helpers.measures import check, diagonal, frames, played, rig, rmse_of
-from ssdr.errors import InputError
 from ssdr.problem import scan
 
 Solve = Callable[..., ssdr.Decomposition]
@@ -71,7 +70,7 @@ KINDS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("effort", ["fast", "balanced"])
+@pytest.mark.parametrize("effort", ["fast", pytest.param("balanced", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_model_is_never_left_for_a_worse_one(
     kind: str, effort: str, tiny_memory: Callable[[], None]
@@ -210,60 +209,3 @@ def test_a_frame_or_a_mesh_is_a_start_as_on_the_command_line() -> None:
         )
         assert np.array_equal(one.skinning.rest, other.skinning.rest)
         assert np.array_equal(one.skinning.transforms, other.skinning.transforms)
-
-
-def still(n: int = 84, bones: int = 4, **parts: Any) -> ssdr.Skinning:
-    arrays = {"transforms": np.tile(np.eye(3, 4), (15, bones, 1, 1))} | parts
-    return motions.model(np.zeros((n, 3)), **arrays)
-
-
-def other_parents() -> ssdr.Skinning:
-    return dataclasses.replace(skeleton(), parents=[-1, 0, 0, 0, 0, 0])
-
-
-TWICE = {"indices": np.zeros((84, 2), int), "weights": np.full((84, 2), 0.5)}
-THREE = {"indices": np.tile([0, 1, 2], (84, 1)), "weights": np.full((84, 3), 1 / 3)}
-GROWN = {"transforms": np.tile(2 * np.eye(3, 4), (15, 2, 1, 1)), "bone_model": "affine"}
-ON = {"sequence": trees.six_bones().frames, "rig": ssdr.Skeleton(skeleton())}
-FLAT = dataclasses.replace(skeleton(), parents=None, joint_positions=None)
-REFUSED: dict[str, tuple[str, dict[str, Any]]] = {
-    "a frame that is not there": ("start", {"start": 15, "bones": 2}),
-    "a file's name": ("start", {"start": "model.npz"}),
-    "a skeleton": ("start", {"start": ssdr.Skeleton(skeleton())}),
-    "another mesh": ("start", {"start": still(83)}),
-    "more bones": ("bones", {"start": still(), "bones": 5}),
-    "bones that are true": ("bones", {"start": still(bones=1), "bones": True}),
-    "more bones than vertices": ("start", {"start": still(bones=85)}),
-    "too many influences": ("start.weights", {"start": still(**THREE), "influences": 2}),
-    "dense weights": (
-        "start.indices",
-        {"start": ssdr.Start(weights=np.eye(84)[:, :2]), "bones": 2},
-    ),
-    "a bone twice": ("start.indices", {"start": still(**TWICE)}),
-    "bones that grow": ("start.transforms", {"start": still(**GROWN)}),
-    "far away": ("start.rest", {"start": motions.model(np.full((84, 3), 1e155))}),
-    "other bones than the skeleton's": ("start", {"start": still(), "rig": ON["rig"]}),
-    "another skeleton's": ("start", ON | {"start": other_parents()}),
-    "no skeleton's": ("start", ON | {"start": FLAT}),
-}
-
-
-def test_errors_say_where_a_start_is_found() -> None:
-    for start, said in (
-        (ssdr.Start(weights=np.eye(84)[:, :2]), r"Skinning\.from_dense has both"),
-        (still(**TWICE), r"from_dense of dense_weights\(\) adds them up"),
-    ):
-        with pytest.raises(InputError, match=said):
-            ssdr.decompose(
-                frames(), start=start, bones=2 if isinstance(start, ssdr.Start) else None
-            )
-
-
-@pytest.mark.parametrize("case", REFUSED)
-def test_refuses(case: str) -> None:
-    argument, change = REFUSED[case]
-    calls: list[object] = []
-    with pytest.raises(InputError, match="expected") as caught:
-        ssdr.decompose(**({"sequence": frames()} | change), callback=calls.append)
-    assert caught.value.argument == argument
-    assert not calls

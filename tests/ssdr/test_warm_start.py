@@ -49,7 +49,7 @@ def from_nothing(effort: str) -> float:
     return ssdr.decompose(*clip(), bones=BONES, effort=effort).rmse
 
 
-@pytest.mark.parametrize("effort", ["fast", "balanced"])
+@pytest.mark.parametrize("effort", ["fast", pytest.param("balanced", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("make", [clusters, crumpled, of_other_frames, own])
 def test_no_worse_than_the_start_and_than_none(make, effort: str) -> None:
     shots, _ = clip()

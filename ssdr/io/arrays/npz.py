@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from ...clips import Clip, pick
 from ...errors import InputError
 from ...sequence import MeshSequence
+from ...shapes import Shapes
 from ...space import Space
 from ...surface import Material, Surface
 from ..budget import afford
@@ -32,7 +33,9 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-FORMAT_VERSION = 2  # of the arrays' names and meaning; raised when an old reader would misread
+# Of the arrays' names and meaning; raised when an old reader would misread.  Shapes are new in 3,
+# and files without them stay 2.
+FORMAT_VERSION = 3
 _SURFACE = (
     *("surface_uv", "surface_normals", "surface_material_index", "materials", "texture_*"),
     "vertex_normals",  # (V, 3), in place of surface_normals where no vertex has two
@@ -41,6 +44,8 @@ _SKINNING = ("rest", "weights", "transforms", "faces", "fps", "format_version")
 _FIELDS = {"uv": "float32", "normals": "float32", "material_index": "int32"}  # of a Surface
 _SPACE = ("units", "up")
 _WHERE_GIVEN = ("keyframes", "vertex_map", "parents", "joint_positions")
+# displacements (N, 3) that are not 0, the shape and vertex (N, 2) of each; amounts (F, S)
+_SHAPES = ("shape_displacements", "shape_vertices", "shape_amounts", "shape_names")
 
 
 def read(
@@ -155,7 +160,7 @@ def read_skinning(
         required=_SKINNING,
         optional=(
             *("indices", "joints", "bone_model", "bone_names", "name", *_WHERE_GIVEN, *_SURFACE),
-            *("clip_names", "clip_offsets", "clip_fps", *_SPACE),
+            *("clip_names", "clip_offsets", "clip_fps", *_SPACE, *_SHAPES),
         ),
         max_bytes=max_bytes,
     )
@@ -182,6 +187,7 @@ def read_skinning(
             bone_names=tuple(json.loads(names)) if names else None,
             name=_text(arrays, "name"),
             space=_space(arrays),
+            shapes=_shapes_from(arrays, path, max_bytes),
             **{key: arrays.get(key) for key in _WHERE_GIVEN},
         )
 
@@ -193,9 +199,15 @@ def write_skinning(skinning: Skinning, path: Path, *, compress: bool = True) -> 
         "indices": skinning.indices,
         "weights": skinning.weights,
         "transforms": skinning.transforms,
-        "format_version": np.int64(FORMAT_VERSION),
+        "format_version": np.int64(2 if skinning.shapes is None else FORMAT_VERSION),
         "bone_model": np.array(skinning.bone_model),
     }
+    if skinning.shapes is not None:
+        shapes, (s, v) = skinning.shapes, np.nonzero(skinning.shapes.moved)
+        names = np.array(json.dumps(shapes.names))
+        rows = np.stack([s, v], axis=1).astype(np.int32)
+        found = shapes.displacements[s, v], rows, shapes.amounts, names
+        arrays |= dict(zip(_SHAPES, found, strict=True))
     if skinning.bone_names is not None:
         arrays["bone_names"] = np.array(json.dumps(skinning.bone_names))
     clips = skinning.clips
@@ -234,6 +246,30 @@ def _clips_from(arrays: Mapping[str, NDArray[Any]]) -> Any:
     if offsets.shape != (len(names) + 1,):
         raise InputError("clip_offsets", f"shape ({len(names) + 1},)", offsets.shape)
     return [Clip(*one) for one in zip(names, offsets[:-1], offsets[1:], rates, strict=True)]
+
+
+def _shapes_from(
+    arrays: Mapping[str, NDArray[Any]], path: Path, max_bytes: int | None
+) -> Shapes | None:
+    """Shapes that the arrays of an archive describe; None if they describe none."""
+    missing = [name for name in _SHAPES if name not in arrays]
+    if len(missing) == len(_SHAPES):
+        return None
+    check(not missing, f"shapes without {', '.join(missing)}")
+    found, rows, amounts = (arrays[name] for name in _SHAPES[:3])
+    fits = rows.dtype.kind in "iu" and rows.shape == (len(found), 2) and found.ndim == 2
+    size = np.array([amounts.shape[-1], len(arrays["rest"])])
+    problem = f"shape_vertices {rows.shape} of {len(found)} displacements"
+    check(fits and amounts.ndim == 2 and (rows >= 0).all() and (rows < size).all(), problem)
+    afford(
+        3.0 * size.prod() * found.itemsize,
+        f"{size[0]} shapes of {size[1]} vertices",
+        path,
+        max_bytes,
+    )
+    moved = np.zeros((*size, 3), dtype=found.dtype)
+    moved[tuple(rows.T)] = found
+    return Shapes(moved, amounts, names=json.loads(_text(arrays, "shape_names")))
 
 
 def _space(arrays: Mapping[str, NDArray[Any]]) -> Space:

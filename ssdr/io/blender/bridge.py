@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ...clips import Clip, in_order, readable
 from ...errors import FormatError, InputError, MissingDependencyError, SsdrError
 from ...sequence import MeshSequence
-from ...skinning import Skinning
+from ...skinning import Skinning, refuse_shapes
 from ...space import METRES_Y_UP, Space
 from ..arrays.npz import surface_from
 from ..atomic import atomic_path
@@ -309,6 +309,7 @@ def write_skinning(
     SsdrError
         If Blender stops with an error or takes too long, or its file does not hold the model.
     """
+    refuse_shapes(skinning, "thing", "FBX; glTF and USD hold them")
     title = name or skinning.name or path.stem
     names = [clip.name or title for clip in skinning.clips]
     long = [one for one in names if len(one.encode()) > _LONGEST_NAME]

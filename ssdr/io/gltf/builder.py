@@ -21,6 +21,7 @@ from .document import COMPONENTS, WIDTHS, Document
 
 CODES = {dtype.name: code for code, dtype in COMPONENTS.items()}
 ARRAY, ELEMENTS = 34962, 34963
+_NORMALISED = ("NORMAL", "+NORMAL", "WEIGHTS", "rotation", "weights")
 
 
 class Builder:
@@ -42,7 +43,11 @@ class Builder:
         Contents of the copied document that cannot be kept.
     notes : list of str
         Other messages for the user.
+    packs : bool
+        Whether arrays are stored as integers where they may be.
     """
+
+    packs = False
 
     def __init__(self, document: Document | None = None) -> None:
         self.document = document
@@ -89,7 +94,7 @@ class Builder:
         """
         item, stored = self.place(array, kind, target, use)
         item |= {"count": len(array), "type": kind}
-        if stored.dtype.kind in "iu" and use.startswith(("NORMAL", "WEIGHTS", "rotation")):
+        if stored.dtype.kind in "iu" and use.startswith(_NORMALISED):
             item["normalized"] = True
         if bounds:
             # Validators compare bounds exactly, and item() keeps a float32's value in JSON.
@@ -99,6 +104,56 @@ class Builder:
         accessors: list[Any] = self.json["accessors"]
         accessors.append(item)
         return len(accessors) - 1
+
+    def displaced(self, arrays: NDArray[Any], use: str) -> list[int]:
+        """Add accessors of what morph targets add to the attribute `use`, and return their indices.
+
+        One is sparse where that takes fewer bytes; sparse ones share two buffer views, since a view
+        of its own for each takes more than many targets hold.
+        """
+        wide = np.uint16 if arrays.shape[1] < 65536 else np.uint32
+        found: list[int] = []
+        views: tuple[int, int] | None = None
+        empty: int | None = None
+        for single in arrays.astype(np.float32):
+            stored = self.stored_displacements(single, use)
+            rows = np.flatnonzero(stored.any(axis=1)).astype(wide)
+            if not len(rows) and empty is not None:
+                found.append(empty)
+                continue
+            if len(rows) * (3 * stored.itemsize + rows.itemsize) >= stored.nbytes:
+                found.append(
+                    self.accessor(single, "VEC3", target=ARRAY, bounds=True, use="+" + use)
+                )
+                continue
+            item = {"componentType": CODES[stored.dtype.name], "count": len(stored), "type": "VEC3"}
+            if stored.dtype.kind == "i" and use == "NORMAL":
+                item["normalized"] = True
+            item["min"], item["max"] = (
+                [x.item() for x in bound(stored, axis=0)] for bound in (np.min, np.max)
+            )
+            if len(rows):
+                views = views or (self.view(b""), self.view(b""))
+                first, second = (self.json["bufferViews"][k]["buffer"] for k in views)
+                item["sparse"] = {
+                    "count": len(rows),
+                    "indices": {
+                        "bufferView": views[0],
+                        "byteOffset": len(self.blocks[first]),
+                        "componentType": CODES[rows.dtype.name],
+                    },
+                    "values": {"bufferView": views[1], "byteOffset": len(self.blocks[second])},
+                }
+                self.blocks[first] = bytes(self.blocks[first]) + rows.tobytes()
+                self.blocks[second] = bytes(self.blocks[second]) + stored[rows].tobytes()
+            self.json["accessors"].append(item)
+            found.append(len(self.json["accessors"]) - 1)
+            empty = empty if len(rows) else found[-1]
+        return found
+
+    def stored_displacements(self, array: NDArray[Any], use: str) -> NDArray[Any]:
+        """Array of a sparse morph target as stored."""
+        return array
 
     def place(
         self, array: NDArray[Any], kind: str, target: int | None, use: str

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from ...errors import InputError
 from ...normals import unit
+from ...shapes import Shapes
 from ...skinning import Skinning
 from ...storage.keyframes import Tracks
 from ..corners import Corners
@@ -29,6 +30,7 @@ from ..optional import require
 from ..rig import Rig, build_rig
 from .builder import ARRAY, CODES, ELEMENTS, Builder
 from .compression import MESHOPT
+from .shapes import stored_amounts
 
 Compression = Literal["none", "quantized", "meshopt"]
 _SETTLES = 8
@@ -74,6 +76,12 @@ class Grid:
         counts = np.rint((rest - self.low) / self.step)
         return np.clip(counts, 0, 65535).astype(np.uint16)
 
+    def displacements(self, moved: NDArray[Any]) -> NDArray[Any]:
+        """What morph targets add to the counts: int16 or, beyond its range, float32."""
+        counts = np.rint(moved / self.step)
+        fits = np.abs(counts).max(initial=0) <= 32767
+        return np.asarray(counts.astype(np.int16 if fits else np.float32))
+
     def round(self, rig: Rig) -> Rig:
         """Rig whose arrays are those that a reader of the file decodes."""
         unit = 2.0**self.exponent
@@ -95,7 +103,14 @@ class Grid:
             scales=None
             if rig.scales is None
             else (np.rint(rig.scales / 2.0**-14) * 2.0**-14).astype(np.float32),
+            shapes=None if rig.shapes is None else self._rounded(rig.shapes),
         )
+
+    def _rounded(self, shapes: Shapes) -> Shapes:
+        stored = stored_amounts(shapes.amounts, True)
+        whole = np.iinfo(stored.dtype).max if stored.dtype.kind == "u" else 1
+        moved = self.displacements(shapes.displacements) * self.step
+        return Shapes(moved, stored / whole, names=shapes.names)
 
 
 def coarse_rig(
@@ -191,6 +206,7 @@ def fetch_order(corners: Corners, groups: NDArray[np.integer]) -> tuple[Corners,
         faces=place[faces].reshape(-1, 3),
         uv=None if corners.uv is None else corners.uv[take],
         normals=None if corners.normals is None else corners.normals[take],
+        number=None if corners.number is None else corners.number[take],
     )
     return moved, np.concatenate(order) if order else groups
 
@@ -228,6 +244,8 @@ class _Stream:
 class Packed(Builder):
     """A glTF document whose arrays are quantized, and compressed if `meshopt` is true."""
 
+    packs = True
+
     def __init__(self, grid: Grid, *, meshopt: bool) -> None:
         super().__init__()
         self.grid, self.meshopt = grid, meshopt
@@ -263,6 +281,10 @@ class Packed(Builder):
         """Array as stored, its meshopt filter, and its type once decoded (None: unchanged)."""
         if use == "POSITION":
             return np.pad(self.grid.counts(array), ((0, 0), (0, 1))), "NONE", None
+        if use.startswith("+"):
+            stored = self.stored_displacements(array, use[1:])
+            room = 1 if stored.dtype.kind == "i" else 0  # elements are whole multiples of 4 bytes
+            return np.pad(stored, ((0, 0), (0, room))), "NONE", None
         if use == "NORMAL":
             if self.meshopt:
                 return _octahedral(array), "OCTAHEDRAL", None
@@ -284,6 +306,13 @@ class Packed(Builder):
             whole[3, :3] = self.grid.low
             return (whole @ turn).astype(np.float32).reshape(-1, 16), "NONE", None
         return array, "NONE", None
+
+    def stored_displacements(self, array: NDArray[Any], use: str) -> NDArray[Any]:
+        """As of :meth:`Builder.stored_displacements`: integers where they hold the values."""
+        if use == "POSITION":
+            return self.grid.displacements(array)
+        fits = np.abs(array).max(initial=0) <= 1
+        return np.rint(array * 127).astype(np.int8) if fits else array.astype(np.float32)
 
     def decoded_normals(self, normals: NDArray[Any]) -> NDArray[np.float32]:
         """Normals ``(T, 3, 3)`` as a reader decodes them."""

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from ...clips import readable
 from ...errors import FormatError
 from ...normals import unit
-from ...surface import Material
+from ...shapes import Shapes
 from ..mesh_names import choose
 from ..registry import check
 from ..scene import Bones, Shape, facing, file_weights
-from ..signatures import picture_type
 from .animation import Animation, Nodes, descendants
 from .compression import DRACO, decode_mesh
 from .document import Document
@@ -179,21 +178,37 @@ class PrimitiveGroup:
 
     def shape(self, nodes: Nodes) -> Shape:
         """Vertices before skinning, or a function from frame to vertices if they change."""
-        count = len(self.targets)
-        if not count:
+        amounts = self._amounts(nodes)
+        if not amounts.size:
             return self.positions
-        amounts = nodes.animation.sample(self.node, "weights")
-        if amounts is None:
-            holder = nodes.items[self.node]
-            if "weights" not in holder:
-                holder = self.document.items("meshes")[self.mesh]
-            amounts = self.document.numbers(holder, "weights", [0.0] * count)[None]
-        check(amounts.shape[1] == count, f"{amounts.shape[1]} morph weights for {count} targets")
 
         def morphed(frame: int) -> NDArray[np.float64]:
             return np.asarray(self.positions + np.einsum("k,kvc->vc", amounts[frame], self.targets))
 
         return morphed if (amounts != amounts[:1]).any() else morphed(0)
+
+    def at_rest(self, nodes: Nodes) -> tuple[NDArray[np.float64], Shapes | None]:
+        """Vertices before skinning without morph targets, and these with their amounts."""
+        amounts, count = self._amounts(nodes), len(nodes.animation.times)
+        if not amounts.size:
+            return self.positions, None
+        extras = self.document.items("meshes")[self.mesh].get("extras")
+        names = extras.get("targetNames") if isinstance(extras, dict) else None
+        usable = isinstance(names, list) and len(names) == amounts.shape[1]
+        each = np.broadcast_to(amounts, (count, amounts.shape[1]))
+        return self.positions, Shapes(self.targets, each, names=names if usable else None)
+
+    def _amounts(self, nodes: Nodes) -> NDArray[np.float64]:
+        """Amounts ``(F, M)`` of the morph targets, or ``(1, M)`` if they do not change."""
+        count = len(self.targets)
+        amounts = nodes.animation.sample(self.node, "weights") if count else None
+        if amounts is None:
+            holder = nodes.items[self.node] if count else {}
+            if count and "weights" not in holder:
+                holder = self.document.items("meshes")[self.mesh]
+            amounts = self.document.numbers(holder, "weights", [0.0] * count)[None]
+        check(amounts.shape[1] == count, f"{amounts.shape[1]} morph weights for {count} targets")
+        return amounts
 
     def transforms(self, nodes: Nodes) -> NDArray[np.float64]:
         """Transforms ``(F, B, 3, 4)`` of the bones from the rest pose to world space."""
@@ -354,34 +369,3 @@ def _uv_name(document: Document, group: list[dict[str, Any]]) -> str:
         if "texCoord" in look.get("baseColorTexture", {}):
             return f"TEXCOORD_{look['baseColorTexture']['texCoord']}"
     return "TEXCOORD_0"
-
-
-def read_materials(document: Document) -> list[Material]:
-    """All materials of the file."""
-    return [_material(document, item) for item in document.items("materials")]
-
-
-def _material(document: Document, item: dict[str, Any]) -> Material:
-    look = item.get("pbrMetallicRoughness", {})
-    r, g, b, a = document.numbers(look, "baseColorFactor", [1.0] * 4).tolist()
-    texture, kind = None, "image/png"
-    if "baseColorTexture" in look:
-        reference = look["baseColorTexture"]
-        if "KHR_texture_transform" in reference.get("extensions", {}):
-            _log.warning("%s: the transform of a texture is left out", document.path)
-        source = document.items("textures")[reference["index"]].get("source")
-        if source is None:
-            _log.warning("%s: a texture has no PNG or JPEG image", document.path)
-        else:
-            image = document.items("images")[source]
-            texture = document.picture(image)
-            kind = str(image.get("mimeType") or picture_type(texture) or kind)
-    return Material(
-        name=str(item.get("name", "material")),
-        base_color=(r, g, b, a),
-        metallic=document.number(look.get("metallicFactor", 1.0), "metallicFactor"),
-        roughness=document.number(look.get("roughnessFactor", 1.0), "roughnessFactor"),
-        double_sided=bool(item.get("doubleSided", False)),
-        texture=texture,
-        texture_type=kind,
-    )

@@ -18,7 +18,8 @@ from ..sampling import Missed, Sample
 from ..scene import join_sequence, join_skinning, part_starts
 from .animation import Animation, Nodes, animation_names, mesh_name, read_animation, read_animations
 from .document import Document
-from .parts import JointPoints, PrimitiveGroup, names_of, read_materials, read_parts
+from .materials import read_materials
+from .parts import JointPoints, PrimitiveGroup, names_of, read_parts
 
 
 def read(
@@ -131,7 +132,7 @@ def read_skinning(
     Raises
     ------
     FormatError
-        As in :func:`read`, and if morph targets move a mesh, which a skinning cannot store.
+        As in :func:`read`.
     InputError
         If there is no such animation or mesh.
     """

@@ -14,19 +14,20 @@ from numpy.typing import NDArray
 
 from ...checks import parse_tolerance
 from ...errors import InputError, check_choice
+from ...frames.shaped_normals import shaped_normals
 from ...hierarchy.bone_ends import limb_axes, limb_ends
 from ...hierarchy.transforms import rest_diagonal
 from ...quantisation import WeightStorage, weight_values
 from ...rigid import matrix_from_quaternion, quaternion_from_matrix, unflip_quaternions
-from ...skinning import Skinning
+from ...skinning import Skinning, refuse_shapes
 from ...surface import Material, Surface
 from ..corners import Corners, rest_normals, split_corners
-from ..registry import SaveReport, seconds
+from ..registry import SaveReport
 from ..rig import Rig, build_rig
 from ..scene import check_kept
 from .builder import ARRAY, ELEMENTS, Builder
 from .compact import Compression, Packed, coarse_rig, fetch_order, steady_slots
-from .shapes import Shapes
+from .shapes import add_channel, add_targets, state_targets
 from .skeleton import add_animation, add_skin, add_weights, skeleton_nodes
 from .template import Template
 
@@ -42,7 +43,6 @@ def write_skinning(
     meshes: str | Sequence[str] | None = None,
     clip_names: Mapping[str, str | None] | None = None,
     strict: bool = False,
-    shapes: Shapes | None = None,
     levels: Sequence[Skinning] = (),
     compression: Compression = "none",
     tolerance: float | str | None = None,
@@ -52,7 +52,8 @@ def write_skinning(
     Parameters
     ----------
     skinning : Skinning
-        Rigid or similarity bones, in metres with y up.
+        Rigid or similarity bones, in metres with y up.  Its shapes become morph targets, whose
+        normals are fitted; not with a template or levels.
     path : Path
     influences : int, optional
         Number of largest weights to keep for each vertex; all by default. glTF holds 8, and many
@@ -75,9 +76,6 @@ def write_skinning(
     strict : bool
         Whether to raise an error, instead of reporting the loss, if contents of the template
         cannot be kept.
-    shapes : Shapes, optional
-        Morph targets of the mesh, and how much of each is added in every frame before skinning;
-        not with a template.
     levels : sequence of Skinning
         Coarser levels of detail as :func:`ssdr.levels` finds them, which use the first bones of
         `skinning`.  Their meshes share its skeleton; ``MSFT_lod`` names their nodes.
@@ -109,13 +107,11 @@ def write_skinning(
     rounding: dict[str, Any] = {"influences": influences, "most": 8, "storage": weights}
     title = name or skinning.name or path.stem
     rig, builder = _rounded(skinning, compression, tolerance, levels, rounding)
-    if shapes is not None:
-        shapes.check(skinning)
-        if template is not None or levels or compression != "none":
-            raise InputError("shapes", "none beside a template, levels or a compression", "both")
+    if template is not None or levels:
+        refuse_shapes(skinning, "thing", "a file with a template or levels")
     if template is None:
         coarser = [(level, _level(rig, skinning, level, rounding)) for level in levels]
-        _fill(builder, skinning, rig, title, coarser, shapes)
+        _fill(builder, skinning, rig, title, coarser)
         return _report(skinning, rig, path, builder)
     if levels or compression != "none":
         raise InputError("template", "None beside levels or a compression", str(template))
@@ -157,6 +153,7 @@ def compact_size(
         weights=weight_values(rig.weights),
         transforms=rig.matrices(np.arange(rig.n_frames, dtype=np.float64)),
         surface=surface,
+        shapes=rig.shapes,
         parents=None,
         joint_positions=None,
         keyframes=None,
@@ -258,14 +255,13 @@ def _fill(
     rig: Rig,
     title: str,
     coarser: Sequence[tuple[Skinning, Rig]] = (),
-    shapes: Shapes | None = None,
 ) -> None:
     """Add all of a file that holds nothing but the model, and its coarser levels of detail."""
     json = builder.json
     json["meshes"], nodes = [], []
     for k, level in enumerate([(model, rig), *coarser]):
         named = f"{title}_LOD{k}" if coarser else title
-        json["meshes"].append({"name": named, "primitives": _mesh(builder, *level, shapes)})
+        json["meshes"].append({"name": named, "primitives": _mesh(builder, *level)})
         nodes.append({"name": named, "mesh": k, "skin": 0})
     # The meshes stand at the top of the scene: glTF ignores the transform of a
     # skinned mesh's node, and importers disagree about its parents.
@@ -281,38 +277,37 @@ def _fill(
         add_animation(builder, rig, clip, title if clip.name in unnamed else clip.name, first)
         for clip in rig.clips
     ]
-    if shapes is not None:
-        json["meshes"][0]["weights"] = shapes.amounts.mean(axis=0).tolist()
+    if rig.shapes is not None:
+        state_targets(json["meshes"][0], rig.shapes)
         for clip, animation in zip(rig.clips, json["animations"], strict=True):
-            times = seconds(np.arange(clip.n_frames), clip.fps).astype(np.float32)
-            stamps = builder.accessor(times, "SCALAR", bounds=True)
-            shapes.add_channel(builder, animation, clip.frames, stamps)
+            add_channel(builder, animation, rig.shapes, clip)
 
 
-def _mesh(
-    builder: Builder, model: Skinning, rig: Rig, shapes: Shapes | None
-) -> list[dict[str, Any]]:
+def _mesh(builder: Builder, model: Skinning, rig: Rig) -> list[dict[str, Any]]:
     """Add a mesh and return the JSON of its primitives."""
     surface = model.surface
     normals = rest_normals(model, rig.rest)
-    added: NDArray[np.float32] | None = None
-    if shapes is not None and normals is not None:
-        normals, added = shapes.normals(model, normals)
+    fitted = shaped_normals(model) if model.shapes is not None and normals is not None else None
+    if fitted is not None:
+        normals = fitted.rest[fitted.corner].astype(np.float32)
     uv = None if surface is None else surface.uv
     corners = split_corners(model.faces, model.n_vertices, uv, normals)
+    if fitted is not None:
+        number = np.zeros(len(corners.vertex), dtype=np.int32)
+        number[corners.faces] = fitted.corner
+        corners = dataclasses.replace(corners, number=number)
     index = np.zeros(len(corners.faces), dtype=np.int32)
     if surface is not None and surface.material_index is not None:
         index = surface.material_index
     if isinstance(builder, Packed) and builder.meshopt:
         corners, index = fetch_order(corners, index)
     attributes = _attributes(builder, rig, corners)
-    if not len(corners.faces):
-        return [{"attributes": attributes, "mode": 0}]
-    primitives = _primitives(builder, surface or Surface(), corners, index, attributes)
-    if shapes is not None and added is not None:
-        targets = shapes.add_targets(builder, corners, added)
-        for primitive in primitives:
-            primitive["targets"] = targets
+    primitives: list[dict[str, Any]] = [{"attributes": attributes, "mode": 0}]
+    if len(corners.faces):
+        primitives = _primitives(builder, surface or Surface(), corners, index, attributes)
+    if rig.shapes is not None:
+        targets = add_targets(builder, rig.shapes, corners, fitted)
+        primitives = [{**primitive, "targets": targets} for primitive in primitives]
     return primitives
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from ...normals import unit
+from ...shapes import Shapes
 from ..meshes.polygons import fan, value_index
 from ..registry import check
 from ..scene import Bones, Shape, facing, file_weights
@@ -61,7 +62,7 @@ class MeshPrim:
         self._read_polygons()
         self.joints: Any = skeleton if query is not None and query.HasJointInfluences() else None
         self._query = query
-        self._shapes = None
+        self._shapes: Any = None
         if query is not None and query.HasBlendShapes() and skeleton.GetAnimQuery():
             self._shapes = UsdSkel.BlendShapeQuery(UsdSkel.BindingAPI(prim))
             self._shaper = skeleton.GetAnimQuery()
@@ -250,27 +251,65 @@ class MeshPrim:
             return lambda frame: self._points(float(codes[frame]))
         return self._points(float(codes[0]))
 
+    def at_rest(self, codes: NDArray[np.float64]) -> tuple[NDArray[np.float64], Shapes | None]:
+        """Points before skinning without blend shapes, and these with their amounts.
+
+        An inbetween is a shape of its own.
+        """
+        if self._shapes is None:
+            points = self.shape(codes)
+            self._check(not callable(points), "its points move; ssdr.load bakes them")
+            return points, None  # type: ignore[return-value]  # an array, as was checked
+        still = len(self.attribute.GetTimeSamples()) < 2
+        self._check(still, "its points move beside blend shapes; ssdr.load bakes them")
+        offsets, points = self._shapes.ComputeSubShapePointOffsets(), self.raw_points(_FIRST)
+        used = [part for part, blend in enumerate(offsets) if len(blend)]  # some stand for weight 0
+        amounts = np.zeros((len(codes), len(offsets)))
+        for row, code in zip(amounts, codes, strict=True):
+            for amount, _, part in self._amounts(float(code)):
+                row[part] += amount
+        moved = np.zeros((len(used), *points.shape))
+        for into, part in zip(moved, used, strict=True):
+            self._displace(into, 1.0, self._shapes.GetBlendShapeIndex(part), offsets[part])
+        names = [self._shape_name(part) for part in used]
+        return points, Shapes(moved, amounts[:, used], names=names) if used else None
+
+    def _shape_name(self, part: int) -> str:
+        """Name of a subshape: that of its blend shape or, of an inbetween, its own."""
+        inbetween = self._shapes.GetInbetween(part)
+        if inbetween:
+            return str(inbetween.GetAttr().GetBaseName())
+        return str(
+            self._shapes.GetBlendShape(self._shapes.GetBlendShapeIndex(part)).GetPrim().GetName()
+        )
+
     def _points(self, code: float) -> NDArray[np.float64]:
         points = self.raw_points(code)
         problem = f"{self.n_points} points at first, {len(points)} at {code:g}"
         self._check(len(points) == self.n_points, problem)
         if self._shapes is None:
             return points
+        offsets = self._shapes.ComputeSubShapePointOffsets()
+        for amount, shape, part in self._amounts(code):
+            self._displace(points, amount, shape, offsets[part])
+        return points
+
+    def _amounts(self, code: float) -> list[tuple[float, int, int]]:
+        """Amount, blend shape and subshape of each subshape in use at the time `code`."""
         weights = self._shaper.ComputeBlendShapeWeights(code)
         mapper = self._query.GetBlendShapeMapper()
         if mapper:
             weights = mapper.Remap(weights)
-        found = self._shapes.ComputeSubShapeWeights(weights)
-        rows = self._shapes.ComputeBlendShapePointIndices()
-        offsets = self._shapes.ComputeSubShapePointOffsets()
-        for amount, shape, part in zip(*found, strict=True):
-            moved = np.array(offsets[part], dtype=np.float64).reshape(-1, 3)
-            row = np.array(rows[shape], dtype=np.int64)
-            row = row if len(row) else np.arange(self.n_points)
-            fits = len(row) == len(moved) and 0 <= row.min() <= row.max() < self.n_points
-            self._check(fits, "a blend shape that does not match its points")
-            np.add.at(points, row, amount * moved)
-        return points
+        return list(zip(*self._shapes.ComputeSubShapeWeights(weights), strict=True))
+
+    def _displace(self, points: NDArray[np.float64], amount: float, shape: int, by: Any) -> None:
+        """Add `amount` of a subshape's offsets `by` to points; `shape` is its blend shape."""
+        moved = np.array(by, dtype=np.float64).reshape(-1, 3)
+        row = np.array(self._shapes.ComputeBlendShapePointIndices()[shape], dtype=np.int64)
+        row = row if len(row) else np.arange(self.n_points)
+        fits = len(row) == len(moved) and 0 <= row.min() <= row.max() < self.n_points
+        self._check(fits, "a blend shape that does not match its points")
+        np.add.at(points, row, amount * moved)
 
     def transforms(self, codes: NDArray[np.float64]) -> NDArray[np.float64]:
         """Transforms ``(F, B, 3, 4)`` of the bones, from the space of the points to world space."""

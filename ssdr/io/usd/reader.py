@@ -355,8 +355,7 @@ def read_skinning(
     Raises
     ------
     FormatError
-        As in :func:`read`, and if a mesh has moving points or blend shapes, which a skinning cannot
-        store.
+        As in :func:`read`, and if the points of a mesh move, which a skinning cannot store.
     """
     with reading(path, "meshes"):
         reader = StageReader(path, max_bytes, meshes)

@@ -11,6 +11,7 @@ from pxr import Gf, Tf, UsdSkel, Vt
 
 from ...clips import Clip, readable, unique_names
 from ...hierarchy.transforms import parents_first
+from ...shapes import Shapes
 from ..rig import Rig
 
 
@@ -103,6 +104,32 @@ def _put_keys(
         if rig.scales is not None:
             sizes = rig.scales[frame, order][:, None].astype(np.float16)
             scales.Set(Vt.Vec3hArray.FromNumpy(ones * sizes), code)
+    if rig.shapes is not None:
+        animation.CreateBlendShapesAttr(_shape_tokens(rig.shapes))
+        weights = animation.CreateBlendShapeWeightsAttr()
+        for frame in np.arange(clip.start, clip.stop):
+            code = start + float(frame - clip.start) * (tempo / clip.fps)
+            weights.Set(Vt.FloatArray.FromNumpy(rig.shapes.amounts[frame]), code)
+
+
+def bind_shapes(stage: Any, prim: Any, shapes: Shapes) -> None:
+    """Define blend shapes below a mesh that is bound to a skeleton, with the points they move."""
+    tokens = _shape_tokens(shapes)
+    places = [prim.GetPath().AppendChild(token) for token in tokens]
+    for place, displacements in zip(places, shapes.displacements, strict=True):
+        rows = np.flatnonzero(displacements.any(axis=1))
+        shape = UsdSkel.BlendShape.Define(stage, place)
+        # without points, a blend shape would be one of all of them
+        rows = rows if len(rows) else np.zeros(1, dtype=np.int64)
+        shape.CreateOffsetsAttr(Vt.Vec3fArray.FromNumpy(displacements[rows].astype(np.float32)))
+        shape.CreatePointIndicesAttr(Vt.IntArray.FromNumpy(rows.astype(np.int32)))
+    binding = UsdSkel.BindingAPI(prim)
+    binding.CreateBlendShapesAttr(tokens)
+    binding.CreateBlendShapeTargetsRel().SetTargets(places)
+
+
+def _shape_tokens(shapes: Shapes) -> list[str]:
+    return list(unique_names([identifier(name) for name in shapes.names], "shape"))
 
 
 def bind(

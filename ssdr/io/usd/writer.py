@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from ...sequence import MeshSequence
-from ...skinning import Skinning
+from ...skinning import Skinning, refuse_shapes
 from ...space import METRES_Y_UP, Space
 from ..atomic import atomic_path
 from ..corners import rest_normals
@@ -22,7 +22,7 @@ from ..registry import SaveReport
 from ..rig import build_rig
 from ..storage_error import StorageError
 from .materials import write_materials
-from .skeleton import bind, identifier, put_skeleton
+from .skeleton import bind, bind_shapes, identifier, put_skeleton
 from .stage import system_errors
 from .template import put
 
@@ -47,7 +47,7 @@ def write_skinning(
     Parameters
     ----------
     skinning : Skinning
-        Rigid or similarity bones.
+        Rigid or similarity bones.  Its shapes become blend shapes without normals of their own.
     path : Path
         ``.usda`` (text), ``.usdc`` or ``.usd`` (binary).
     influences : int, optional
@@ -99,6 +99,7 @@ def write_skinning(
     if rig.scales is not None:
         notes.append("UsdSkel holds scales in half precision")
     if template is not None:
+        refuse_shapes(skinning, "thing", "a file with a template")
         with atomic_path(path) as temporary, system_errors(path, Path(template)):
             names = clip_names or {}
             lost += put(Path(template), temporary, path, skinning, rig, meshes, names, strict)
@@ -116,6 +117,8 @@ def write_skinning(
                 _put_primvar(mesh, "normals", Sdf.ValueTypeNames.Normal3fArray, normals)
             identity = Gf.Matrix4d(1.0)
             bind(mesh.GetPrim(), rig.indices, rig.weights, skeleton, identity, tokens)
+            if rig.shapes is not None:
+                bind_shapes(stage, mesh.GetPrim(), rig.shapes)
     size = path.stat().st_size
     return rig.report(skinning, path=path, bytes=size, note="; ".join(notes), lost=tuple(lost))
 

@@ -27,8 +27,8 @@ def result(checkpoint):
 def test_the_file_plays_the_prediction(result, tmp_path):
     model = rigged(result, made.skeleton(), shapes=5)  # the network has five components
     assert model.error < 0.2 * model.still
-    assert (model.shapes.amounts.min(axis=0) > -1e-6).all()
-    assert (model.shapes.amounts.max(axis=0) < 1 + 1e-6).all()
+    assert (model.skinning.shapes.amounts.min(axis=0) > -1e-6).all()
+    assert (model.skinning.shapes.amounts.max(axis=0) < 1 + 1e-6).all()
     text = save_rigged(model, tmp_path / "dress.glb")
     assert "15 joints, 5 morph targets, 60 frames" in text
     gap = ssdr.load(tmp_path / "dress.glb").vertices - result.cloth.vertices

@@ -91,6 +91,7 @@ def test_shape_at_rest(name: str) -> None:
     assert 0 < garment.pinned.mean() < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OPENINGS)
 def test_stays_on_in_a_spin_and_a_jump(name: str) -> None:
     garment = cut_garment(BODY, cut_of(name, 700))

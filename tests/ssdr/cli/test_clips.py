@@ -171,20 +171,6 @@ def test_info_lists_the_clips_of_a_file(run, done, refused, rigged, files):
     assert "--clip: expected one of walk, jump" in refused("info", rigged, "--clip", "run")
 
 
-@pytest.mark.parametrize("suffix", [".glb", ".npz", ".usda"])
-def test_convert_keeps_all_clips(done, rigged, tmp_path, suffix):
-    if suffix == ".usda":
-        pytest.importorskip("pxr.UsdSkel", reason="usd-core is not installed")
-    out = tmp_path / f"out{suffix}"
-    document = done("convert", rigged, out)
-    assert [c["name"] for c in document["clips"]] == ["walk", "jump"]
-    back = ssdr.load_skinning(out)
-    assert (back.clips, back.name) == (CLIPS, "horse")
-    assert largest_distance(back.skin(), animated().skin()) < 1e-5
-    done("convert", rigged, out, "--clip", "jump")
-    assert ssdr.list_clips(out) == JUMP
-
-
 def test_vertices_are_those_of_one_clip(done, refused, rigged, tmp_path):
     out = tmp_path / "a.npz"
     line = ("convert", rigged, out, "--bake")
@@ -276,9 +262,3 @@ def test_skinned_inputs_take_the_frame_rate_that_is_asked_for(done, refused, tmp
     done(*line, *slower)
     with Image.open(film) as picture:
         assert picture.n_frames <= sum(counts)
-
-
-@pytest.mark.parametrize("rate", [0, -3, "nan", "inf"])
-def test_a_frame_rate_that_is_none_is_refused(refused, rigged, tmp_path, rate):
-    for command in (("info", rigged), ("convert", rigged, tmp_path / "o.npz")):
-        assert "fps: expected a positive number" in refused(*command, "--read", f"fps={rate}")

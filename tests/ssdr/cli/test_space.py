@@ -13,8 +13,6 @@ from helpers.rig_model import largest_distance, tube
 from ssdr import Space
 from ssdr.io import in_space
 
-FAST = ("--bones", 3, "--effort", "fast")
-
 
 @pytest.fixture
 def there():
@@ -63,20 +61,6 @@ def test_what_is_said_beats_what_is_stated(done, refused, there, stage, tmp_path
     assert ssdr.load(tmp_path / "b.usdc").space == Space(1.0, "z")
     for odd, word in (("--units", "ell"), ("--units", "-1"), ("--up", "x")):
         assert odd in (err := refused("info", stage, odd, word)) or "units: expected" in err
-
-
-def test_a_decomposition_keeps_its_space_in_every_output(done, there, stage, tmp_path):
-    outputs = [tmp_path / name for name in ("a.glb", "a.npz", "a.usdc", "a.gltf")]
-    named = [word for path in outputs for word in ("-o", path)]
-    done("decompose", stage, *named, *FAST)
-    shown = [in_space(ssdr.load(path), Space(1.0, "y")) for path in outputs]
-    for one in shown:
-        assert one.space == Space(1.0, "y")
-        assert largest_distance(one.vertices, shown[0].vertices) < 1e-5
-    # from an archive, too, which other programs write without a unit
-    done("convert", tmp_path / "a.npz", tmp_path / "b.glb")
-    again = ssdr.load(tmp_path / "b.glb")
-    assert largest_distance(again.vertices, shown[0].vertices) < 1e-6
 
 
 def test_a_rig_and_a_start_come_into_the_space_of_the_input(done, there, stage, tmp_path):

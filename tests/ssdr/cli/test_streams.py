@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import pty
 import sys
@@ -9,65 +10,82 @@ import sys
 import pytest
 
 import ssdr
-from helpers.command import faked, start, through_shell
+from helpers import command
+from ssdr import cli
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="a POSIX shell is needed")
-
-
-def _work(clip, out, *more):
-    return [*faked(), "decompose", clip, "-o", out, "--bones", 2, *more]
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="devices of a POSIX system")
 
 
-def test_a_name_that_the_encoding_lacks_is_printed_with_escapes(clip, tmp_path):
+@pytest.fixture
+def printed(monkeypatch):
+    """Run the command with its own stdout or stderr; the exit code."""
+
+    def call(name, stream, *arguments):
+        monkeypatch.setattr(sys, name, stream)
+        return cli.main([str(a) for a in arguments])
+
+    return call
+
+
+@pytest.mark.parametrize(
+    ("encoding", "name"), [("ascii", "\\udcff\\xe9.npz"), ("utf-8", "\\udcff\xe9.npz")]
+)
+def test_a_name_that_the_encoding_lacks_is_printed_with_escapes(
+    printed, clip, tmp_path, encoding, name
+):
     odd = os.fsencode(tmp_path) + b"/\xff\xc3\xa9.npz"
     os.link(clip, odd)
-    for encoding, name in (("ascii", "\\udcff\\xe9.npz"), ("utf-8", "\\udcffé.npz")):
-        environment = {"PYTHONIOENCODING": encoding}
-        process = start(["-m", "ssdr", "info", os.fsdecode(odd)], environment=environment)
-        text, err = process.communicate(timeout=60)
-        assert (process.returncode, err) == (0, "")
-        assert f"{name}: a sequence" in text
+    text = io.BytesIO()
+    stream = io.TextIOWrapper(text, encoding=encoding)
+    assert printed("stdout", stream, "info", os.fsdecode(odd)) == 0
+    assert f"{name}: a sequence" in text.getvalue().decode(encoding)
 
 
-def test_messages_that_a_full_device_does_not_take_are_dropped(clip, tmp_path):
-    out = tmp_path / "a.npz"
-    process = through_shell("2>/dev/full", _work(clip, out))
-    text, _ = process.communicate(timeout=60)
-    assert (process.returncode, "2 bones" in text) == (0, True)
-    assert ssdr.load_skinning(out).n_bones == 2
+@pytest.mark.usefixtures("faked")
+def test_messages_that_a_full_device_does_not_take_are_dropped(printed, clip, tmp_path):
+    with open("/dev/full", "w", buffering=1) as full:
+        words = ("-v", "decompose", clip, "-b", 2, "-o", tmp_path / "a.npz")
+        assert printed("stderr", full, *words) == 0
+    assert ssdr.load_skinning(tmp_path / "a.npz").n_bones == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more", [(), ("--json",)])
 def test_a_result_that_a_full_device_does_not_take_is_an_error(more, clip, tmp_path):
     out = tmp_path / "a.npz"
-    process = through_shell(">/dev/full", _work(clip, out, *more))
+    work = [*command.faked(), "decompose", clip, "-o", out, "--bones", 2, *more]
+    process = command.through_shell(">/dev/full", work)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 1
     assert err.splitlines()[-1] == "ssdr: error: standard output: No space left on device"
     assert "Traceback" not in err
     assert ssdr.load_skinning(out).n_bones == 2
-    process = through_shell(">/dev/full", ["-m", "ssdr", "info", tmp_path / "none.npz", *more])
+    process = command.through_shell(
+        ">/dev/full", ["-m", "ssdr", "info", tmp_path / "none.npz", *more]
+    )
     _, err = process.communicate(timeout=60)
     assert (process.returncode, len(err.splitlines())) == (2, 1)
 
 
+@pytest.mark.slow
 def test_a_reader_that_has_gone_loses_no_work(clip, tmp_path):
-    out = tmp_path / "a.npz"
-    for words, code in ((_work(clip, out), 0), (["-m", "ssdr", "info", clip], 1)):
+    work = [*command.faked(), "decompose", clip, "-o", tmp_path / "a.npz", "--bones", 2]
+    for words, code in ((work, 0), (["-m", "ssdr", "info", clip], 1)):
         read, write = os.pipe()
         os.close(read)
-        process = start(words, stdout=write)
+        process = command.start(words, stdout=write)
         os.close(write)
         _, err = process.communicate(timeout=60)
         assert (process.returncode, err.replace("solving\n", "")) == (code, "")
-    assert out.exists()
+    assert (tmp_path / "a.npz").exists()
 
 
+@pytest.mark.slow
 def test_progress_on_a_terminal(clip, tmp_path):
     leader, follower = pty.openpty()
     variables = {"PYTHONIOENCODING": "latin-1", "TERM": "xterm"}
-    process = start(
-        [*faked(20, 0.05), "decompose", clip, "-o", tmp_path / "a.npz", "--bones", 2],
+    process = command.start(
+        [*command.faked(20, 0.05), "decompose", clip, "-o", tmp_path / "a.npz", "--bones", 2],
         stderr=follower,
         environment=variables,
     )

@@ -18,15 +18,15 @@ def planning(bones: int) -> Descent:
     """A descent that makes no steps, but lists their phases and numbers."""
     frames = np.random.default_rng(0).random((2, 30, 3))
     d = descent_of(gather([ssdr.MeshSequence(frames)], bones=bones), bones)
-    d.plan = []
+    d.work.plan = []
     return d
 
 
 def best_schedule(bones: int, size: float) -> list[tuple[str, int]]:
     d = planning(bones)
     best_bones(d, size, stretching=False)
-    assert d.plan is not None
-    return d.plan
+    assert d.work.plan is not None
+    return d.work.plan
 
 
 def phases(listed: list[tuple[str, int]]) -> list[str]:
@@ -68,5 +68,5 @@ def test_small_models_are_rebuilt_before_another_start_is_set_beside_them(
 def test_normals_count_from_the_last_polish_on(effort: Any, rig: Any) -> None:
     d = planning(6)
     follow_effort(d, effort=effort, rig=rig, placed=False, tries_model=False)
-    assert phases(d.plan)[-3:] == ["normals", "polish", "unfold"]
-    assert phases(d.plan).count("normals") == 1
+    assert phases(d.work.plan)[-3:] == ["normals", "polish", "unfold"]
+    assert phases(d.work.plan).count("normals") == 1

@@ -65,17 +65,6 @@ def test_shots_and_spans_do_not_matter(rng):
     assert one[1].frame_sum.shape == (70,)
 
 
-def test_same_bits_with_any_number_of_threads(rng):
-    model = tube(rings=30, sides=40)
-    sequence = sequence_of(model, rng)
-    before, found = ssdr.get_threads(), []
-    for threads in (1, 3):
-        ssdr.set_threads(threads)
-        found.append(with_fitted_normals([sequence], model).surface.normals)
-    ssdr.set_threads(before)
-    np.testing.assert_array_equal(*found)
-
-
 def test_unknown_normals_are_left_out_of_the_fit(rng):
     model = tube(rings=7, sides=6)
     sequence = sequence_of(model, rng, noise=0)

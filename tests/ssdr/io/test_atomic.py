@@ -9,6 +9,7 @@ import stat
 import pytest
 
 import ssdr
+from helpers.disks import small_files
 from ssdr import InputError, MeshSequence
 
 
@@ -93,6 +94,20 @@ def test_a_full_disk_is_named_by_the_file(tmp_path, wave, monkeypatch):
             ssdr.save(wave if name != "a.glb" else _still(wave), tmp_path / name)
         assert caught.value.errno == errno.ENOSPC
         assert str(caught.value.filename).startswith(str(tmp_path / "a."))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "module"),
+    [("a.usdc", "pxr.UsdSkel"), ("a.usda", "pxr.UsdSkel"), ("a.zarr", "zarr"), ("a.npz", "numpy")],
+)
+def test_an_error_of_the_system_comes_from_other_libraries_too(tmp_path, name, module):
+    """Not pxr's own, which nobody catches."""
+    pytest.importorskip(module)
+    sample = ssdr.samples.load("dancer_small")
+    with small_files(4000), pytest.raises(OSError, match="File too large") as caught:
+        ssdr.save(sample, tmp_path / name)
+    assert str(caught.value.filename).startswith(str(tmp_path / name))
     assert list(tmp_path.iterdir()) == []
 
 

@@ -1,10 +1,13 @@
-"""Files that are cut off, flipped, mislabelled or made to do harm are refused in words."""
+"""Files that are cut off, flipped, forged, mislabelled or made to do harm are refused in words."""
 
 from __future__ import annotations
 
 import dataclasses
+import io
 import pickle
 import re
+import struct
+import zipfile
 
 import numpy as np
 import pytest
@@ -14,105 +17,68 @@ from helpers.rig_model import tube
 from ssdr import FormatError
 from ssdr.io import read_weights
 
+# a suffix and what the file holds, by default a sequence
+WHOLE = ["npz packed", "npz", "npz surface", "npz skinned", "npy", "glb skinned", "pc2", "mdd",
+         "obj", "ply", "off", "stl", "stl text", "csv skinned"]  # fmt: skip
+SEVERAL = ["gltf skinned", "usda", "usda skinned", "zarr"]  # in parts, or text of another library
 
-def make(name, folder, wave, seam, skinned):
-    """Write a valid file of a kind; its path and a function that reads all of it."""
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / name
-    read = ssdr.load
-    kind = re.split(r"[_.]", name)[0]
-    if kind == "sequence":
-        ssdr.save(wave, path, compress="packed" in name)
-    elif kind == "skinning":
-        surface = ssdr.Surface(materials=seam.surface.materials)
-        ssdr.save(dataclasses.replace(skinned, surface=surface), path)
+
+@pytest.fixture
+def written(request, tmp_path, wave, seam, skinned):
+    """A valid file of a kind: its parts that can be damaged, and a function that reads it."""
+    suffix, _, what = request.param.partition(" ")
+    for module, other in (("pxr.UsdSkel", "usda"), ("zarr", "zarr")):
+        if suffix == other:
+            pytest.importorskip(module)
+    folder = tmp_path / "valid"
+    folder.mkdir()
+    path, options, read = folder / f"a.{suffix}", {}, ssdr.load
+    thing = {"surface": seam, "skinned": skinned}.get(what, seam if suffix == "obj" else wave)
+    if suffix == "csv":
+        read, options = read_weights, {"n_vertices": 12}
+    elif what == "skinned":
         read = ssdr.load_skinning
-    elif kind == "surface":
-        ssdr.save(seam, path)
-    elif kind == "array":
+        surface = ssdr.Surface(materials=seam.surface.materials)
+        thing = dataclasses.replace(skinned, surface=surface)
+        if suffix != "npz":
+            thing, options = tube(frames=3, rings=4, sides=4), {"max_bytes": 1 << 24}
+    elif suffix in ("npy", "pc2", "mdd", "zarr"):
+        options = {"faces": wave.faces}
+    if suffix in ("obj", "ply"):
+        thing = dataclasses.replace(thing, vertices=thing.vertices[1:])
+        ssdr.save(thing, folder / f"a_%d.{suffix}", start=1)
+    if suffix in ("off", "stl"):
+        trimesh = pytest.importorskip("trimesh")
+        for k in (1, 2, 3):
+            mesh = trimesh.Trimesh(wave.vertices[k], wave.faces, process=False)
+            kind = {"file_type": "stl_ascii"} if what == "text" else {}
+            mesh.export(folder / f"a_{k}.{suffix}", **kind)
+    if suffix in ("obj", "ply", "off", "stl"):
+        return [folder / f"a_2.{suffix}"], lambda: read(folder)
+    if suffix == "npy":
         np.save(path, wave.vertices)
-
-        def read(p):
-            return ssdr.load(p, faces=wave.faces)
-
-    elif kind == "cache":
-        ssdr.save(wave, path)
-
-        def read(p):
-            return ssdr.load(p, faces=wave.faces)
-
-    elif kind == "scene":
-        ssdr.save(tube(frames=3, rings=4, sides=4), path)
-
-        def read(p):
-            return ssdr.load(p, max_bytes=1 << 24)
-
-    elif kind == "weights":
-        ssdr.save(skinned, path)
-
-        def read(p):
-            return read_weights(p, n_vertices=12)
-
     else:
-        suffix = path.suffix
-        if suffix in (".obj", ".ply"):
-            ssdr.save(seam if suffix == ".obj" else wave, folder / f"mesh_%d{suffix}", start=1)
-            (folder / f"mesh_4{suffix}").unlink()
-        else:
-            trimesh = pytest.importorskip("trimesh")
-            for k in (1, 2, 3):
-                mesh = trimesh.Trimesh(wave.vertices[k], wave.faces, process=False)
-                ascii_ = {"file_type": "stl_ascii"} if "text" in name else {}
-                mesh.export(folder / f"mesh_{k}{suffix}", **ascii_)
-        path = folder / f"mesh_2{suffix}"
-
-        def read(p):
-            return ssdr.load(p.parent)
-
-    return path, read
+        ssdr.save(thing, path, **({"compress": what == "packed"} if suffix == "npz" else {}))
+    parts = path.rglob("*") if suffix == "zarr" else folder.iterdir()
+    return sorted(p for p in parts if p.is_file()), lambda: read(path, **options)
 
 
-KINDS = [
-    "sequence_packed.npz",
-    "sequence_stored.npz",
-    "surface.npz",
-    "skinning.npz",
-    "array.npy",
-    "scene.glb",
-    "cache.pc2",
-    "cache.mdd",
-    "mesh.obj",
-    "mesh.ply",
-    "mesh.off",
-    "mesh.stl",
-    "mesh_text.stl",
-    "weights.csv",
-]
-
-
-def numbers(thing):
-    """All arrays of a result."""
-    values = vars(thing)
-    return {k: np.asarray(v) for k, v in values.items() if isinstance(v, np.ndarray)}
-
-
-def assert_sound(thing):
-    arrays = numbers(thing)
+def arrays_of(found):
+    """All arrays of a result, which are sound."""
+    arrays = {k: a for k, a in vars(found).items() if isinstance(a, np.ndarray)}
     assert arrays
-    for array in arrays.values():
-        assert np.isfinite(array).all()
+    assert all(np.isfinite(a).all() for a in arrays.values())
+    faces = arrays.get("faces")
+    if faces is not None and faces.size:
+        assert 0 <= faces.min() <= faces.max() < found.n_vertices
+    return arrays
 
 
-@pytest.fixture(params=KINDS)
-def valid(request, tmp_path, wave, seam, skinned):
-    path, read = make(request.param, tmp_path / "valid", wave, seam, skinned)
-    assert_sound(read(path))
-    return path, read
-
-
-def test_truncated_files_are_refused(valid):
-    path, read = valid
-    whole, expected = path.read_bytes(), numbers(read(path))
+@pytest.mark.parametrize("written", WHOLE, indirect=True)
+def test_truncated_files_are_refused(written):
+    parts, read = written
+    path, expected = parts[0], arrays_of(read())
+    whole = path.read_bytes()
     n = len(whole)
     # Text has no length: where its last number loses digits, the sum of the weights has to tell.
     tail, atol = (40, 1e-4) if path.suffix == ".csv" else (12, 0)
@@ -120,12 +86,12 @@ def test_truncated_files_are_refused(valid):
     for cut in sorted({c for c in cuts if 0 <= c < n - tail}):
         path.write_bytes(whole[:cut])
         with pytest.raises(FormatError, match=path.parent.name):
-            read(path)
+            read()
     # Cut among the last bytes: refused, or nothing of the arrays was lost.
     for cut in range(n - tail, n):
         path.write_bytes(whole[:cut])
         try:
-            result = numbers(read(path))
+            result = arrays_of(read())
         except FormatError:
             continue
         assert path.suffix in (".obj", ".off", ".ply", ".stl", ".csv")
@@ -133,26 +99,79 @@ def test_truncated_files_are_refused(valid):
             np.testing.assert_allclose(result[key], array, rtol=0, atol=atol)
 
 
+SIZES = [0, 1, 2**31 - 1, 2**31, 2**32 - 1, 2**62, 2**63 - 1, 2**64 - 1, 10**9, 65_536]
+WORDS = [b"0", b"-1", b"nan", b"inf", b"1e999", b"999999999999999999999", b"1e-400", b"x",
+         b"null", b"[]", b"{}", b'"', b"true", b"1.5"]  # fmt: skip
+
+
+def flip(rng, data):
+    """Up to three bytes replaced, half of the times in the head, where counts and offsets are."""
+    data, reach = bytearray(data), len(data) if rng.random() < 0.5 else min(len(data), 160)
+    for place in rng.integers(0, reach, rng.integers(1, 4)):
+        data[place] = rng.integers(0, 256)
+    return bytes(data)
+
+
+def splice(rng, data):
+    """Up to 50 bytes left out, and up to eight others there."""
+    a, b = sorted(rng.integers(0, len(data), 2))
+    return data[:a] + rng.bytes(int(rng.integers(0, 9))) + data[min(b, a + 50) :]
+
+
+def forge_size(rng, data):
+    """A whole number of 2, 4 or 8 bytes replaced, often in the head."""
+    width = int(rng.choice([2, 4, 8]))
+    reach = max(1, len(data) - width)
+    place = int(rng.integers(0, reach if rng.random() < 0.4 else min(reach, 300)))
+    value = SIZES[int(rng.integers(len(SIZES)))] & (256**width - 1)
+    return data[:place] + struct.pack("<Q", value)[:width] + data[place + width :]
+
+
+def forge_word(rng, data):
+    """A number of a text, or of a header in JSON, replaced."""
+    numbers = list(re.finditer(rb"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?", data[:20_000]))
+    if not numbers:
+        return forge_size(rng, data)
+    match = numbers[int(rng.integers(len(numbers)))]
+    return data[: match.start()] + WORDS[int(rng.integers(len(WORDS)))] + data[match.end() :]
+
+
+def forge_member(rng, data):
+    """A member of an archive forged or left out; checksums are right."""
+    with zipfile.ZipFile(io.BytesIO(data)) as source:
+        members = {name: source.read(name) for name in source.namelist()}
+    name = sorted(members)[int(rng.integers(len(members)))]
+    if rng.random() < 0.1:
+        del members[name]
+    else:
+        members[name] = [forge_size, forge_word][int(rng.integers(2))](rng, members[name])
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as target:
+        for key, value in members.items():
+            target.writestr(key, value)
+    return out.getvalue()
+
+
 @pytest.mark.filterwarnings("ignore:.*(uneven times|lie between its frames):ssdr.SsdrWarning")
-def test_damaged_bytes_give_finite_arrays_or_an_error(valid, rng):
-    path, read = valid
-    whole = path.read_bytes()
-    refused = 0
-    for trial in range(200):
-        data = bytearray(whole)
-        if trial % 4 == 0:  # insert, remove or replace up to 50 bytes
-            a, b = sorted(rng.integers(0, len(whole), 2))
-            data[a : min(b, a + 50)] = rng.bytes(int(rng.integers(0, 9)))
-        else:  # flip bytes, half of the times in the head, where counts and offsets are
-            reach = len(data) if trial % 2 else min(len(data), 160)
-            for place in rng.integers(0, reach, 1 + trial % 3):
-                data[place] = rng.integers(0, 256)
-        path.write_bytes(data)
+@pytest.mark.parametrize("written", [*WHOLE, *SEVERAL], indirect=True)
+def test_damaged_and_forged_files_give_sound_arrays_or_an_error(written, rng, request):
+    parts, read = written
+    valid, refused = {part: part.read_bytes() for part in parts}, []
+    whole = request.node.callspec.params["written"] in WHOLE
+    for trial in range(100 if whole else 60):
+        part = parts[int(rng.integers(len(parts)))]
+        forge = (
+            forge_member if valid[part].startswith(b"PK") else (forge_size, forge_word)[trial % 2]
+        )
+        damage = (flip, splice, forge, forge, forge)[trial % 5] if whole else forge
+        part.write_bytes(damage(rng, valid[part]))
         try:
-            assert_sound(read(path))
-        except FormatError:
-            refused += 1
-    assert refused > 0
+            arrays_of(read())
+        except FormatError as error:
+            refused.append(str(error))
+        part.write_bytes(valid[part])
+    assert refused
+    assert all("valid" in said for said in refused)  # the name of the folder
 
 
 @pytest.mark.parametrize("suffix", ["npz", "npy", "pc2", "mdd", "obj", "ply", "off", "stl"])
@@ -178,14 +197,3 @@ def test_mislabelled_files_say_what_they_look_like(tmp_path, wave, suffix):
             ssdr.load(path, **({option: "none"} if option else {}))
         if suffix != "mdd":  # has no magic number: any bytes are counts that do not fit
             assert what in str(caught.value)
-
-
-def test_folders_are_not_files(tmp_path):
-    for name in ("a.npz", "a.npy", "a.pc2"):
-        (tmp_path / name).mkdir()
-        with pytest.raises(FormatError, match=name):
-            ssdr.load(tmp_path / name)
-    (tmp_path / "a.zarr").write_text("")
-    pytest.importorskip("zarr")
-    with pytest.raises(FormatError, match="not a folder"):
-        ssdr.load(tmp_path / "a.zarr")

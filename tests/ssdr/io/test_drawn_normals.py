@@ -104,6 +104,7 @@ def test_numbered_meshes_have_the_normals_of_their_frames(tmp_path, bent):
         assert naive.angles(one.surface.normals, expected).max() < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "most"), [("horse_gallop", 3.6), ("ea_bone", 5)])
 def test_real_animations(tmp_path, real, name, most):
     sequence = real(name)

@@ -10,7 +10,6 @@ import pytest
 import ssdr
 from helpers.blender_scene import needs_blender
 
-KIND = "an entry holds another kind of value"
 ASSET = {"asset": {"version": "2.0"}, "nodes": [{"mesh": 0}]}
 GLTF = {
     "no attributes": ({"meshes": [{"primitives": [{}]}]}, "it has no 'attributes'"),

@@ -76,19 +76,6 @@ def test_compare_of_parts_and_options():
     assert "surfaces" not in str(cloud)
 
 
-def test_same_bits_for_any_number_of_threads():
-    a, faces = animation(F=30, subdivisions=2)
-    b, _ = animation(1, F=30, subdivisions=2)
-    try:
-        results = []
-        for threads in (1, 2, 3):
-            ssdr.set_threads(threads)
-            results.append(json.dumps(compare(a, b, faces).as_dict(arrays=True)))
-    finally:
-        ssdr.set_threads(None)
-    assert results[0] == results[1] == results[2]
-
-
 @pytest.mark.parametrize(
     ("function", "argument", "values"),
     [

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pytest
-import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.distance import directed_hausdorff
@@ -50,16 +49,6 @@ def test_surface_hausdorff_equals_loops(seed, T, broken):
     )
     got = hausdorff(a[None], b[None], faces)
     assert got.surface_max == pytest.approx(naive.surface_hausdorff(a, faces, b, faces))
-
-
-def test_surface_hausdorff_equals_trimesh():
-    (a, faces), (b, _) = (animation(s, F=1, subdivisions=2, noise=0.05) for s in (0, 1))
-    expected = 0.0
-    for points, others in ((a[0], b[0]), (b[0], a[0])):
-        mesh = trimesh.Trimesh(others, faces, process=False)
-        _, away, _ = trimesh.proximity.closest_point_naive(mesh, points)
-        expected = max(expected, away.max())
-    assert hausdorff(a, b, faces).surface_max == pytest.approx(expected)
 
 
 def test_frames_do_not_influence_each_other():

@@ -12,23 +12,6 @@ import ssdr
 from ssdr import render
 
 
-@pytest.fixture
-def model(wave):
-    """Two bones over the waving grid: near it, not on it."""
-    x = wave.vertices[0, :, 0].astype(np.float64) / 2
-    transforms = np.zeros((wave.n_frames, 2, 3, 4))
-    transforms[..., :3] = np.eye(3)
-    transforms[:, 1, 2, 3] = 0.2 * np.arange(wave.n_frames)
-    return ssdr.Skinning(
-        wave.vertices[0],
-        np.tile([0, 1], (len(x), 1)),
-        np.stack([1 - x, x], axis=1),
-        transforms,
-        faces=wave.faces,
-        fps=wave.fps,
-    )
-
-
 def is_drawn(picture):
     return np.asarray(picture.convert("L")).std() > 3
 
@@ -43,17 +26,6 @@ def test_every_style_draws_something_of_its_own(model, wave, style):
         model, 1, style="plain" if style != "plain" else "weights", size=(120, 90)
     )
     assert np.abs(np.asarray(picture, dtype=int) - np.asarray(other, dtype=int)).max() > 30
-
-
-def test_same_bits_whatever_the_number_of_threads(model):
-    pictures = []
-    try:
-        for threads in (1, 3):
-            ssdr.set_threads(threads)
-            pictures.append(np.asarray(render.render_frame(model, 2, size=(200, 200))))
-    finally:
-        ssdr.set_threads(None)
-    np.testing.assert_array_equal(*pictures)
 
 
 def test_contact_sheet_has_its_rows_and_columns(model, wave, tmp_path, monkeypatch):

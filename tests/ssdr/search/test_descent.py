@@ -31,11 +31,10 @@ def beam(frames: int, rings: int) -> tuple[np.ndarray, np.ndarray]:
     return np.array(out), rest
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("frames", "rings", "options"),
     [
-        (8, 14, {"bones": 6}),
-        (20, 8, {"bones": 4, "influences": 2}),
         (15, 10, {"bones": 4, "influences": 1}),
         (10, 12, {"bones": 5, "start": ssdr.Start(rest=beam(10, 12)[1])}),
         (6, 7, {"bones": 25, "influences": 1}),

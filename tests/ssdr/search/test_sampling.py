@@ -8,10 +8,12 @@ import pytest
 import ssdr
 from helpers.measures import descent_of
 from ssdr.problem.initial import Initial
+from ssdr.progress import Stop
 from ssdr.search.bone_steps import move_bones
 from ssdr.search.descent import Descent, Schedule
 from ssdr.search.schedule_parts import first_model, merged_start
-from ssdr.search.steps import all_vertices, alternate, return_to_best, sample_vertices
+from ssdr.search.steps import alternate, on_sample
+from ssdr.search.vertex_sample import motion_sample
 from ssdr.solver.model import Locked, Model
 from ssdr.solver.trajectories import Trajectories, gather
 
@@ -27,15 +29,19 @@ def strip(frames: int = 12, columns: int = 150) -> np.ndarray:
     return np.concatenate([flat, z[..., None]], -1).reshape(frames, -1, 3)
 
 
-def few_vertices(d: Descent) -> None:
-    sample_vertices(d, least=EACH, most=EACH)
+def few_vertices(d: Descent, schedule: Schedule) -> None:
+    on_sample(d, schedule, least=EACH, most=EACH)
+
+
+def descent(rest: bool = False) -> Descent:
+    data = gather([ssdr.MeshSequence(strip())], bones=BONES, compress=False)
+    initial = Initial(rest=data.frame(3).copy() if rest else None)
+    return descent_of(data, BONES, INFLUENCES, locked=Locked(rest=rest), initial=initial)
 
 
 def followed(*parts: Schedule, rest: bool = False) -> Descent:
     """A descent that has made a first model and followed some schedules."""
-    data = gather([ssdr.MeshSequence(strip())], bones=BONES, compress=False)
-    given = Initial(rest=data.frame(3).copy() if rest else None)
-    d = descent_of(data, BONES, INFLUENCES, locked=Locked(rest=rest), initial=given)
+    d = descent(rest)
 
     def schedule(d: Descent) -> None:
         for part in (first_model, *parts):
@@ -58,22 +64,20 @@ def true_error(data: Trajectories, model: Model) -> float:
 
 
 def test_a_sample_is_spread_from_still_to_wild_vertices() -> None:
-    d = followed(few_vertices)
-    assert d.chosen is not None
-    assert len(d.chosen) == EACH * BONES == len(np.unique(d.chosen))
-    rank = np.argsort(np.argsort(d.full.x2))[d.chosen]
-    assert np.diff(np.sort(rank)).max() <= -(-d.full.n_vertices // (EACH * BONES)) + 1
-    assert d.data.n_vertices == EACH * BONES
-    np.testing.assert_array_equal(d.data.z, d.full.z[d.chosen])
-    np.testing.assert_array_equal(d.model.rest, d.best_model.rest[d.chosen])
-    assert d.model.weighted_error(d.data) == pytest.approx(
-        float(d.best_model.error[d.chosen].sum())
-    )
+    seen: list[Descent] = []
+    d = followed(lambda d: few_vertices(d, seen.append))
+    few, chosen = seen[-1], motion_sample(d.data, EACH * BONES)
+    assert len(np.unique(chosen)) == len(chosen) == few.data.n_vertices
+    rank = np.argsort(np.argsort(d.data.x2))[chosen]
+    assert np.diff(np.sort(rank)).max() <= -(-d.data.n_vertices // (EACH * BONES)) + 1
+    np.testing.assert_array_equal(few.data.z, d.data.z[chosen])
 
 
 def test_a_small_mesh_stays_whole() -> None:
-    d = followed(lambda d: sample_vertices(d, least=80), all_vertices)
-    assert d.chosen is None
+    seen: list[Descent] = []
+    d = followed(lambda d: seen.append(d) if on_sample(d, seen.append, least=80) else None)
+    assert seen[-1] is d
+    assert d.few is None
     assert d.data.n_vertices == strip().shape[1]
 
 
@@ -83,13 +87,13 @@ def test_the_way_back_ends_on_a_model_of_all_vertices(rest: bool) -> None:
         merged_start(d)
         move_bones(d, steps=4)
 
-    d = followed(few_vertices, search, all_vertices, rest=rest)
+    d = followed(lambda d: few_vertices(d, search), rest=rest)
     model = d.model
     assert model.n_bones == BONES
-    assert len(model.rest) == d.full.n_vertices
-    assert d.chosen is None
-    value = model.weighted_error(d.full)  # in a basis that loses a little
-    assert value == pytest.approx(true_error(d.full, model), rel=0.02)
+    assert len(model.rest) == d.data.n_vertices
+    assert d.few is None
+    value = model.weighted_error(d.data)  # in a basis that loses a little
+    assert value == pytest.approx(true_error(d.data, model), rel=0.02)
     # as good as a search among all vertices, about
     alone = followed(search, rest=rest)
     assert value < 1.3 * alone.best_value
@@ -97,16 +101,22 @@ def test_the_way_back_ends_on_a_model_of_all_vertices(rest: bool) -> None:
         np.testing.assert_array_equal(model.rest, d.initial.rest)
 
 
-def test_nothing_is_recorded_on_a_sample() -> None:
-    d = followed(few_vertices, lambda d: alternate(d, steps=5))
-    assert len(d.best_model.rest) == d.full.n_vertices
+def test_a_stop_on_a_sample_keeps_what_it_found() -> None:
+    """The model of a sample is carried over to all vertices before the descent ends."""
+
+    def stop(phase: str) -> None:
+        if stopping and phase == "alternate" and d.few is not None:
+            raise Stop("time limit")
+
+    def schedule(d: Descent) -> None:
+        first_model(d)
+        stopping.append(not d.planning)
+        few_vertices(d, lambda d: (merged_start(d), alternate(d, steps=4)))
+
+    stopping: list[bool] = []
+    d = descent()
+    assert d.follow(schedule, stop) == "time limit"
+    first = followed()
+    assert d.best_value < first.best_value
+    assert d.best_value == d.value(d.best_model)
     assert d.records == [r for r in d.records if r[3] in ("quick", "alternate", "compress")]
-    seen = len(d.records)
-    again = followed()
-    assert len(again.records) == seen
-    assert again.best_value == d.best_value
-
-
-def test_the_way_back_leads_to_the_best_model_of_all_vertices() -> None:
-    d = followed(few_vertices, lambda d: alternate(d, steps=2), all_vertices, return_to_best)
-    assert d.model.weighted_error(d.data) == d.best_value

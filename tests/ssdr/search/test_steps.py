@@ -88,15 +88,15 @@ def folded(*, smoothness: float = 0.0) -> Descent:
 @pytest.mark.parametrize("smoothness", [0.0, 0.1])
 def test_triangles_that_are_turned_over_turn_back(smoothness: float) -> None:
     d = folded(smoothness=smoothness)
-    before, surface = d.best_model.copy(), d.full.surface
+    before, surface = d.best_model.copy(), d.data.surface
     assert surface is not None
-    turned = surface.turned(before.rest, d.full.faces)
+    turned = surface.turned(before.rest, d.data.faces)
     assert 0 < turned.sum() < 6
     d.follow(unfold)
-    assert not surface.turned(d.best_model.rest, d.full.faces).any()
+    assert not surface.turned(d.best_model.rest, d.data.faces).any()
     # it is the model that is returned, and what follows keeps to the stiffer edges
     assert d.best_value == pytest.approx(d.value(d.best_model), rel=1e-12)
-    assert d.full.surface is d.data.surface is not surface
+    assert d.data.surface is not surface
     far = np.linalg.norm(before.rest - before.rest[60], axis=1) > 1.5
     np.testing.assert_allclose(d.best_model.rest[far], before.rest[far], atol=0.02)
     if smoothness:  # the solve would not know of it
@@ -122,10 +122,10 @@ def test_a_rest_pose_without_folds_or_surface_stays_as_it_is() -> None:
         d = folded()
         model = d.best_model.copy()
         if surface:
-            assert d.full.surface is not None
-            model.rest = d.full.surface.pose.copy()
+            assert d.data.surface is not None
+            model.rest = d.data.surface.pose.copy()
         else:
-            d.full = d.data = dataclasses.replace(d.full, surface=None)
+            d.data = dataclasses.replace(d.data, surface=None)
         d.begin_with(model)
         d.follow(unfold)
         np.testing.assert_array_equal(d.best_model.rest, model.rest)

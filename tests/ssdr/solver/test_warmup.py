@@ -72,6 +72,7 @@ def test_no_process_is_started_in_vain(why: str, monkeypatch: pytest.MonkeyPatch
     assert len(started) == 1
 
 
+@pytest.mark.slow
 def test_what_one_process_compiles_the_next_one_loads(tmp_path: Path) -> None:
     environment = {
         **os.environ,

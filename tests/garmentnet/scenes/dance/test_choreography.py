@@ -111,6 +111,7 @@ def test_a_stop_is_sudden() -> None:
     assert found >= 4
 
 
+@pytest.mark.slow
 def test_clips_are_varied() -> None:
     used = [set(dance(TREE, seed=s, frames=600).classes.tolist()) for s in range(20)]
     assert all(4 <= len(u) <= 9 for u in used)
@@ -127,6 +128,7 @@ def test_dances_stay_what_they_were() -> None:
     np.testing.assert_allclose(motion.joints[299, 0, :, 3], STAYS, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_dances_are_wide() -> None:
     turning, hands, places, stops = [], [], [], 0
     for seed in range(16):

@@ -327,7 +327,7 @@ def test_caches_of_the_old_kind_say_what_converts_them(data_dir):
 def test_damaged_bytes_give_a_sound_mesh_or_a_word(tmp_path, rng):
     path = one_mesh(tmp_path / "a.abc", moving(3), uniform(24), uv=(UV, "Facevarying"))
     whole, refused = path.read_bytes(), 0
-    for trial in range(40):
+    for trial in range(16):
         data = bytearray(whole)
         for place in rng.integers(0, len(data), 1 + trial % 3):
             data[place] = rng.integers(0, 256)
@@ -340,7 +340,7 @@ def test_damaged_bytes_give_a_sound_mesh_or_a_word(tmp_path, rng):
             pass  # samples that were moved between frames
         else:
             assert np.isfinite(sequence.vertices).all()
-    assert refused > 10
+    assert refused > 3
 
 
 def test_without_the_extra_and_without_blender_the_extra_is_named(tmp_path, monkeypatch):

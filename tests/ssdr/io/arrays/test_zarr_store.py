@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import ssdr
-from helpers.disks import small_files
 from helpers.surfaces import same_sequence
 from ssdr import FormatError, InputError
 
@@ -138,12 +137,3 @@ def test_pipes_and_devices_in_a_store_are_refused_at_once(tmp_path, wave, place,
         inside.symlink_to("/dev/zero" if kind == "device" else tmp_path)
     with pytest.raises(FormatError, match=r"a device, a pipe or a socket|a link to a folder"):
         ssdr.load(tmp_path / "a.zarr")
-
-
-def test_a_full_disk_is_named_by_the_store(tmp_path):
-    pytest.importorskip("zarr")
-    sample = ssdr.samples.load("dancer_small")
-    with small_files(4000), pytest.raises(OSError, match="File too large") as caught:
-        ssdr.save(sample, tmp_path / "a.zarr")
-    assert caught.value.filename == str(tmp_path / "a.zarr")
-    assert list(tmp_path.iterdir()) == []

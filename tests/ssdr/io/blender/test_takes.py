@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import re
 
 import numpy as np
@@ -12,7 +11,6 @@ import pytest
 import ssdr
 from helpers.blender_scene import as_blender_shows, export, needs_blender
 from helpers.rig_model import largest_distance, tube
-from ssdr import cli
 
 pytestmark = [pytest.mark.slow, needs_blender]
 
@@ -83,33 +81,6 @@ def test_takes_whose_names_blender_cuts_to_one_are_not_mixed_up(tmp_path):
         assert re.search(r"a\.fbx: .*takes that Blender can tell apart were expected", refused)
     else:  # Blender 5 holds longer names
         assert [(c.name, c.n_frames) for c in clips] == [("first", 9), ("second", 6)]
-
-
-def run(capsys, *words):
-    code = cli.main([str(word) for word in (*words, "--json")])
-    out, err = capsys.readouterr()
-    assert code == 0, err
-    return json.loads(out)
-
-
-def test_commands_read_skins_of_fbx(tmp_path, capsys):
-    path = export(tmp_path / "a.fbx", WHOLE)
-    about = run(capsys, "info", path)
-    assert (about["kind"], about["bones"]) == ("skinning", 3)
-    assert [clip["name"] for clip in about["clips"]] == ["first", "second"]
-    target = tmp_path / "b.glb"
-    converted = run(capsys, "convert", path, target)
-    assert converted["kind"] == "skinning"
-    assert "orientations" in str(converted["warnings"])
-    model, back = ssdr.load_skinning(path), ssdr.load_skinning(target)
-    assert (back.clips, back.names()) == (model.clips, model.names())
-    assert largest_distance(back.skin(), model.skin()) < 1e-6 * 4
-    run(capsys, "render", path, "-o", tmp_path / "a.png", "--width", 300, "--clip", "second")
-    done = run(
-        capsys, "decompose", path, "-b", 2, "-e", "fast", "--clip", "all", "-o", target, "-f"
-    )
-    assert [clip["name"] for clip in done["clips"]] == ["first", "second"]
-    assert ssdr.load_skinning(target).clips == model.clips
 
 
 def test_limits_hold_for_skins(tmp_path):

@@ -1,8 +1,9 @@
-"""Morph targets that are written play back, here and by a reader of its own."""
+"""Shapes that are written as morph targets play back, here and by readers of their own."""
 
 from __future__ import annotations
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -10,92 +11,205 @@ from pygltflib import GLTF2
 
 import ssdr
 from helpers import drawn, naive
-from helpers.glb import opened, values_of
+from helpers.glb import opened, rebuild, values_of
 from helpers.rig_model import largest_distance, tube
-from ssdr.io.gltf.shapes import Shapes
 
 
-def shapes(model, count=3):
-    rng = np.random.default_rng(0)
+def shaped(count=3, *, sparse=False, **options):
+    """A tube with shapes, each of which moves all vertices or ten."""
+    model, rng = tube(**options), np.random.default_rng(0)
     moved = 0.05 * rng.normal(size=(count, model.n_vertices, 3))
-    return Shapes(moved, rng.random((model.n_frames, count)))
+    if sparse:
+        for s in range(count):
+            moved[s, np.arange(model.n_vertices) // 10 != s] = 0
+    amounts = rng.random((model.n_frames, count))
+    return dataclasses.replace(model, shapes=ssdr.Shapes(moved, amounts))
 
 
 @pytest.mark.parametrize("suffix", ["glb", "gltf"])
 def test_skin_of_the_displaced_rest_pose(tmp_path, suffix):
-    model = tube()
-    added = shapes(model)
+    model = shaped()
     path = tmp_path / f"a.{suffix}"
-    ssdr.save(model, path, shapes=added)
-    expected = []
-    for f in range(model.n_frames):
-        rest = model.rest + np.einsum("k,kvc->vc", added.amounts[f], added.displacements)
-        moved = dataclasses.replace(model, rest=rest, transforms=model.transforms[f : f + 1])
-        expected.append(moved.skin()[0])
+    report = ssdr.save(model, path)
+    rests = [
+        model.rest + sum(a * d for a, d in zip(row, model.shapes.displacements, strict=True))
+        for row in model.shapes.amounts
+    ]
+    expected = [
+        naive.skin(rest, model.indices, model.weights, m[None])[0]
+        for rest, m in zip(rests, model.transforms, strict=True)
+    ]
     assert largest_distance(ssdr.load(path).vertices, np.stack(expected)) < 1e-5
+    assert report.max_error < 1e-5
     peer = GLTF2().load(str(path))
     mesh = peer.meshes[0]
-    assert mesh.weights == pytest.approx(added.amounts.mean(axis=0), abs=1e-6)
+    assert mesh.weights == pytest.approx(model.shapes.amounts.mean(axis=0), abs=1e-6)
+    assert mesh.extras == {"targetNames": ["shape_0", "shape_1", "shape_2"]}
     for primitive in mesh.primitives:
         assert len(primitive.targets) == 3
         target = peer.accessors[primitive.targets[0]["POSITION"]]
         assert target.count == peer.accessors[primitive.attributes.POSITION].count
-        np.testing.assert_allclose(target.max, added.displacements[0].max(axis=0), atol=1e-6)
+        displacements = model.shapes.displacements[0]
+        np.testing.assert_allclose(target.max, displacements.max(axis=0), atol=1e-6)
     (channel,) = [c for c in peer.animations[0].channels if c.target.path == "weights"]
     output = peer.animations[0].samplers[channel.sampler].output
     assert peer.accessors[output].count == 3 * model.n_frames
 
 
+@pytest.mark.parametrize("compression", ["none", "quantized", "meshopt"])
+@pytest.mark.parametrize("sparse", [False, True])
+def test_round_trip(tmp_path, compression, sparse):
+    if compression == "meshopt":
+        pytest.importorskip("meshoptimizer")
+    model, path = shaped(sparse=sparse), tmp_path / "a.glb"
+    report = ssdr.save(model, path, compression=compression)
+    back = ssdr.load_skinning(path)
+    assert back.shapes.names == model.shapes.names
+    np.testing.assert_allclose(back.shapes.amounts, model.shapes.amounts, atol=1e-5)
+    assert largest_distance(back.skin(), ssdr.load(path).vertices) < 1e-6
+    if compression == "none":
+        assert largest_distance(back.skin(), model.skin()) < 1e-5
+        np.testing.assert_array_equal(back.shapes.moved, model.shapes.moved)
+    if compression != "meshopt":  # by a reader of its own, and with other vertices at seams
+        ((positions, _, faces, _),) = drawn.from_gltf(path)
+        order = np.argsort(model.surface.material_index, kind="stable")
+        truth = model.skin()[:, model.faces[order]]
+        gap = np.linalg.norm(positions[:, faces] - truth, axis=-1)
+        assert gap.max() < 2 * report.max_error + 1e-6
+
+
+def test_sparse_targets_take_fewer_bytes(tmp_path):
+    plain, path = ssdr.save(tube(), tmp_path / "plain.glb").bytes, tmp_path / "a.glb"
+    dense = ssdr.save(shaped(), path).bytes - plain
+    sparse = ssdr.save(shaped(sparse=True), path).bytes - plain
+    document, _ = opened(path)
+    targets = document["meshes"][0]["primitives"][0]["targets"]
+    item = document["accessors"][targets[0]["POSITION"]]
+    assert 10 <= item["sparse"]["count"] < 40  # with the copies at seams
+    assert "bufferView" not in item
+    assert sparse < 0.8 * dense  # of a mesh so small, much is JSON
+
+
+def test_amounts_of_whole_steps_are_bytes(tmp_path):
+    model = shaped(sparse=True)
+    amounts = (model.shapes.amounts > 0.5).astype(float)
+    amounts[0] = 0
+    model = dataclasses.replace(model, shapes=dataclasses.replace(model.shapes, amounts=amounts))
+    ssdr.save(model, tmp_path / "a.glb")
+    document, binary = opened(tmp_path / "a.glb")
+    assert document["meshes"][0]["weights"] == [0, 0, 0]  # as in the frame without any
+    (channel,) = [
+        c for c in document["animations"][0]["channels"] if c["target"]["path"] == "weights"
+    ]
+    number = document["animations"][0]["samplers"][channel["sampler"]]["output"]
+    assert document["accessors"][number]["componentType"] == 5121
+    found = values_of(document, binary, number).reshape(amounts.shape) / 255
+    np.testing.assert_array_equal(found, amounts)
+    np.testing.assert_array_equal(ssdr.load_skinning(tmp_path / "a.glb").shapes.amounts, amounts)
+
+
 @pytest.mark.parametrize("hard", [False, True])
 def test_normals_follow_the_shapes(tmp_path, hard):
     """As an engine draws them: morph targets first, then the bones."""
-    model = tube(rings=9, sides=10)
+    model = shaped(rings=9, sides=10)
     surface = dataclasses.replace(model.surface, uv=None, normals=model.surface.normals)
     model = dataclasses.replace(model, surface=surface if hard else None)
-    added = shapes(model)
-    ssdr.save(model, tmp_path / "a.glb", shapes=added)
+    ssdr.save(model, tmp_path / "a.glb")
     ((positions, normals, faces, vertex),) = drawn.from_gltf(tmp_path / "a.glb")
     assert len(vertex) == model.n_vertices + (20 if hard else 0)  # the rims of both caps
     expected = drawn.vertex_normals(positions, faces)
     error = drawn.mean_angle(normals[:, faces], expected)
     # as they would be without a fit: those of the rest pose with each shape added alone
-    rest = model.rest[vertex]
-    alone = drawn.vertex_normals([rest, *(rest + added.displacements[:, vertex])], faces)
+    rest, added = model.rest[vertex], model.shapes.displacements[:, vertex]
+    alone = drawn.vertex_normals([rest, *(rest + added)], faces)
     turns = np.einsum("vb,fbij->fvij", model.dense_weights()[vertex], model.transforms[..., :3])
-    mixed = alone[0] + np.einsum("fs,stcj->ftcj", added.amounts, alone[1:] - alone[0])
+    mixed = alone[0] + np.einsum("fs,stcj->ftcj", model.shapes.amounts, alone[1:] - alone[0])
     plain = drawn.mean_angle(np.einsum("ftcij,ftcj->ftci", turns[:, faces], mixed), expected)
     assert error < 0.8 * plain
     document, binary = opened(tmp_path / "a.glb")
     number = document["meshes"][0]["primitives"][0]["attributes"]["NORMAL"]
     lengths = np.linalg.norm(values_of(document, binary, number), axis=1)
     np.testing.assert_allclose(lengths, 1, atol=1e-6)
+    # what is measured of the model is what the file draws
+    measured = ssdr.metrics.normals(ssdr.MeshSequence(model.skin(), model.faces), model)
+    if not hard:
+        assert measured.mean == pytest.approx(error, rel=0.05)
+
+
+def test_few_shapes_at_a_vertex_change_no_other_normal(tmp_path):
+    """Where no shape reaches, normals are those of the model, and nothing is added."""
+    model = dataclasses.replace(shaped(sparse=True, rings=9, sides=10), surface=None)
+    ssdr.save(model, tmp_path / "a.glb")
+    document, binary = opened(tmp_path / "a.glb")
+    (primitive,) = document["meshes"][0]["primitives"]
+    moved = model.shapes.moved.any(axis=0)
+    reached = np.zeros(model.n_vertices, dtype=bool)
+    reached[model.faces[moved[model.faces].any(axis=1)]] = True
+    own = values_of(document, binary, primitive["attributes"]["NORMAL"])
+    plain = drawn.vertex_normals(model.rest[None], model.faces)[0]
+    assert naive.angles(own[model.faces], plain)[~reached[model.faces]].max() < 0.01
+    added = [values_of(document, binary, one["NORMAL"]) for one in primitive["targets"]]
+    assert not np.any(added, axis=(0, 2))[~reached].any()
+    assert np.any(added, axis=(0, 2))[reached].any()
 
 
 def test_a_shape_that_is_never_used_changes_normals_as_the_rest_pose_would(tmp_path):
-    model = dataclasses.replace(tube(rings=9, sides=10), surface=None)
-    added = shapes(model)
-    added.amounts[:, 1] = 0
-    ssdr.save(model, tmp_path / "a.glb", shapes=added)
+    model = dataclasses.replace(shaped(rings=9, sides=10), surface=None)
+    model.shapes.amounts[:, 1] = 0
+    ssdr.save(model, tmp_path / "a.glb")
     document, binary = opened(tmp_path / "a.glb")
     (primitive,) = document["meshes"][0]["primitives"]
     n, d = (
         values_of(document, binary, one["NORMAL"])
         for one in (primitive["attributes"], primitive["targets"][1])
     )
-    rest = np.stack([model.rest, model.rest + added.displacements[1]])
+    rest = np.stack([model.rest, model.rest + model.shapes.displacements[1]])
     before, after = drawn.vertex_normals(rest, model.faces)
     assert naive.angles(d[model.faces], after - before).max() < 0.01
     np.testing.assert_allclose(np.linalg.norm(n, axis=1), 1, atol=1e-6)
 
 
-def test_shapes_that_do_not_fit(tmp_path):
-    model, path = tube(), tmp_path / "a.glb"
-    added = shapes(model)
-    with pytest.raises(ssdr.InputError, match="amounts: expected 3 columns, got 2"):
-        Shapes(added.displacements, added.amounts[:, :2])
-    with pytest.raises(ssdr.InputError, match=r"shapes: expected .* frames"):
-        ssdr.save(model, path, shapes=Shapes(added.displacements, added.amounts[1:]))
-    ssdr.save(model, path)
-    with pytest.raises(ssdr.InputError, match="none beside a template"):
-        ssdr.save(model, tmp_path / "b.glb", template=path, shapes=added)
+def test_clips_and_points_alone(tmp_path):
+    model = shaped(2)
+    clips = ssdr.Clip("a", 0, 5, 24), ssdr.Clip("b", 5, 20, 30)
+    bare = dataclasses.replace(model, faces=None, surface=None, clips=clips, fps=None)
+    ssdr.save(bare, tmp_path / "a.glb")
+    back = ssdr.load_skinning(tmp_path / "a.glb")
+    assert largest_distance(back.skin(), model.skin()) < 1e-5
+    np.testing.assert_allclose(back.select("b").shapes.amounts, model.shapes.amounts[5:], atol=1e-6)
+    np.testing.assert_allclose(back.select("b").skin(), model.skin()[5:], atol=1e-5)
+
+
+def test_files_that_do_not_fit(tmp_path):
+    path = tmp_path / "a.glb"
+    ssdr.save(shaped(2), path)
+
+    def more(document, _):
+        document["accessors"].append({"componentType": 5126, "count": 7, "type": "VEC3"})
+        for primitive in document["meshes"][0]["primitives"]:
+            primitive["targets"][1] = {"POSITION": len(document["accessors"]) - 1}
+
+    with pytest.raises(ssdr.FormatError, match="a morph target of other vertices"):
+        ssdr.load_skinning(rebuild(path, tmp_path / "b.glb", more))
+
+    def baseless(document, _):
+        for primitive in document["meshes"][0]["primitives"]:
+            del primitive["attributes"]["POSITION"]
+
+    with pytest.raises(ssdr.FormatError, match="no POSITION"):
+        ssdr.load_skinning(rebuild(path, tmp_path / "b.glb", baseless))
+
+    def nameless(document, _):
+        document["meshes"][0]["extras"] = json.loads('{"targetNames": ["one"]}')
+
+    found = ssdr.load_skinning(rebuild(path, tmp_path / "b.glb", nameless))
+    assert found.shapes.names == ("shape_0", "shape_1")
+
+
+def test_what_cannot_have_shapes_says_so(tmp_path):
+    model, path = shaped(), tmp_path / "a.glb"
+    ssdr.save(tube(), path)
+    for options in ({"template": path}, {"levels": [tube()]}):
+        with pytest.raises(ssdr.InputError, match="thing: expected no shapes in a file with"):
+            ssdr.save(model, tmp_path / "b.glb", **options)
     assert not (tmp_path / "b.glb").exists()

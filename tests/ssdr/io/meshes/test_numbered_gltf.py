@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ import trimesh
 from PIL import Image
 
 import ssdr
-from ssdr import FormatError, InputError, cli
+from ssdr import FormatError, InputError
 
 
 def texture():
@@ -111,11 +110,3 @@ def test_each_file_is_one_frame(tmp_path):
         ssdr.load(tmp_path, animation=0)
     with pytest.raises(FileNotFoundError, match="no mesh files"):
         ssdr.load(tmp_path / "run_*.glb")
-
-
-def test_the_command_reads_a_pattern_of_glb(folder, capsys):
-    for name in ("", "mesh_*.glb", "mesh_%03d.glb"):
-        assert cli.main(["info", str(folder / name), "--json"]) == 0
-        found = json.loads(capsys.readouterr().out)
-        assert (found["kind"], found["frames"], found["vertices"]) == ("sequence", 72, 4202)
-        assert found["uv"] is True

@@ -11,7 +11,6 @@ import pytest
 
 import ssdr
 from helpers.rig_model import tube
-from ssdr import cli
 
 pytest.importorskip("pxr.UsdSkel", reason="usd-core is not installed")
 from pxr import Sdf, UsdUtils
@@ -99,16 +98,6 @@ def test_layers_of_a_folder_that_the_user_names_are_read(stage, case, tmp_path):
     for wrong in (path, "none", 3):
         with pytest.raises(ssdr.InputError, match="folder: expected a folder that exists"):
             ssdr.load(path, folder=wrong)
-
-
-def test_the_command_may_name_a_folder(stage, tmp_path, monkeypatch, capsys):
-    path = stage(OUTSIDE["reference"])
-    monkeypatch.chdir(path.parent)
-    line = ["decompose", str(path), "-b", "1", "-e", "fast", "-o", str(tmp_path / "b.usda")]
-    assert cli.main(line) == 3
-    assert "folder=" in capsys.readouterr().err
-    assert cli.main([*line, "--read", "folder=.."]) == 0
-    assert cli.main(line) == 3
 
 
 @pytest.fixture

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import ssdr
-from helpers.disks import small_files
 from helpers.rig_model import baked_by_usd, largest_distance, tube
 from ssdr.io.rig import build_rig
 
@@ -58,20 +57,10 @@ def test_point_cache(tmp_path):
     np.testing.assert_array_equal(back.surface.uv, model.surface.uv)
     turned = ssdr.io.in_space(back, ssdr.Space(up="y"))
     assert largest_distance(turned.vertices, back.vertices[..., [0, 2, 1]] * [1, 1, -1]) == 0
-    with pytest.raises(ssdr.FormatError, match="blend shapes or points move a mesh"):
+    with pytest.raises(ssdr.FormatError, match="its points move"):
         ssdr.load_skinning(path)
     exact = ssdr.MeshSequence(sequence.vertices.astype(np.float32), model.faces)
     assert ssdr.save(exact, path).error is None
     np.testing.assert_array_equal(ssdr.load(path).vertices, exact.vertices)
     with pytest.raises(ssdr.InputError, match="units"):
         ssdr.save(exact, path, units=0)
-
-
-@pytest.mark.parametrize("name", ["a.usdc", "a.usda"])
-def test_a_full_disk_is_an_error_of_the_system_that_names_the_file(tmp_path, name):
-    """Not pxr's own, which nobody catches."""
-    sample = ssdr.samples.load("dancer_small")
-    with small_files(4000), pytest.raises(OSError, match="File too large") as caught:
-        ssdr.save(sample, tmp_path / name)
-    assert caught.value.filename == str(tmp_path / name)
-    assert list(tmp_path.iterdir()) == []

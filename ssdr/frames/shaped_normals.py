@@ -1,0 +1,87 @@
+"""Normals that engines draw of a model with shapes: of the rest pose, and what each shape adds."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..normals import NormalHolders, corner_normals, normal_holders, surface_normals
+from ..skinning import Skinning
+from .vector_fit import fit_vectors
+
+__all__ = ["ShapedNormals", "shaped_normals"]
+
+Array = NDArray[np.float64]
+
+_PULL = 1e-3  # towards the normals to begin with, relative to the sum of squared amounts
+_LEAST = 1e-6  # length of a fitted normal: less has no direction
+_MOST = 500  # frames that normals are fitted to
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ShapedNormals:
+    """Normals of a rest pose, and what shapes add to them.
+
+    Attributes
+    ----------
+    corner : (T, 3) int32
+        Number of the normal at each triangle corner.
+    rest : (N, 3) float64
+        Unit normals.
+    added : (S, N, 3) float64
+    """
+
+    corner: NDArray[np.int32]
+    rest: Array
+    added: Array
+
+
+def shaped_normals(model: Skinning) -> ShapedNormals:
+    """Normals of a model with shapes that come closest to those of its own surface.
+
+    With a_t the amounts in frame t, an engine draws the direction A_t (n + Σ_s a_ts d_s), where A_t
+    is the blended 3×3 matrix.  Near what shapes move, n and d come as close as they can, by least
+    squares, to the normals of the model's surface in all frames, or in 500 of them.  Elsewhere n is
+    the normal that the model has, and d is 0.  Where frames leave them open, each shape adds the
+    change of the rest pose's own normal.
+    """
+    assert model.shapes is not None
+    shapes, faces = model.shapes, model.faces
+    holders = normal_holders(faces, model.n_vertices, model.surface)
+    rest, count = np.asarray(model.rest, dtype=np.float64), len(holders.vertex)
+    own = None if model.surface is None else model.surface.normals
+    given = corner_normals(rest, faces, None) if own is None else own
+    start = surface_normals(np.concatenate([rest[None], rest + shapes.displacements]), holders)
+    start -= start[:1]
+    start[0, holders.corner] = given
+    reached = np.zeros((len(shapes), count), dtype=bool)
+    for s in range(len(shapes)):
+        touched = np.flatnonzero(np.any(shapes.displacements[s], axis=1))
+        reached[s, holders.corner[np.isin(faces, touched).any(axis=1)]] = True
+    found = np.concatenate([start[:1], np.where(reached[..., None], start[1:], 0.0)])
+    frames = np.linspace(0, model.n_frames - 1, min(_MOST, model.n_frames)).astype(int)
+    targets = _targets(model, frames, holders)
+    solved = fit_vectors(
+        model,
+        frames,
+        targets,
+        vertex=holders.vertex,
+        used=np.concatenate([np.any(reached, axis=0)[None], reached]),
+        start=start,
+        pull=_PULL,
+        known=np.any(targets, axis=2),
+    )
+    size = np.linalg.norm(solved[0], axis=1)
+    fitted = reached.any(axis=0) & (size > _LEAST)
+    found[:, fitted] = solved[:, fitted] / size[fitted, None]
+    return ShapedNormals(holders.corner, found[0], found[1:])
+
+
+def _targets(model: Skinning, frames: NDArray[np.int64], holders: NormalHolders) -> Array:
+    """Normals ``(f, N, 3)`` of the model's own surface in some frames."""
+    out = np.empty((len(frames), len(holders.vertex), 3))
+    for k, frame in enumerate(frames):
+        out[k] = surface_normals(model.skin([frame], dtype=np.float64), holders)[0]
+    return out

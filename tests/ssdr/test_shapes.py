@@ -1,0 +1,121 @@
+"""Shapes of a rest pose: how they are skinned, kept, counted, and refused."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import ssdr
+from helpers import naive
+from helpers.rig_model import largest_distance, tube
+from ssdr.engines import ENGINES, findings
+from ssdr.io import in_space
+
+
+def shaped(count=3):
+    model, rng = tube(), np.random.default_rng(0)
+    moved = 0.05 * rng.normal(size=(count, model.n_vertices, 3))
+    names = [f"s{k}" for k in range(count)]
+    amounts = rng.random((model.n_frames, count))
+    return dataclasses.replace(model, shapes=ssdr.Shapes(moved, amounts, names=names))
+
+
+def test_skin_adds_shapes_before_bones():
+    model = shaped()
+    for t in (0, 7):
+        rest = model.rest.copy()
+        for s in range(3):
+            rest += model.shapes.amounts[t, s] * model.shapes.displacements[s]
+        moves = model.transforms[t : t + 1]
+        expected = naive.skin(rest, model.indices, model.weights, moves)
+        np.testing.assert_allclose(model.skin([t]), expected, atol=1e-12)
+    assert model.skin([], dtype=np.float32).shape == (0, model.n_vertices, 3)
+    assert "S=3" in repr(model)
+
+
+def test_npz_keeps_all(tmp_path):
+    model = shaped()
+    model.shapes.displacements[0, 5:] = 0
+    ssdr.save(model, tmp_path / "a.npz")
+    back = ssdr.load_skinning(tmp_path / "a.npz")
+    assert back.shapes.names == ("s0", "s1", "s2")
+    np.testing.assert_array_equal(back.shapes.displacements, model.shapes.displacements)
+    np.testing.assert_array_equal(back.skin(), model.skin())
+    np.testing.assert_array_equal(ssdr.load(tmp_path / "a.npz").vertices, model.skin())
+    arrays = dict(np.load(tmp_path / "a.npz"))
+    bad = {
+        "shape_vertices": arrays["shape_vertices"] + 300,
+        "shape_displacements": arrays["shape_displacements"][1:],
+        "shape_amounts": arrays["shape_amounts"][1:],
+    }
+    for name, values in bad.items():
+        np.savez(tmp_path / "b.npz", **{**arrays, name: values})
+        with pytest.raises(ssdr.FormatError, match="shape"):
+            ssdr.load_skinning(tmp_path / "b.npz")
+    for name in bad:
+        np.savez(tmp_path / "b.npz", **{k: v for k, v in arrays.items() if k != name})
+        with pytest.raises(ssdr.FormatError, match=f"shapes without {name}"):
+            ssdr.load_skinning(tmp_path / "b.npz")
+
+
+def test_usd_blend_shapes(tmp_path):
+    pytest.importorskip("pxr")
+    from helpers.rig_model import baked_by_usd
+
+    model = shaped()
+    model.shapes.displacements[0, 5:] = 0
+    model.shapes.displacements[2] = 0
+    ssdr.save(model, tmp_path / "a.usda")
+    back = ssdr.load_skinning(tmp_path / "a.usda")
+    assert back.shapes.names == ("s0", "s1", "s2")
+    assert largest_distance(back.skin(), model.skin()) < 1e-5
+    np.testing.assert_array_equal(back.shapes.moved, model.shapes.moved)
+    truth = baked_by_usd(tmp_path / "a.usda", range(model.n_frames))
+    assert largest_distance(model.skin(), truth) < 1e-5
+
+
+def test_other_space_and_other_poses():
+    model = dataclasses.replace(shaped(), space=ssdr.Space(1.0, "y"))
+    moved = in_space(model, ssdr.Space(0.01, "z"))
+    expected = 100 * model.skin()[..., [0, 2, 1]] * [1, -1, 1]
+    np.testing.assert_allclose(moved.skin(), expected, atol=1e-9)
+    tree = {"parents": [-1, 0, 1, 2, 3], "joint_positions": model.centroids()}
+    posed = dataclasses.replace(model, **tree).pose(np.tile([0, 0, 0, 1.0], (2, 5, 1)))
+    assert posed.shapes is None
+    np.testing.assert_allclose(posed.skin(), np.stack([model.rest] * 2), atol=1e-12)
+
+
+def test_what_engines_do():
+    model = shaped(5)
+    model.shapes.amounts[3, 1] = 1.5
+    said = {name: [f.text for f in findings(model, e, ".glb")] for name, e in ENGINES.items()}
+    assert any("5 shapes: takes 4" in text for text in said["web"])
+    assert any("to 1.5: clamped" in text for text in said["unity"])
+    assert not any("shapes" in text for text in said["three"])
+
+
+def test_refusals():
+    model = shaped()
+    moved, amounts = model.shapes.displacements, model.shapes.amounts
+    for values, match in (
+        ((moved[:, 1:], amounts), "shapes: expected 20 frames, 254 vertices, got 20 frames, 253"),
+        ((moved, amounts[1:]), "shapes: expected 20 frames, 254 vertices, got 19 frames, 254"),
+        ((moved, amounts[:, 1:]), "shapes.amounts: expected 3 columns, got 2"),
+        ((moved * np.nan, amounts), r"shapes.displacements: expected finite"),
+        ((moved[:, :, 0], amounts), r"shapes.displacements: expected shape \(S, V, 3\)"),
+    ):
+        with pytest.raises(ssdr.InputError, match=match):
+            dataclasses.replace(model, shapes=ssdr.Shapes(*values))
+    with pytest.raises(ssdr.InputError, match=r"shapes.names: expected 3 names"):
+        ssdr.Shapes(moved, amounts, names=["a"])
+    with pytest.raises(ssdr.InputError, match="shapes: expected Shapes or None"):
+        dataclasses.replace(model, shapes=moved)
+    frames = ssdr.MeshSequence(model.skin(), model.faces)
+    for call in (
+        lambda: ssdr.decompose(frames, start=model),
+        lambda: ssdr.fit_weights(frames, model),
+    ):
+        with pytest.raises(ssdr.InputError, match=r"expected no shapes in a .*got 3 of them"):
+            call()
