@@ -67,6 +67,6 @@ def test_small_models_are_rebuilt_before_another_start_is_set_beside_them(
 @pytest.mark.parametrize("rig", ["none", "rigid"])
 def test_normals_count_from_the_last_polish_on(effort: Any, rig: Any) -> None:
     d = planning(6)
-    follow_effort(d, effort=effort, rig=rig, placed=False, tries_model=False)
+    follow_effort(d, effort=effort, rig=rig, bones_placed=False, tries_model=False)
     assert phases(d.work.plan)[-3:] == ["normals", "polish", "unfold"]
     assert phases(d.work.plan).count("normals") == 1
