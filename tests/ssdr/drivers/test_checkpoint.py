@@ -49,14 +49,14 @@ def test_a_checkpoint_is_the_best_model_so_far(tmp_path: Path, joints: str | Non
     path, seen = tmp_path / "model.npz", []
 
     def watch(state: ssdr.progress.Progress) -> None:
-        if not np.isfinite(progress.rmse):
+        if not np.isfinite(state.rmse):
             assert not path.exists()
             return
         seen.append(rmse_of(ssdr.load_skinning(path), frames()))
         if joints == "rigid":  # joints away from the skin count as error
-            assert seen[-1] <= 1.01 * progress.rmse
+            assert seen[-1] <= 1.01 * state.rmse
         else:
-            assert seen[-1] == pytest.approx(progress.rmse, rel=0.01)
+            assert seen[-1] == pytest.approx(state.rmse, rel=0.01)
         assert list(tmp_path.iterdir()) == [path]
 
     sequence = ssdr.MeshSequence(frames(), rig().faces, 30, name="walk")
@@ -98,7 +98,7 @@ def test_while_frames_are_streamed_it_is_a_model_of_those_that_were_read(tmp_pat
     array, path, lengths = motions.rippled(), tmp_path / "model.npz", []
 
     def watch(state: ssdr.progress.Progress) -> None:
-        if path.exists() and (not lengths or progress.phase in ("spread", "all frames")):
+        if path.exists() and (not lengths or state.phase in ("spread", "all frames")):
             lengths.append(ssdr.load_skinning(path).n_frames)
             assert_goes_on(path, array)
 
