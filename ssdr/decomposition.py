@@ -9,14 +9,12 @@ import numpy as np
 
 from .checks import BoneModel, names_arguments
 from .problem.answer import finished
-from .problem.problem import check_problem
-from .problem.progress import Callback
-from .problem.scan import needs_streaming
+from .problem.check import check_problem
+from .problem.problem import Effort
+from .progress import Callback
 from .quantisation import WeightStorage
 from .result import Decomposition
-from .search import solve as in_memory
-from .search import streamed
-from .search.efforts import Effort
+from .search.solve import solve
 from .sequence import MeshSequence
 from .skinning import Skinning
 from .solver.rest_surface import RestPose
@@ -163,5 +161,4 @@ def decompose(
         checkpoint=checkpoint,
         callback=callback,
     )
-    solve = streamed.solve if needs_streaming(problem.sequences) else in_memory.solve
-    return finished(problem, lambda: solve(problem))
+    return finished(problem, solve)

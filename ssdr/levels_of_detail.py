@@ -9,16 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from .checks import check_rng, check_whole, names_arguments
-from .decomposition import decompose
-from .errors import Cancelled, InputError
+from .checks import check_callback, check_rng, check_whole, names_arguments
+from .errors import InputError
 from .frames.error import rmse
 from .frames.normals import with_fitted_normals
 from .metrics.normal_angles import errors_of_model
-from .problem.progress import Callback, Progress
+from .problem.answer import finished
+from .problem.check import check_problem
+from .problem.problem import Effort
+from .progress import Callback, Monitor
 from .result import Decomposition
-from .search.efforts import Effort
 from .search.nested_levels import nested_models
+from .search.solve import solve
 from .sequence import MeshSequence, as_sequences, labels_of, without_copies
 from .skinning import Skinning
 from .solver.alternation import vertex_step
@@ -115,32 +117,16 @@ def levels(
     True
     """
     sequences, counts = as_sequences(sequence, faces), _check_counts(bones)
-    rng = check_rng(rng)
-    n = len(counts) + 1
-
-    def part(done: int) -> Callback:
-        def follow(progress: Progress) -> None:
-            left = progress.elapsed  # an estimate: how long the later parts take is not known
-            fraction = (done + progress.fraction) / n
-            if callback is not None and callback(
-                dataclasses.replace(progress, fraction=fraction, time_left=left)
-            ):
-                raise Cancelled("stopped by the callback before the levels were found")
-
-        return follow
-
-    alone = [
-        decompose(
-            sequences,
-            bones=count,
-            influences=influences,
-            effort=effort,
-            rng=rng,
-            callback=part(done),
+    rng, monitor = check_rng(rng), Monitor(check_callback(callback), all_or_nothing=True)
+    n, alone = len(counts) + 1, []
+    for k, count in enumerate(counts):
+        problem = check_problem(
+            sequences, None, bones=count, influences=influences, effort=effort, rng=rng
         )
-        for done, count in enumerate(counts)
-    ]
-    return _nest(sequences, alone, influences, effort, rng, part(len(counts)))
+        with monitor.part(k / n, (k + 1) / n):
+            alone.append(finished(dataclasses.replace(problem, monitor=monitor), solve))
+    with monitor.part((n - 1) / n, 1.0):
+        return _nest(sequences, alone, influences, effort, rng, monitor)
 
 
 def _nest(
@@ -149,7 +135,7 @@ def _nest(
     influences: int,
     effort: Effort,
     rng: np.random.Generator,
-    follow: Callback,
+    monitor: Monitor,
 ) -> LevelsOfDetail:
     """Levels made from the decompositions `alone`, the finest of which comes first."""
     best = alone[0]
@@ -167,7 +153,7 @@ def _nest(
     optimise_vertices(data, finest)
 
     def report(fraction: float) -> None:
-        follow(Progress("levels", 0, 0.0, best.rmse, fraction, 0.0))
+        monitor.report("levels", iteration=0, rmse=best.rmse, fraction=fraction)
 
     unit = data.n_frames * data.n_vertices / data.scale**2
     models = nested_models(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from .frames.motion import share_of
 from .metrics.normal_angles import NormalErrors
-from .problem.progress import Record
+from .progress import Record
 from .skinning import Skinning
 
 __all__ = ["Decomposition"]

@@ -9,10 +9,10 @@ import numpy as np
 
 from .errors import check_choice
 from .problem.answer import with_normals
-from .problem.problem import check_problem
+from .problem.check import check_problem
 from .result import Decomposition
-from .search import solve as in_memory
 from .search.descent import Descent
+from .search.solve import solve
 from .search.starts import start_from_model
 from .search.steps import compress, unfold
 from .sequence import MeshSequence
@@ -83,7 +83,7 @@ def round_weights(
         rng=0,
     )
     compile_seconds = compile_kernels()
-    outcome = in_memory.solve(problem, _begin)
+    outcome = solve(problem, _begin)
     found = {name: getattr(outcome.skinning, name) for name in _CHANGED}
     rounded = dataclasses.replace(skinning, **found, keyframes=None)
     rounded, normals = with_normals(problem, rounded)

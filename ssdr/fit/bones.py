@@ -167,10 +167,10 @@ def fit_bones(
     sweeps = 0
     for one in kinds:
         of_kind = dataclasses.replace(locked, bone_model=one)
-        more, moved = _settle(data, model, of_kind, tolerance, max_sweeps)
+        more, moved = _sweep_until_still(data, model, of_kind, tolerance, max_sweeps)
         sweeps += more
     if world is None and _from_neighbours(data, model, locked, max_sweeps):
-        more, moved = _settle(data, model, locked, tolerance, max_sweeps)
+        more, moved = _sweep_until_still(data, model, locked, tolerance, max_sweeps)
         sweeps += more
     _, out = data.to_world(model.rest, model.transforms)
     fitted = dataclasses.replace(skinning, transforms=out, keyframes=None, **names_of(sequences))
@@ -178,7 +178,7 @@ def fit_bones(
     return BoneFit(**vars(found), sweeps=sweeps, converged=moved <= tolerance)
 
 
-def _settle(
+def _sweep_until_still(
     data: Trajectories, model: Model, locked: Locked, tolerance: float, most: int
 ) -> tuple[int, float]:
     """Sweep until no entry of a transform changes by more than `tolerance` (in place).
@@ -190,7 +190,9 @@ def _settle(
     while sweeps < most and moved > tolerance:
         before = model.transforms.copy()
         if sweeps and locked.bone_model != "affine":
-            damping = _step_together(data, model, locked, damping)
+            # if bones overlap widely, sweeps alone would need hundreds of rounds
+            newton = GaussNewton(data, model, locked=locked, damping=damping)
+            damping = newton.run(1, entering=False)
         step = min(_SWEEPS, most - sweeps)
         bone_step(data, model, sweeps=step, locked=locked)
         moved = float(np.abs(model.transforms - before).max())
@@ -216,8 +218,8 @@ def _from_neighbours(data: Trajectories, model: Model, locked: Locked, most: int
     def error(transforms: Array) -> Array:
         """Squared error (F,) of each frame under `transforms`."""
         hat = data.stack(transforms).reshape(data.n_frames, 3, -1)
-        told: Array = (hat * (hat @ flat - 2 * c.reshape(hat.shape))).sum(axis=(1, 2))
-        return energy + told
+        change: Array = (hat * (hat @ flat - 2 * c.reshape(hat.shape))).sum(axis=(1, 2))
+        return energy + change
 
     frame, mask = np.arange(data.n_frames), locked.bone_mask(model.n_bones)
     for done in range(_ROUNDS):
@@ -227,7 +229,7 @@ def _from_neighbours(data: Trajectories, model: Model, locked: Locked, most: int
             trial = model.copy()
             trial.transforms = model.transforms[np.clip(frame + shift, 0, frame[-1])]
             trial.transforms[:, mask] = model.transforms[:, mask]
-            _settle(data, trial, locked, 0.0, min(most, 4 * _SWEEPS))
+            _sweep_until_still(data, trial, locked, 0.0, min(most, 4 * _SWEEPS))
             value = error(trial.transforms)
             better = value < bound
             best[better], bound = trial.transforms[better], np.minimum(value, bound)
@@ -236,15 +238,3 @@ def _from_neighbours(data: Trajectories, model: Model, locked: Locked, most: int
             return done > 0
         model.transforms = best
     return True
-
-
-def _step_together(
-    data: Trajectories, model: Model, locked: Locked, damping: float | None
-) -> float:
-    """Make one Gauss–Newton step of all bones (in place); return the damping for the next step.
-
-    If bones overlap widely, sweeps alone would need hundreds of rounds.
-    """
-    polish = GaussNewton(data, model, locked=locked, damping=damping)
-    polish.step()
-    return polish.damping

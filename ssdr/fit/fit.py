@@ -27,7 +27,7 @@ from ..sequence import MeshSequence, as_sequences, labels_of, without_copies
 from ..skinning import Skinning, refuse_shapes, skinning_in
 from ..solver.trajectories import Array, Trajectories, gather
 
-__all__ = ["Fit", "Given", "checked", "fit_of"]
+__all__ = ["Fit", "FitInput", "checked", "fit_of"]
 
 _MOST_BONES = 1 << 16  # the largest index decides how many there are; no more take memory
 
@@ -60,7 +60,7 @@ class Fit:
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Given:
+class FitInput:
     """Checked arguments of a fit.
 
     Attributes
@@ -96,7 +96,7 @@ class Given:
 
     def without_copies(
         self, importance: Array | None, *kept: NDArray[Any] | None
-    ) -> tuple[Given, Array | None, NDArray[np.intp], NDArray[np.intp]]:
+    ) -> tuple[FitInput, Array | None, NDArray[np.intp], NDArray[np.intp]]:
         """These arguments for the vertices that differ in some frame, or in one of `kept` (V, ...).
 
         Returns also their importance, these vertices (U,), and which of them stands for each (V,).
@@ -125,7 +125,7 @@ class Given:
 
 def checked(
     sequence: Any, rest: Any, bone_model: BoneModel | None = None, /, **arrays: Any
-) -> Given:
+) -> FitInput:
     """Check the arguments of a fit.
 
     Parameters
@@ -158,7 +158,7 @@ def checked(
     position = np.asarray(check_floats(model.rest, f"{prefix}rest", (n, 3), copy=True), np.float64)
     check_squarable(position, f"{prefix}rest")
     weights = np.array(model.weights, dtype=np.float64)
-    return Given(
+    return FitInput(
         sequences=sequences,
         skinning=model,
         rest=position,

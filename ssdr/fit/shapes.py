@@ -14,8 +14,8 @@ from ..errors import InputError
 from ..frames.vector_fit import fit_vectors
 from ..hierarchy.transforms import rest_diagonal
 from ..parallel import serial_blas
-from ..problem.problem import check_problem
-from ..search import solve
+from ..problem.check import check_problem
+from ..search.solve import solve
 from ..sequence import MeshSequence
 from ..shapes import Shapes
 from ..skinning import Skinning
@@ -234,7 +234,7 @@ def _worth(
     half = max(1, bones // 2)
     if bones < 2:
         return math.inf
-    few = solve.solve(
+    few = solve(
         check_problem(
             sequences,
             None,

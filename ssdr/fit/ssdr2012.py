@@ -8,9 +8,9 @@ import numpy as np
 
 from ..checks import check_callback, check_whole, names_arguments
 from ..frames.error import rmse_of
-from ..problem.progress import Callback, Clock, ProgressReport
+from ..progress import Callback, Monitor, Stop
 from ..sequence import MeshSequence, as_sequences
-from ..solver.alternation import bone_step, vertex_step
+from ..solver.alternation import repeat_alternation
 from .fit import Fit, fit_of
 from .start import skinning_of, started
 
@@ -75,21 +75,21 @@ def ssdr2012(
     >>> fit.skinning.n_bones, fit.rmse < 0.02 * dancer.diagonal()
     (4, True)
     """
-    clock = Clock()
     sequences = as_sequences(sequence, faces)
     iterations = check_whole(iterations, "iterations", 0)
-    report = ProgressReport(check_callback(callback), clock)
+    monitor = Monitor(check_callback(callback))
     if rest is None:
         rest = sequences[0].frames(slice(0, 1))[0]
     data, model, locked = started(sequences, bones=bones, influences=influences, rest=rest, rng=rng)
     best = model.copy()
     for k in range(iterations + 1):
         if k:
-            bone_step(data, model, locked=locked)
-            vertex_step(data, model, locked=locked)
+            repeat_alternation(data, model, 1, locked)
         if model.error.sum() < best.error.sum():
             best = model.copy()
         least = rmse_of(best.error * data.scale**2, data.n_frames)
-        if report("descent", iteration=k, rmse=least, fraction=(k + 1) / (iterations + 1)):
+        try:
+            monitor.report("descent", iteration=k, rmse=least, fraction=(k + 1) / (iterations + 1))
+        except Stop:
             break
     return fit_of(sequences, skinning_of(sequences, data, best, locked))

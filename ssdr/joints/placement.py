@@ -75,8 +75,8 @@ def fit_joints(transforms: Array, prior: Array, *, away: float = _AWAY) -> tuple
         Σ_t |M_a c − M_b c|² of each joint.
     """
     n_frames, n_bones = transforms.shape[:2]
-    turn, shift = transforms[..., :3], transforms[..., 3]
-    stack = turn.transpose(0, 2, 1, 3).reshape(3 * n_frames, 3 * n_bones)
+    rotation, shift = transforms[..., :3], transforms[..., 3]
+    stack = rotation.transpose(0, 2, 1, 3).reshape(3 * n_frames, 3 * n_bones)
     both = (stack.T @ stack).reshape(n_bones, 3, n_bones, 3).transpose(0, 2, 1, 3)
     matrix = 2.0 * n_frames * np.eye(3) - both - both.transpose(0, 1, 3, 2)
     moved = shift.transpose(0, 2, 1).reshape(3 * n_frames, n_bones)
@@ -85,11 +85,11 @@ def fit_joints(transforms: Array, prior: Array, *, away: float = _AWAY) -> tuple
     own = cross[index, index]
     right = cross + cross.transpose(1, 0, 2) - own[:, None] - own[None]
     square = moved.T @ moved
-    far = square[index, index][:, None] + square[index, index] - 2.0 * square
+    distance_squares = square[index, index][:, None] + square[index, index] - 2.0 * square
     pull = away * n_frames
     points = np.linalg.solve(matrix + pull * np.eye(3), (right + pull * prior)[..., None])[..., 0]
     gaps = np.einsum("abi,abij,abj->ab", points, matrix, points)
-    gaps += far - 2.0 * np.einsum("abi,abi->ab", points, right)
+    gaps += distance_squares - 2.0 * np.einsum("abi,abi->ab", points, right)
     return points, np.maximum(gaps, 0.0)
 
 
@@ -132,15 +132,15 @@ def find_contacts(model: Model) -> Contacts:
     point, apart = np.zeros((n_bones, n_bones, 3)), np.zeros((n_bones, n_bones))
     for a in range(n_bones):
         for b in range(a):
-            there, back = (np.asarray(trees[k].query(members[j])[0]) for j, k in ((a, b), (b, a)))
-            near = np.argsort(there, kind="stable")[:_TOUCH]
-            far = np.argsort(back, kind="stable")[:_TOUCH]
-            meeting = 0.5 * (members[a][near].mean(axis=0) + members[b][far].mean(axis=0))
+            to_b, to_a = (np.asarray(trees[k].query(members[j])[0]) for j, k in ((a, b), (b, a)))
+            of_a = np.argsort(to_b, kind="stable")[:_TOUCH]
+            of_b = np.argsort(to_a, kind="stable")[:_TOUCH]
+            meeting = 0.5 * (members[a][of_a].mean(axis=0) + members[b][of_b].mean(axis=0))
             if overlap[a, b] > _SHARED:
                 meeting = places[a, b] / overlap[a, b]
             point[a, b] = point[b, a] = meeting
             if most[a] > 0 and most[b] > 0:
-                apart[a, b] = apart[b, a] = np.sort(there)[max(0, len(there) // 20 - 1)]
+                apart[a, b] = apart[b, a] = np.sort(to_b)[max(0, len(to_b) // 20 - 1)]
     own = np.sqrt(np.maximum(np.diag(overlap), 1e-12))
     return Contacts(point, apart, overlap / own[:, None] / own[None])
 
@@ -217,10 +217,10 @@ def refit_joints(transforms: Array, tree: Tree) -> Tree:
     points = tree.points.copy()
     for j in tree.non_roots:
         relative = transforms[:, j] - transforms[:, tree.parents[j]]
-        turn, shift = relative[..., :3], relative[..., 3]
-        stay = _STAY * len(turn)
-        matrix = np.einsum("tab,tac->bc", turn, turn) + stay * np.eye(3)
-        right = stay * points[j] - np.einsum("tab,ta->b", turn, shift)
+        rotation, shift = relative[..., :3], relative[..., 3]
+        stay = _STAY * len(rotation)
+        matrix = np.einsum("tab,tac->bc", rotation, rotation) + stay * np.eye(3)
+        right = stay * points[j] - np.einsum("tab,ta->b", rotation, shift)
         points[j] = np.linalg.solve(matrix, right)
     return dataclasses.replace(tree, points=points, rigid=False)
 
@@ -237,8 +237,8 @@ def snap_to_joints(data: Trajectories, model: Model, locked: Locked) -> None:
     Rotations are kept, except those relative to the parent that `locked` prescribes.
     """
     tree = model.hierarchy
-    for j, k, turn in locked.joint_rotations(tree):
-        model.transforms[:, j, :, :3] = model.transforms[:, k, :, :3] @ turn
+    for j, k, rotation in locked.joint_rotations(tree):
+        model.transforms[:, j, :, :3] = model.transforms[:, k, :, :3] @ rotation
     move_onto_joints(model.transforms, tree)
     model.tree = dataclasses.replace(tree, rigid=True)
     vertex_step(data, model, locked=locked)

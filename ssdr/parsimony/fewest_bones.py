@@ -13,12 +13,12 @@ import dataclasses
 import math
 from functools import partial
 
+from ..problem.problem import Effort
 from ..search.descent import Descent
-from ..search.efforts import Effort
 from ..search.steps import polish
-from .ladder import Ladder, merge_down, move_some, search_long, start_merged
+from .models_by_bones import ModelsByBones, merge_down, move_some, search_long, start_merged
 
-__all__ = ["FewestBones"]
+__all__ = ["Bounds", "fewest_bones", "polish_fewest"]
 
 _GROWTH = 1.5  # next number of bones, relative to one that misses the tolerance
 # Number of bones, relative to the proven bound, up to which a large error may be that of a bad
@@ -62,122 +62,131 @@ REFINEMENT: dict[Effort, Refinement] = {
 }
 
 
-class FewestBones:
-    """Search for the fewest bones that hold a tolerance.
+@dataclasses.dataclass(frozen=True)
+class Bounds:
+    """Numbers of bones among which the fewest that hold a tolerance are searched.
+
+    Attributes
+    ----------
+    least : int
+        Proven lower bound.
+    most : int
+        Largest number allowed.
+    exact : int
+        Most bones that an exact skinning of the motion may have if its bones share joints; 0 if the
+        motion's rank does not suggest that there is one.
+    """
+
+    least: int
+    most: int
+    exact: int
+
+
+def fewest_bones(models: ModelsByBones, bounds: Bounds, effort: Effort) -> None:
+    """Search until a number of bones holds the tolerance and the next smaller is given up.
 
     Parameters
     ----------
-    ladder : Ladder
+    models : ModelsByBones
         Filled with the models found.
-    least : int
-        Proven lower bound on the number of bones.
-    most : int
-        Largest number of bones allowed.
-    exact : int
-        Most bones that an exact skinning of the motion may have if its bones share joints; 0 if the
-        rank of the motion does not suggest that there is one.
+    bounds : Bounds
     effort : {"fast", "balanced", "best"}
     """
+    if models.fewest is None:
+        climb(models, bounds, effort)
+    if models.fewest is not None:
+        descend(models, bounds, effort)
 
-    def __init__(self, ladder: Ladder, least: int, most: int, exact: int, effort: Effort) -> None:
-        self.ladder, self.spend = ladder, REFINEMENT[effort]
-        self.least, self.most, self.exact = least, most, exact
 
-    def run(self) -> None:
-        """Search until a number of bones holds the tolerance and the next smaller is given up."""
-        if self.ladder.fewest is None:
-            self.climb()
-        if self.ladder.fewest is not None:
-            self.descend()
-
-    def climb(self) -> None:
-        """Try new starts with more and more bones until one holds the tolerance."""
-        ladder, least, most, exact = self.ladder, self.least, self.most, self.exact
-        bones = least
-        while True:
-            ladder.attempt(bones, _climb, "start")
-            if (bones == most or least < bones == exact) and not ladder.fits(bones):
-                self.refine(bones)
-            if ladder.fewest is not None or bones >= most:
-                return
-            larger = max(bones + 1, math.ceil(_GROWTH * bones))
-            # the number of bones of an exact skinning is not skipped
-            bones = min(most, exact if bones < exact < larger else larger)
-
-    def descend(self) -> None:
-        """Merge bones, bisecting between a number that misses the tolerance and one that holds it.
-
-        A number just below one that holds the tolerance is refined before it is given up.
-        """
-        ladder, least = self.ladder, self.least
-        low = max((b for b in ladder.errors if b < self._held), default=least - 1)
-        while (held := self._held) > least:
-            bones = max((low + held) // 2, least) if held - low > 1 else held - 1
-            wide = ladder.models[held].with_restarted_support()
-            ladder.attempt(bones, self._merge, "merged", start=wide)
-            if not ladder.fits(bones):
-                if held - bones > 1:
-                    low = bones
-                    continue
-                self.refine(bones)
-                if not ladder.fits(bones):
-                    return
-            if self._held <= low + 1:  # `low` missed the tolerance, but was not refined
-                low = max(least - 1, self._held - 2)
-
-    @property
-    def _held(self) -> int:
-        held = self.ladder.fewest
-        assert held is not None
-        return held
-
-    def refine(self, bones: int) -> None:
-        """Try harder to hold the tolerance with a number of bones.
-
-        Improve the model, then try new starts, then search for long, as far as the effort allows.
-        End early if the tolerance is held or out of reach.
-        """
-        ladder, spend = self.ladder, self.spend
-        lowest = ladder.models[bones].with_restarted_support()
-        ladder.attempt(bones, self._improve, "improved", start=lowest)
-        for factor in spend.starts:
-            if ladder.fits(bones) or self._hopeless(bones):
-                return
-            ladder.attempt(bones, partial(_start_anew, factor=factor, steps=8), "new start")
-        if ladder.fits(bones) or self._hopeless(bones) or not spend.trials:
+def climb(models: ModelsByBones, bounds: Bounds, effort: Effort) -> None:
+    """Try new starts with more and more bones until one holds the tolerance."""
+    least, most, exact = bounds.least, bounds.most, bounds.exact
+    bones = least
+    while True:
+        models.attempt(bones, _climb, "start")
+        if (bones == most or least < bones == exact) and not models.fits(bones):
+            refine(models, bones, bounds, effort)
+        if models.fewest is not None or bones >= most:
             return
-        lowest = ladder.models[bones].with_restarted_support()
-        search = partial(search_long, moves=spend.moves, trials=spend.trials)
-        ladder.attempt(bones, search, "searched", start=lowest)
+        larger = max(bones + 1, math.ceil(_GROWTH * bones))
+        # the number of bones of an exact skinning is not skipped
+        bones = min(most, exact if bones < exact < larger else larger)
 
-    def finish(self) -> None:
-        """Lower the error at the fewest bones, so that pruning may add more error."""
-        ladder, steps, held = self.ladder, self.spend.finish, self._held
-        if steps:
-            last = partial(polish, steps=steps, gain=0.005)
-            ladder.attempt(held, last, "polished", start=ladder.models[held], until=0.0)
-            again = partial(_start_anew, factor=_AGAIN, steps=steps)
-            ladder.attempt(held, again, "new start", until=0.0)
 
-    def _merge(self, d: Descent) -> None:
-        merge_down(d)
-        polish(d, steps=self.spend.polish, gain=0.005)
+def descend(models: ModelsByBones, bounds: Bounds, effort: Effort) -> None:
+    """Merge bones, bisecting between a number that misses the tolerance and one that holds it.
 
-    def _improve(self, d: Descent) -> None:
-        move_some(d, _MOVES)
-        polish(d, steps=self.spend.polish, gain=0.005)
+    A number just below one that holds the tolerance is refined before it is given up.
+    """
+    steps, least = REFINEMENT[effort].polish, bounds.least
+    low = max((b for b in models.errors if b < models.held_bones), default=least - 1)
+    while (held := models.held_bones) > least:
+        bones = max((low + held) // 2, least) if held - low > 1 else held - 1
+        wide = models.models[held].with_restarted_support()
+        models.attempt(bones, partial(_merge, steps=steps), "merged", start=wide)
+        if not models.fits(bones):
+            if held - bones > 1:
+                low = bones
+                continue
+            refine(models, bones, bounds, effort)
+            if not models.fits(bones):
+                return
+        if models.held_bones <= low + 1:  # `low` missed the tolerance, but was not refined
+            low = max(least - 1, models.held_bones - 2)
 
-    def _hopeless(self, bones: int) -> bool:
-        # with exact skinning the error falls abruptly at the right number of bones, so that a large
-        # error just below it says nothing
-        near = self.exact > 0 or (self.least > 1 and bones < _NEAR_RANK * self.least + 1)
-        return not near and self.ladder.errors[bones] > self.spend.give_up * self.ladder.tolerance
+
+def refine(models: ModelsByBones, bones: int, bounds: Bounds, effort: Effort) -> None:
+    """Try harder to hold the tolerance with a number of bones.
+
+    Improve the model, then try new starts, then search for long, as far as the effort allows.  End
+    early if the tolerance is held or out of reach.
+    """
+    spend = REFINEMENT[effort]
+    # with exact skinning the error falls abruptly at the right number of bones, so that a large
+    # error just below it says nothing
+    abrupt = bounds.exact > 0 or (bounds.least > 1 and bones < _NEAR_RANK * bounds.least + 1)
+
+    def given_up() -> bool:
+        hopeless = models.errors[bones] > spend.give_up * models.tolerance
+        return models.fits(bones) or (hopeless and not abrupt)
+
+    lowest = models.models[bones].with_restarted_support()
+    models.attempt(bones, partial(_improve, steps=spend.polish), "improved", start=lowest)
+    for factor in spend.starts:
+        if given_up():
+            return
+        models.attempt(bones, partial(_start_anew, factor=factor, steps=8), "new start")
+    if given_up() or not spend.trials:
+        return
+    lowest = models.models[bones].with_restarted_support()
+    search = partial(search_long, moves=spend.moves, trials=spend.trials)
+    models.attempt(bones, search, "searched", start=lowest)
+
+
+def polish_fewest(models: ModelsByBones, effort: Effort) -> None:
+    """Lower the error at the fewest bones, so that pruning may add more error."""
+    steps, held = REFINEMENT[effort].finish, models.held_bones
+    if steps:
+        last = partial(polish, steps=steps, gain=0.005)
+        models.attempt(held, last, "polished", start=models.models[held], until=0.0)
+        again = partial(_start_anew, factor=_AGAIN, steps=steps)
+        models.attempt(held, again, "new start", until=0.0)
 
 
 def _climb(d: Descent) -> None:
     start_merged(d, 1.6)
     move_some(d, _MOVES)
     polish(d, steps=24, gain=0.01)
+
+
+def _merge(d: Descent, steps: int) -> None:
+    merge_down(d)
+    polish(d, steps=steps, gain=0.005)
+
+
+def _improve(d: Descent, steps: int) -> None:
+    move_some(d, _MOVES)
+    polish(d, steps=steps, gain=0.005)
 
 
 def _start_anew(d: Descent, factor: float, steps: int) -> None:

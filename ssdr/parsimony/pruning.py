@@ -27,7 +27,7 @@ from ..storage.size import influence_bytes
 from .report import Pruning
 from .solved_frames import SolvedFrames
 
-__all__ = ["Nested", "Pruner"]
+__all__ = ["FewerInfluences", "prune"]
 
 # Number of prices to try: enough to come within a fifth of the best price.  For streamed frames,
 # where each trial is a pass over all frames, it is just enough to find a price that holds.
@@ -38,12 +38,12 @@ _DEARER, _CHEAPER = 2.0, 0.25
 _CLOSE_PRICES = 1.2
 _HALVINGS = 8  # bisections for the first price, from a range of 40 doublings
 # Polish steps after influences are dropped, and those with normals of the model that is chosen.
-_SETTLE, _LIGHT = 6, 24
+_AFTERWARDS, _WITH_NORMALS = 6, 24
 _NEARLY = 0.005  # relative difference of bytes that does not count against better normals
 _DAMPING = 1e-3  # initial damping of these steps, as in the solver
 
 
-class Nested:
+class FewerInfluences:
     """Series of models, each with one influence per vertex fewer than the one before.
 
     Pruning chooses for each vertex the model that gives it its rest position and weights.
@@ -105,13 +105,12 @@ class Nested:
         return out
 
 
-@step("settle")
-def settle(d: Descent, *, polish_steps: int = _SETTLE) -> Iterator[None]:
+@step("polish")
+def polish_weights(d: Descent, *, polish_steps: int = _AFTERWARDS) -> Iterator[None]:
     """Polish under the present influences."""
     # given a damping, the polish keeps the supports
     newton = GaussNewton(d.data, d.model, locked=d.locked, damping=_DAMPING)
-    for _ in range(polish_steps):
-        newton.step(entering=0)
+    newton.run(polish_steps, entering=False)
     yield
 
 
@@ -128,9 +127,19 @@ class Pruned(NamedTuple):
     bytes: int
     kept_error: float
 
+    @property
+    def largest_error(self) -> float:
+        return max(self.error, self.kept_error)
 
-class Pruner:
-    """Drops influences and keyframes of a model while its error stays within the tolerance.
+
+def prune(
+    frames: SolvedFrames,
+    model: Model,
+    tolerance: float,
+    skinning: Skinning,
+    skinning_of_all: Callable[[Model, Trajectories], Skinning],
+) -> tuple[Skinning, list[Pruning]]:
+    """Drop influences and keyframes of a model while its error stays within the tolerance.
 
     It searches for the largest λ at which the minimum of squared error + λ · bytes still meets the
     tolerance, and returns the smallest model that it found: if a file is asked for, the one whose
@@ -143,132 +152,142 @@ class Pruner:
     model : Model
         A model that holds the tolerance.
     tolerance : float
+    skinning : Skinning
+        That model for all frames.
     skinning_of_all : callable
         Makes a skinning of all frames from a model and the trajectories that it was solved with.
+
+    Returns
+    -------
+    Skinning
+    list of Pruning
+        Records of the prunings of influences and of keyframes.
     """
+    fewer = FewerInfluences(*frames.with_normals(model), frames.problem.locked)
 
-    def __init__(
-        self,
-        frames: SolvedFrames,
-        model: Model,
-        tolerance: float,
-        skinning_of_all: Callable[[Model, Trajectories], Skinning],
-    ) -> None:
-        self.frames, self.tolerance, self.skinning_of_all = frames, tolerance, skinning_of_all
-        self.locked, self.offsets = frames.problem.locked, frames.problem.offsets
-        self.nested = Nested(*frames.with_normals(model), self.locked)
-        # a polish may raise the largest error
-        self.settles = frames.measure == "rmse"
-        self.endings: list[Schedule] = [self._usual_unfolded] if len(frames.data.faces) else []
-        if self.endings and self.settles and frames.problem.normals:
-            self.endings.insert(0, _with_normals)
+    def pruned(price: float, schedule: Schedule) -> Pruned:
+        return _pruned(frames, fewer, tolerance, price, schedule, skinning_of_all)
 
-    def _usual(self, d: Descent) -> None:
-        if self.frames.degree:
+    usual, endings = _schedules(frames)
+    before = frames.error_of_all(skinning)
+    best = Pruned(skinning, skinning, before, before, *frames.kept(skinning, before, tolerance))
+    price, low, high = _first_price(frames, fewer, tolerance, skinning), None, None
+    streamed = frames.scan is not None
+    for _ in range(_FEW_PRICES if streamed else _PRICES):
+        trial = pruned(price, usual)
+        if trial.largest_error > tolerance:
+            high = price
+        else:
+            low = price
+            if trial.bytes < best.bytes:
+                best = trial
+            if streamed:
+                break
+        if low is None or high is None:
+            price *= _CHEAPER if low is None else _DEARER
+        elif high < _CLOSE_PRICES * low:
+            break
+        else:
+            price = math.sqrt(low * high)
+    for ending in endings:
+        trial = pruned(low or 0.0, ending)
+        if trial.largest_error <= tolerance and trial.bytes <= (1 + _NEARLY) * best.bytes:
+            best = trial
+            break
+    return best.keyed, [
+        _record(frames, "influences", skinning, best.fewer, before, best.error),
+        _record(frames, "keyframes", best.fewer, best.keyed, best.error, best.keyed_error),
+    ]
+
+
+def _schedules(frames: SolvedFrames) -> tuple[Schedule, list[Schedule]]:
+    """Steps after influences are dropped, and those that are tried at the end."""
+    polishes = frames.measure == "rmse"  # a polish may raise the largest error
+
+    def usual(d: Descent) -> None:
+        if frames.degree:
             solve_normals(d)
-        if self.settles:
-            settle(d)
+        if polishes:
+            polish_weights(d)
 
-    def _usual_unfolded(self, d: Descent) -> None:
-        self._usual(d)
+    def unfolded(d: Descent) -> None:
+        usual(d)
         unfold(d)
 
-    def run(self, skinning: Skinning) -> tuple[Skinning, list[Pruning]]:
-        """Smallest skinning found, and records of the prunings of influences and of keyframes.
-
-        `skinning` is the model before pruning, for all frames.
-        """
-        before = self.frames.error_of_all(skinning)
-        kept = self.frames.kept(skinning, before, self.tolerance)
-        best = Pruned(skinning, skinning, before, before, *kept)
-        price = self._guess(skinning)
-        low = high = None
-        streamed = self.frames.scan is not None
-        for _ in range(_FEW_PRICES if streamed else _PRICES):
-            trial = self._pruned(price, self._usual)
-            if max(trial.error, trial.kept_error) > self.tolerance:
-                high = price
-            else:
-                low = price
-                if trial.bytes < best.bytes:
-                    best = trial
-                if streamed:
-                    break
-            if low is None or high is None:
-                price *= _CHEAPER if low is None else _DEARER
-            elif high < _CLOSE_PRICES * low:
-                break
-            else:
-                price = math.sqrt(low * high)
-        for ending in self.endings:
-            trial = self._pruned(low or 0.0, ending)
-            held = max(trial.error, trial.kept_error) <= self.tolerance
-            if held and trial.bytes <= (1 + _NEARLY) * best.bytes:
-                best = trial
-                break
-        return best.keyed, [
-            self._record("influences", skinning, best.fewer, before, best.error),
-            self._record("keyframes", best.fewer, best.keyed, best.error, best.keyed_error),
-        ]
-
-    def _guess(self, skinning: Skinning) -> float:
-        """First price to try: the highest at which the estimated error holds the tolerance.
-
-        The estimate adds up the squared errors of fewer influences and of fewer keys.
-        """
-        frames, nested, data = self.frames, self.nested, self.frames.data
-        left = self.tolerance**2 - frames.error_of_all(skinning, "rmse") ** 2
-        budget = max(left, 1e-300) * skinning.n_frames * skinning.n_vertices
-        tracks = Tracks(skinning, self.offsets)
-        # factor from squared errors in the solver's space to those of all frames in mesh units
-        unit = data.scale**2 * skinning.n_frames / data.n_frames
-        influence = influence_bytes(skinning.n_bones, frames.problem.storage) / unit
-        least = nested.choose(0.0)[1]
-        low, high = 1e-12 * budget, budget
-        for _ in range(_HALVINGS):
-            price = math.sqrt(low * high)
-            added = (nested.choose(price * influence)[1] - least) * unit
-            holds = added + tracks.choose(price)[1] <= budget
-            low, high = (price, high) if holds else (low, price)
-        return low
-
-    def _pruned(self, price: float, schedule: Schedule) -> Pruned:
-        data, nested = self.frames.data, self.nested
-        storage = self.frames.problem.storage
-        influence = influence_bytes(nested.models[0].n_bones, storage) / data.scale**2
-        model = nested.build(nested.choose(price * influence)[0])
-        d = self.frames.descent(model.n_bones, data=self.frames.tolerant)
-        d.begin_with(model)
-        d.follow(schedule)
-        fewer = self.skinning_of_all(d.best_model, d.data)
-        error = self.frames.error_of_all(fewer)
-        if error > self.tolerance:
-            return Pruned(fewer, fewer, error, error, 0, error)
-        tracks = Tracks(fewer, self.offsets)
-        keyed = tracks.play(tracks.choose(price)[0])
-        keyed_error = self.frames.error_of_all(keyed)
-        kept = self.frames.kept(keyed, keyed_error, self.tolerance)
-        return Pruned(fewer, keyed, error, keyed_error, *kept)
-
-    def _record(
-        self,
-        what: Literal["influences", "keyframes"],
-        a: Skinning,
-        b: Skinning,
-        before: float,
-        after: float,
-    ) -> Pruning:
-        def count(s: Skinning) -> int:
-            if what == "influences":
-                return int(np.count_nonzero(s.weights))
-            return s.n_frames * s.n_bones if s.keyframes is None else int(np.sum(s.keyframes))
-
-        size_a, size_b = (self.frames.size(s).total for s in (a, b))
-        return Pruning(what, count(a), count(b), size_a, size_b, before, after)
+    if not len(frames.data.faces):
+        return usual, []
+    return usual, [_with_normals, unfolded] if polishes and frames.problem.normals else [unfolded]
 
 
 def _with_normals(d: Descent) -> None:
-    settle(d)
+    polish_weights(d)
     solve_normals(d)
-    settle(d, polish_steps=_LIGHT)
+    polish_weights(d, polish_steps=_WITH_NORMALS)
     unfold(d)
+
+
+def _first_price(
+    frames: SolvedFrames, fewer: FewerInfluences, tolerance: float, skinning: Skinning
+) -> float:
+    """First price to try: the highest at which the estimated error holds the tolerance.
+
+    The estimate adds up the squared errors of fewer influences and of fewer keys.
+    """
+    data = frames.data
+    left = tolerance**2 - frames.error_of_all(skinning, "rmse") ** 2
+    budget = max(left, 1e-300) * skinning.n_frames * skinning.n_vertices
+    tracks = Tracks(skinning, frames.problem.offsets)
+    # factor from squared errors in the solver's space to those of all frames in mesh units
+    unit = data.scale**2 * skinning.n_frames / data.n_frames
+    influence = influence_bytes(skinning.n_bones, frames.problem.storage) / unit
+    least = fewer.choose(0.0)[1]
+    low, high = 1e-12 * budget, budget
+    for _ in range(_HALVINGS):
+        price = math.sqrt(low * high)
+        added = (fewer.choose(price * influence)[1] - least) * unit
+        holds = added + tracks.choose(price)[1] <= budget
+        low, high = (price, high) if holds else (low, price)
+    return low
+
+
+def _pruned(
+    frames: SolvedFrames,
+    fewer: FewerInfluences,
+    tolerance: float,
+    price: float,
+    schedule: Schedule,
+    skinning_of_all: Callable[[Model, Trajectories], Skinning],
+) -> Pruned:
+    """A model without the influences and keys that are not worth the price."""
+    storage = frames.problem.storage
+    influence = influence_bytes(fewer.models[0].n_bones, storage) / frames.data.scale**2
+    model = fewer.build(fewer.choose(price * influence)[0])
+    d = frames.descent(model.n_bones, data=frames.tolerant)
+    d.begin_with(model)
+    d.follow(schedule)
+    skinning = skinning_of_all(d.best_model, d.data)
+    error = frames.error_of_all(skinning)
+    if error > tolerance:
+        return Pruned(skinning, skinning, error, error, 0, error)
+    tracks = Tracks(skinning, frames.problem.offsets)
+    keyed = tracks.play(tracks.choose(price)[0])
+    keyed_error = frames.error_of_all(keyed)
+    kept = frames.kept(keyed, keyed_error, tolerance)
+    return Pruned(skinning, keyed, error, keyed_error, *kept)
+
+
+def _record(
+    frames: SolvedFrames,
+    what: Literal["influences", "keyframes"],
+    a: Skinning,
+    b: Skinning,
+    before: float,
+    after: float,
+) -> Pruning:
+    def count(s: Skinning) -> int:
+        if what == "influences":
+            return int(np.count_nonzero(s.weights))
+        return s.n_frames * s.n_bones if s.keyframes is None else int(np.sum(s.keyframes))
+
+    size_a, size_b = (frames.size(s).total for s in (a, b))
+    return Pruning(what, count(a), count(b), size_a, size_b, before, after)

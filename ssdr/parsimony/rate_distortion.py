@@ -10,16 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import Cancelled
-from ..problem.problem import check_problem
-from ..problem.progress import Callback, Clock, ProgressReport
+from ..problem.check import check_problem
+from ..problem.problem import Effort
+from ..progress import Callback
 from ..representation import short_repr
 from ..search.descent import Descent
-from ..search.efforts import Effort
 from ..search.moves import add_bone
 from ..search.steps import polish
 from ..sequence import MeshSequence
-from .ladder import Ladder, merge_down, move_some, start_merged
+from .models_by_bones import ModelsByBones, merge_down, move_some, start_merged
 from .solved_frames import SolvedFrames
 
 __all__ = ["Curve", "curve", "knee"]
@@ -99,7 +98,7 @@ def curve(
         Work spent on each number of bones.
     rng : int or numpy.random.Generator
     callback : callable, optional
-        Called with a :class:`~ssdr.problem.progress.Progress` after every step; if it returns True,
+        Called with a :class:`~ssdr.progress.Progress` after every step; if it returns True,
         the call ends with Cancelled.
 
     Returns
@@ -130,23 +129,26 @@ def curve(
         rng=rng,
         callback=callback,
     )
-    clock = Clock()
-    frames, progress = SolvedFrames(problem, "rmse", clock), ProgressReport(callback, clock)
+    problem.monitor.all_or_nothing = True
+    frames = SolvedFrames(problem, "rmse")
 
-    def report(phase: str, iteration: int, fraction: float, _: bool) -> None:
-        rmse = min(ladder.errors.values(), default=math.inf)
-        if progress(phase, iteration=iteration, rmse=rmse, fraction=fraction):
-            raise Cancelled("stopped by the callback before the curve was done")
+    def report(phase: str, _: bool) -> None:
+        problem.monitor.report(
+            phase,
+            iteration=models.iteration,
+            rmse=min(models.errors.values(), default=math.inf),
+            fraction=models.fraction,
+        )
 
-    rungs = _rungs(problem.bones)
-    ladder = Ladder(frames, report, clock, expected=len(rungs))
-    _fill(ladder, rungs, effort)
+    counts = _numbers_of_bones(problem.bones)
+    models = ModelsByBones(frames, report, expected=len(counts))
+    _fill(models, counts, effort)
     # among errors near zero, one may be larger than the one before by a rounding error
-    rmse = np.minimum.accumulate([ladder.errors[bones] for bones in rungs])
-    stored = np.array([frames.bytes(ladder.models[bones]) for bones in rungs], dtype=np.int64)
+    rmse = np.minimum.accumulate([models.errors[bones] for bones in counts])
+    stored = np.array([frames.bytes(models.models[bones]) for bones in counts], dtype=np.int64)
     diagonal = max(s.diagonal() for s in problem.sequences)
     return Curve(
-        bones=np.array(rungs, dtype=np.int64),
+        bones=np.array(counts, dtype=np.int64),
         bytes=stored,
         rmse=rmse,
         diagonal=diagonal,
@@ -154,8 +156,8 @@ def curve(
     )
 
 
-def _fill(ladder: Ladder, rungs: list[int], effort: Effort) -> None:
-    """Find a model for every number of bones in `rungs`.
+def _fill(models: ModelsByBones, counts: list[int], effort: Effort) -> None:
+    """Find a model for every number of bones in `counts`.
 
     Bones are merged from the largest number down.  Then, from the smallest number up, a model with
     more error than the one before is replaced by a copy of that one with bones added.
@@ -174,17 +176,17 @@ def _fill(ladder: Ladder, rungs: list[int], effort: Effort) -> None:
         merge_down(d)
         improve(d)
 
-    ladder.attempt(rungs[-1], begin, "start")
-    for larger, bones in itertools.pairwise(rungs[::-1]):
-        start = ladder.models[larger].with_restarted_support()
-        ladder.attempt(bones, merged, "merged", start=start)
-    data, locked = ladder.frames.data, ladder.frames.problem.locked
-    for smaller, larger in itertools.pairwise(rungs):
-        if ladder.errors[larger] > ladder.errors[smaller]:
-            grown = ladder.models[smaller]
+    models.attempt(counts[-1], begin, "start")
+    for larger, bones in itertools.pairwise(counts[::-1]):
+        start = models.models[larger].with_restarted_support()
+        models.attempt(bones, merged, "merged", start=start)
+    data, locked = models.frames.data, models.frames.problem.locked
+    for smaller, larger in itertools.pairwise(counts):
+        if models.errors[larger] > models.errors[smaller]:
+            grown = models.models[smaller]
             while grown.n_bones < larger:
                 grown = add_bone(data, grown, alternations=2, locked=locked)
-            ladder.attempt(larger, improve, "grown", start=grown)
+            models.attempt(larger, improve, "grown", start=grown)
 
 
 def knee(stored: NDArray[Any], error: NDArray[Any], floor: float) -> int:
@@ -200,7 +202,7 @@ def knee(stored: NDArray[Any], error: NDArray[Any], floor: float) -> int:
     return int((1 - x - y).argmax())
 
 
-def _rungs(most: int) -> list[int]:
+def _numbers_of_bones(most: int) -> list[int]:
     """Numbers of bones from 1 to `most`: first 1, 2, 3, ..., then each about a fifth larger."""
     out = [1]
     while out[-1] < most:

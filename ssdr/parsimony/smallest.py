@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,17 +14,17 @@ from ..checks import BoneModel, check_whole, names_arguments, parse_tolerance
 from ..errors import InputError, check_choice, is_real
 from ..io.load_save import compact_size
 from ..problem.answer import finished
-from ..problem.problem import Problem, check_problem
-from ..problem.progress import Callback
+from ..problem.check import check_problem
+from ..problem.problem import Effort, Problem
+from ..progress import Callback
 from ..quantisation import WeightStorage
 from ..result import Decomposition
-from ..search.efforts import Effort
 from ..sequence import MeshSequence
 from ..skinning import Skinning, skinning_in
 from ..solver.rest_surface import RestPose
 from ..start import Skeleton, Start
-from .driver import Driver
 from .report import Measure, Smallest
+from .search import find_smallest
 from .solved_frames import Written
 
 __all__ = ["smallest"]
@@ -190,8 +191,10 @@ def smallest(
     locked = dataclasses.replace(problem.locked, near_skin=False)
     sought = dataclasses.replace(problem, bones=most, locked=locked)
     written = None if file is None else _written(file, problem)
-    parts = (sought, length, measure, written, normals_tolerance)
-    return finished(problem, lambda: Driver(*parts).solve())
+    find = partial(
+        find_smallest, asked=length, measure=measure, written=written, angle=normals_tolerance
+    )
+    return finished(sought, find)
 
 
 def _written(file: Any, problem: Problem) -> Written:
@@ -231,7 +234,7 @@ def _check_beside_tolerance(problem: Problem, rig: Any, most: int) -> None:
         raise InputError("rig", "None, 'loose' or 'rigid' beside a tolerance", "a Skeleton")
     if problem.start is None:
         for name in ("weights", "transforms"):
-            if getattr(problem.given, name) is not None:
+            if getattr(problem.initial, name) is not None:
                 raise InputError(f"start.{name}", "None beside a tolerance", "an array")
     elif problem.start.n_bones > most:
         raise InputError("start", f"at most {most} bones", problem.start.n_bones)

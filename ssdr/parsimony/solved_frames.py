@@ -18,19 +18,16 @@ from ..frames.error import largest_error, rmse
 from ..frames.normals import with_fitted_normals
 from ..metrics.normal_angles import errors_of_model
 from ..problem.answer import skinning_of
-from ..problem.initial import Given
+from ..problem.initial import Initial
 from ..problem.problem import Problem
-from ..problem.progress import Clock
-from ..problem.scan import Scan, needs_streaming, subset
+from ..problem.scan import needs_streaming
 from ..search.descent import Descent
-from ..search.efforts import NUMBERS
 from ..search.passes import ENTERING, AllFrames
-from ..search.streamed import scan_of
+from ..search.solve import read_frames, rounded, scan_of
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.model import Model
 from ..solver.rest_normals import with_rest_normals
-from ..solver.rounding import rounded_models
 from ..solver.trajectories import Trajectories
 from ..storage.size import Size, size
 from .report import FileSize, Measure
@@ -49,8 +46,6 @@ class SolvedFrames:
     problem : Problem
     measure : {"rmse", "max"}
         Error that the tolerance of the search bounds.
-    clock : Clock
-        For the progress of the first pass over streamed frames.
     written : Written, optional
         For the file of a skinning.
 
@@ -59,7 +54,7 @@ class SolvedFrames:
     sequences : list of MeshSequence
     data : Trajectories
         Compressed trajectories of these frames.
-    given : Given
+    initial : Initial
         Parts that the caller gave, in the solver's space and for these frames.
     scan : Scan or None
         None if all frames are in memory.
@@ -74,21 +69,13 @@ class SolvedFrames:
         self,
         problem: Problem,
         measure: Measure,
-        clock: Clock,
         written: Written | None = None,
     ) -> None:
         self.problem, self.measure, self.written = problem, measure, written
-        self.sequences, given = problem.sequences, problem.given
         self.degree = self.slack = 0.0
-        importance = problem.frame_importance
-        self.scan: Scan | None = None
-        if needs_streaming(self.sequences):
-            self.scan = scan_of(problem, clock)
-            chosen = self.scan.chosen
-            self.sequences = [subset(self.sequences, chosen, executor=problem.executor)]
-            importance, given = self.scan.importance(importance), given.of_frames(chosen)
-        data = problem.trajectories(self.sequences, importance)
-        data, self.given = problem.with_rest_surface(data, given.inside(data))
+        self.scan = scan_of(problem) if needs_streaming(problem.sequences) else None
+        self.sequences, data, initial = read_frames(problem, self.scan)
+        data, self.initial = problem.with_rest_surface(data, initial)
         self.data = data.compressed(problem.bones)
 
     def squared(self, rmse: float) -> float:
@@ -96,7 +83,7 @@ class SolvedFrames:
         return (rmse / self.data.scale) ** 2 * self.data.n_frames * self.data.n_vertices
 
     def descent(
-        self, bones: int, *, data: Trajectories | None = None, given: Given | None = None
+        self, bones: int, *, data: Trajectories | None = None, initial: Initial | None = None
     ) -> Descent:
         """A descent on these frames, or on a changed copy `data` of them."""
         problem = self.problem
@@ -106,10 +93,16 @@ class SolvedFrames:
             influences=problem.influences,
             rng=problem.rng,
             locked=problem.locked,
-            given=self.given.beside_model() if given is None else given,
+            initial=self.initial.beside_model() if initial is None else initial,
+            monitor=problem.monitor,
             rigid_joints=problem.rig == "rigid",
             normals=True,
         )
+
+    @property
+    def are_all_exact(self) -> bool:
+        """Whether a model of these frames is the result as it is: of all frames, not rounded."""
+        return self.scan is None and self.problem.storage == "float32" and self.written is None
 
     @property
     def tolerant(self) -> Trajectories:
@@ -145,7 +138,7 @@ class SolvedFrames:
         skin = rest, model.indices, model.weights
         if self.scan is not None:
             return _error(measure, self.sequences, *skin, transforms)
-        return _error(measure, self.problem.inputs, *self.problem.spread(*skin), transforms)
+        return _error(measure, self.problem.inputs, *self.problem.for_inputs(*skin), transforms)
 
     def error_of_all(self, s: Skinning, measure: Measure | None = None) -> float:
         """Error of a skinning, measured on all frames; arguments and result as of :meth:`error`."""
@@ -208,7 +201,7 @@ class SolvedFrames:
         *,
         passes: int,
         entering: int = ENTERING,
-        on_progress: Callable[[], bool],
+        report: Callable[[], None],
         data: Trajectories | None = None,
     ) -> Skinning:
         """Convert a model to a skinning of all frames; streamed frames are solved in passes.
@@ -223,23 +216,17 @@ class SolvedFrames:
             Most passes over all frames; they end when one gains little.
         entering : int
             Number of bones that may enter the support of a vertex in a pass.
-        on_progress : callable
-            Called within a pass; if it returns True, that pass is the last.
+        report : callable
+            Called after a round and within a pass, which is the last if it raises Stop.
         data : Trajectories, optional
             Copy of the trajectories with which the model was solved.
         """
-        problem, stop = self.problem, False
+        problem = self.problem
         if data is None:
             data, model = self.with_normals(model)
-        locked = problem.locked
+        model, locked = rounded(problem, data, model, lambda _: report()), problem.locked
         if problem.storage != "float32":
-            rounds = NUMBERS[problem.effort].rounding
-            parts = data, model, problem.storage
-            for rounded in rounded_models(*parts, locked=locked, rounds=rounds):
-                model = rounded
-                if on_progress():
-                    break
-            locked = dataclasses.replace(locked, weights=np.ones(problem.n_vertices, dtype=bool))
+            locked = locked.with_weights(problem.n_vertices)
         if self.scan is None:
             return self.skinning(model)
         frames = AllFrames(
@@ -248,18 +235,12 @@ class SolvedFrames:
             data,
             model,
             locked=locked,
-            given=Given(),
+            initial=Initial(),
             importance=problem.frame_importance,
             executor=problem.executor,
         )
-
-        def within(_: float) -> None:
-            nonlocal stop
-            stop = stop or on_progress()
-
-        for _ in frames.improve(passes, entering=entering, on_progress=within):
-            if stop:
-                break
+        for _ in frames.improve(passes, entering=entering, report=lambda _: report()):
+            pass
         return _trimmed(skinning_of(problem, frames.alignment, frames.model))
 
     def size(self, skinning: Skinning) -> Size:

@@ -18,6 +18,7 @@ from ..joints.mirror import mirror_of, side_names
 from ..joints.placement import refit_joints, spanning_tree
 from ..metrics.normal_angles import NormalErrors, errors_of_model
 from ..normals import corner_normals
+from ..progress import Record
 from ..quantisation import is_stored
 from ..result import Decomposition
 from ..sequence import MeshSequence
@@ -27,7 +28,6 @@ from ..solver.gauge import normalise_gauge
 from ..solver.model import Model
 from ..solver.warmup import compile_kernels
 from .problem import Problem
-from .progress import Record
 
 __all__ = ["Step", "finished", "outcome_of", "skinning_of", "with_normals"]
 
@@ -59,7 +59,7 @@ def skinning_of(
         equal = np.ones(len(model.rest))
         normalise_gauge(model, equal if importance is None else importance, problem.locked)
     rest, transforms = alignment.to_world(model.rest, model.transforms)
-    rest, indices, weights = problem.spread(rest, padded.indices, padded.weights)
+    rest, indices, weights = problem.for_inputs(rest, padded.indices, padded.weights)
     first = problem.inputs[0]
     surface = first.surface
     if surface is not None and surface.normals is not None:
@@ -86,13 +86,13 @@ def outcome_of(
     steps: list[Step],
     *,
     reason: str,
-    idle: int,
+    removable: int,
 ) -> Decomposition:
     """Outcome of a run: the model in the input's space, its true error, and the history.
 
     If the call was given a start model that it may return unchanged (see `_is_an_answer`), and the
     error of that model is less, the start model is returned instead. `steps` hold squared errors in
-    the solver's space; `idle` is the number of bones that could each be removed at no loss.
+    the solver's space; `removable` is the number of bones that could each be removed at no loss.
     """
     count = problem.n_frames * problem.n_vertices
 
@@ -109,7 +109,7 @@ def outcome_of(
             skinning, rmse = start, before
     skinning, normals = with_normals(problem, skinning)
     values = np.array([value for _, _, value, _ in steps])
-    hint = f"{idle} of {problem.bones} bones could each go at no loss: fewer bones would do"
+    hint = f"{removable} of {problem.bones} bones could each go at no loss: fewer bones would do"
     return Decomposition(
         skinning=skinning,
         rmse=rmse,
@@ -119,7 +119,7 @@ def outcome_of(
         normals=normals,
         motion=motion_rms(problem.inputs, executor=problem.executor),
         copies=problem.copies,
-        warnings=(hint,) if idle else (),
+        warnings=(hint,) if removable else (),
     )
 
 
@@ -130,15 +130,16 @@ def with_normals(problem: Problem, skinning: Skinning) -> tuple[Skinning, Normal
     return fitted, errors_of_model(sequences, fitted, executor=executor)
 
 
-def finished(problem: Problem, solve: Callable[[], Result]) -> Result:
+def finished(problem: Problem, solve: Callable[[Problem], Result]) -> Result:
     """Compile the kernels, solve, write the last checkpoint, and issue the result's warnings.
 
     `stacklevel` makes the warnings name the line at which the user called ``decompose`` or
     ``smallest``.
     """
     seconds = compile_kernels()
-    result = dataclasses.replace(solve(), compile_seconds=seconds)
-    problem.checkpoint.offer(lambda: result.skinning, now=True)
+    problem.monitor.leave_out(seconds)
+    result = dataclasses.replace(solve(problem), compile_seconds=seconds)
+    problem.monitor.offer(lambda: result.skinning, now=True)
     for note in result.warnings:
         warnings.warn(note, SsdrWarning, stacklevel=4)
     return result
@@ -151,7 +152,9 @@ def _is_an_answer(problem: Problem, start: Skinning) -> bool:
     smoothness, the weights are as stored, and, for a rigid rig, the given tree is rigid.
     """
     plain = not problem.weighted
-    rigid = problem.rig != "rigid" or (problem.given.tree is not None and problem.given.tree.rigid)
+    rigid = problem.rig != "rigid" or (
+        problem.initial.tree is not None and problem.initial.tree.rigid
+    )
     frames = start.n_frames == problem.n_frames
     stored = is_stored(start.weights, problem.storage)
     return plain and rigid and frames and stored and problem.smoothness == 0
@@ -159,16 +162,16 @@ def _is_an_answer(problem: Problem, start: Skinning) -> bool:
 
 def _start_as_result(problem: Problem, found: Skinning) -> Skinning:
     """Skinning of the model that a call starts from, with the names and clips of `found`."""
-    given, k = problem.given, problem.influences
+    initial, k = problem.initial, problem.influences
     assert problem.start is not None
     start = problem.start.prune(k)
     indices, weights = (
         np.pad(a, [(0, 0), (0, k - a.shape[1])])
         for a in (start.indices, np.asarray(start.weights, dtype=np.float64))
     )
-    parts: dict[str, Any] = {"rest": start.rest, "transforms": given.transforms}
-    if found.parents is not None and given.tree is not None:
-        parts |= {"parents": given.tree.parents, "joint_positions": given.tree.points}
+    parts: dict[str, Any] = {"rest": start.rest, "transforms": initial.transforms}
+    if found.parents is not None and initial.tree is not None:
+        parts |= {"parents": initial.tree.parents, "joint_positions": initial.tree.points}
     return dataclasses.replace(found, indices=indices, weights=weights, **parts)
 
 
@@ -179,7 +182,7 @@ def _with_tree(
 
     They are those of the given skeleton if there is one; otherwise they are found from the motion.
     """
-    tree, n_bones = problem.given.tree, skinning.n_bones
+    tree, n_bones = problem.initial.tree, skinning.n_bones
     if problem.rig == "loose" and tree is not None:
         tree = refit_joints(skinning.transforms, tree)
         joints = tree.points

@@ -24,9 +24,10 @@ from ..joints.limb_matching import limb_distances
 from ..joints.placement import move_onto_joints
 from ..sequence import MeshSequence
 from ..skinning import Skinning, refuse_shapes
+from ..solver.model import Locked
 from ..solver.trajectories import Array
 from ..start import JointKind, Skeleton, Start
-from .initial import Given
+from .initial import Initial
 
 __all__ = ["check_skeleton", "check_start", "extra_parents", "with_skeleton"]
 
@@ -40,17 +41,20 @@ _TURNED = 1e-6  # change of a rotation's entries from which a locked joint count
 
 def check_start(
     start: Skinning | Start | None, shape: tuple[int, int, int, int], bone_model: BoneModel
-) -> tuple[Given, Skinning | None]:
-    """Return the parts of a model to begin from, and `start` itself if it is a whole model.
+) -> tuple[Initial, Locked]:
+    """Parts of a model to begin from, and which of them are kept.
 
     `shape` is (F, V, B, K).
     """
-    if isinstance(start, Skinning):
-        return _from_model(start, shape, bone_model), start
-    return Given() if start is None else _from_parts(start, shape, bone_model), None
+    if isinstance(start, Start):
+        return _from_parts(start, shape, bone_model)
+    locked = Locked(bone_model=bone_model)
+    return Initial() if start is None else _from_model(start, shape, bone_model), locked
 
 
-def _from_model(model: Skinning, shape: tuple[int, int, int, int], bone_model: BoneModel) -> Given:
+def _from_model(
+    model: Skinning, shape: tuple[int, int, int, int], bone_model: BoneModel
+) -> Initial:
     n_frames, n, bones, influences = shape
     refuse_shapes(model, "start", "a search for bones")
     if model.n_vertices != n:
@@ -68,23 +72,25 @@ def _from_model(model: Skinning, shape: tuple[int, int, int, int], bone_model: B
         tree = Tree(model.parents.astype(np.int64), points, rigid=bool(gap <= _NEARLY))
         if transforms is not None and _EXACTLY < gap <= _NEARLY:
             move_onto_joints(transforms, tree)
-    return Given(
+    return Initial(
         rest=_check_rest(model.rest, n),
         indices=indices,
         weights=weights,
         transforms=transforms,
-        free=True,
+        is_model=True,
         tree=tree,
     )
 
 
-def _from_parts(start: Start, shape: tuple[int, int, int, int], bone_model: BoneModel) -> Given:
+def _from_parts(
+    start: Start, shape: tuple[int, int, int, int], bone_model: BoneModel
+) -> tuple[Initial, Locked]:
     n_frames, n, bones, influences = shape
     indices, weights, transforms = start.indices, start.weights, start.transforms
     if (indices is None) != (weights is None):
-        missing, there = ("weights", "indices") if weights is None else ("indices", "weights")
+        missing, other = ("weights", "indices") if weights is None else ("indices", "weights")
         dense = " (Skinning.from_dense has both of dense weights)" if weights is not None else ""
-        raise InputError(f"start.{missing}", f"an array beside start.{there}{dense}", "None")
+        raise InputError(f"start.{missing}", f"an array beside start.{other}{dense}", "None")
     locked_vertices = check_mask(start.locked_vertices, "start.locked_vertices", n)
     if weights is not None:
         indices, weights = _sorted_skin(indices, weights, (n, bones, influences))
@@ -105,17 +111,25 @@ def _from_parts(start: Start, shape: tuple[int, int, int, int], bone_model: Bone
             locked_bones = np.ones(count, dtype=bool)
     elif start.locked_bones is not None:
         raise InputError("start.locked_bones", "None without transforms", "a mask")
-    return Given(
-        rest=None if start.rest is None else _check_rest(start.rest, n),
-        rest_frame=start.rest_frame
-        if start.rest_frame is None
-        else check_whole(start.rest_frame, "start.rest_frame", 0, n_frames - 1),
-        indices=indices,
-        weights=weights,
-        transforms=transforms,
-        locked_vertices=locked_vertices,
-        locked_bones=locked_bones,
+    frame = start.rest_frame
+    if frame is not None:
+        frame = check_whole(frame, "start.rest_frame", 0, n_frames - 1)
+    rest = None if start.rest is None else _check_rest(start.rest, n)
+    locked = Locked(
+        rest=rest is not None,
+        weights=locked_vertices,
+        bones=_up_to_last(locked_bones),
+        bone_model=bone_model,
     )
+    parts = {"indices": indices, "weights": weights, "transforms": transforms}
+    return Initial(rest=rest, rest_frame=frame, **parts), locked
+
+
+def _up_to_last(mask: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
+    """A mask cut after its last true entry; None if there is none."""
+    if mask is None or not mask.any():
+        return None
+    return mask[: int(np.flatnonzero(mask)[-1]) + 1]
 
 
 def check_skeleton(rig: Skeleton) -> None:
@@ -129,62 +143,64 @@ def check_skeleton(rig: Skeleton) -> None:
 
 def with_skeleton(
     rig: Skeleton,
-    given: Given,
+    initial: Initial,
+    locked: Locked,
     sequences: list[MeshSequence],
     influences: int,
-    start: Skinning | None,
-) -> Given:
-    """A copy of the given parts with the tree, extra bones and locked joints of a skeleton.
-
-    `start` is the whole model that the caller gave to begin from, if any.
-    """
+    start: Skinning | Start | None,
+) -> tuple[Initial, Locked]:
+    """Copies of the initial and locked parts with tree, extra bones and joints of a skeleton."""
     n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
     skeleton, extra = rig.skinning, extra_parents(rig, n)
     if extra and rig.joints == "loose":
         raise InputError("rig.extra_bones", "0 beside loose joints", rig.extra_bones)
     rotations = _locked_rotations(skeleton, rig.locked_joints, n_frames)
-    if start is not None:
-        tree = _same_tree(start, given, skeleton, rotations)
-        return dataclasses.replace(given, tree=tree, keeps_tree=True, rotations=rotations)
-    if extra and given.indices is not None:
+    locked = dataclasses.replace(locked, rotations=rotations, joints=locked.rest)
+    if isinstance(start, Skinning):
+        tree = _same_tree(start, initial, skeleton, rotations)
+        return dataclasses.replace(initial, tree=tree, keeps_tree=True), locked
+    if extra and initial.indices is not None:
         expected = "0 beside start.indices and start.weights"
         raise InputError("rig.extra_bones", expected, rig.extra_bones)
-    if given.transforms is not None:
+    if initial.transforms is not None:
         raise InputError("start.transforms", "None beside a skeleton", "an array")
     points = np.asarray(skeleton.joint_positions, dtype=np.float64)
     tree = Tree(skeleton.parents.astype(np.int64), points, rigid=False)
-    pose, nearest, skin = _frame(sequences, given.rest_frame or 0), None, None
+    pose, nearest, skin = _frame(sequences, initial.rest_frame or 0), None, None
     if skeleton.n_vertices == n:
         pose = np.asarray(skeleton.rest, dtype=np.float64)
         skin = _largest(skeleton, influences)
     else:
-        nearest = limb_distances(pose if given.rest is None else given.rest, tree).argmin(axis=1)
+        nearest = limb_distances(pose if initial.rest is None else initial.rest, tree).argmin(
+            axis=1
+        )
     return dataclasses.replace(
-        given,
+        initial,
         tree=tree,
         keeps_tree=True,
         tree_pose=pose,
         nearest_bone=nearest,
         skeleton_skin=skin,
         extra_parents=extra,
-        rotations=rotations,
-    )
+    ), locked
 
 
-def _same_tree(start: Skinning, given: Given, skeleton: Skinning, rotations: Array | None) -> Tree:
+def _same_tree(
+    start: Skinning, initial: Initial, skeleton: Skinning, rotations: Array | None
+) -> Tree:
     """Tree of the model to start from, whose parents must be those of the skeleton.
 
     If a locked rotation differs from the model's, the tree is marked as not rigid, so that the
     bones are attached to it anew.
     """
     known = skeleton.n_bones
-    if given.tree is None or not np.array_equal(given.tree.parents[:known], skeleton.parents):
+    if initial.tree is None or not np.array_equal(initial.tree.parents[:known], skeleton.parents):
         raise InputError("start", "a model whose bones hang as those of rig.skinning", "others")
-    if rotations is None or given.transforms is None:
-        return given.tree
+    if rotations is None or initial.transforms is None:
+        return initial.tree
     away = np.abs(start.local_transforms()[:, :known, :, :3] - rotations)
     turned = bool(np.nan_to_num(away).max() > _TURNED)
-    return dataclasses.replace(given.tree, rigid=given.tree.rigid and not turned)
+    return dataclasses.replace(initial.tree, rigid=initial.tree.rigid and not turned)
 
 
 def _check_rest(rest: Any, n_vertices: int) -> Array:
@@ -267,11 +283,11 @@ def _locked_rotations(skeleton: Skinning, names: Any, n_frames: int) -> Array | 
 def _single_joint(skeleton: Skinning, name: Any, argument: str) -> int:
     """Index of the joint called `name`; InputError unless exactly one joint has that name."""
     names = skeleton.names()
-    there = [k for k, known in enumerate(names) if known == name]
-    if len(there) != 1:
+    found = [k for k, known in enumerate(names) if known == name]
+    if len(found) != 1:
         expected = f"names of single joints of the skeleton ({', '.join(names[:8])}, ...)"
-        raise InputError(argument, expected, f"{name!r}, {len(there)} joints of that name")
-    return there[0]
+        raise InputError(argument, expected, f"{name!r}, {len(found)} joints of that name")
+    return found[0]
 
 
 def _frame(sequences: list[MeshSequence], index: int) -> Array:

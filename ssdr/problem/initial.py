@@ -1,4 +1,4 @@
-"""Parts of a model that a caller hands over: to begin from, to keep, or to attach bones to."""
+"""Parts of a model that a caller hands over to begin from, or to attach bones to."""
 
 from __future__ import annotations
 
@@ -8,34 +8,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..copies import told_apart
 from ..hierarchy.tree import Tree
 from ..solver.alignment import Alignment
 from ..solver.trajectories import Array, Trajectories
 
-__all__ = ["Given"]
+__all__ = ["Initial"]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Given:
+class Initial:
     """Parts of a model that a caller hands over.
 
     Attributes
     ----------
     rest : (V, 3) array or None
-        Rest pose; it is kept unless `free`.
+        Rest pose.
     rest_frame : int or None
         Frame from which the rest pose is solved if `rest` is None; None until it is chosen.
     indices, weights : (V, K) arrays or None
-        Skin weights; those of `locked_vertices` are kept.
+        Skin weights.
     transforms : (F, B0, 3, 4) array or None
-        Transforms of the first B0 bones; those of `locked_bones` are kept.
-    free : bool
+        Transforms of the first B0 bones.
+    is_model : bool
         Whether the parts are a whole model to improve, of which nothing is locked.
-    locked_vertices : (V,) mask or None
-        Vertices whose weights are kept.
-    locked_bones : (B0,) mask or None
-        Bones whose transforms are kept.
     tree : Tree or None
         Parents and joints of the given bones; bones that are added come after these.
     keeps_tree : bool
@@ -49,9 +44,6 @@ class Given:
     extra_parents : tuple of int
         Parents of the bones that are added to a skeleton; −1 if a bone goes where the error is
         largest.
-    rotations : (F, B0, 3, 3) array or None
-        Rotations relative to the parent at which joints of a skeleton are locked; NaN for free
-        joints.
     """
 
     rest: Array | None = None
@@ -59,44 +51,29 @@ class Given:
     indices: NDArray[np.int32] | None = None
     weights: Array | None = None
     transforms: Array | None = None
-    free: bool = False
-    locked_vertices: NDArray[np.bool_] | None = None
-    locked_bones: NDArray[np.bool_] | None = None
+    is_model: bool = False
     tree: Tree | None = None
     keeps_tree: bool = False
     tree_pose: Array | None = None
     nearest_bone: NDArray[np.intp] | None = None
     skeleton_skin: tuple[NDArray[np.int32], Array] | None = None
     extra_parents: tuple[int, ...] = ()
-    rotations: Array | None = None
 
     def first_pose(self, data: Trajectories) -> Array:
         """Rest pose (V, 3) with which a solve starts, in the space of `data`."""
         return data.frame(self.rest_frame or 0) if self.rest is None else self.rest.copy()
 
-    def beside_model(self) -> Given:
+    def beside_model(self) -> Initial:
         """Parts for starts that are tried beside a whole model; without one, these parts."""
-        return Given(rest_frame=self.rest_frame) if self.free else self
+        return Initial(rest_frame=self.rest_frame) if self.is_model else self
 
-    @property
-    def leading_locked_bones(self) -> NDArray[np.bool_] | None:
-        """Mask `locked_bones`, cut after the last locked bone; None if no bone is locked."""
-        if self.locked_bones is None or not self.locked_bones.any():
-            return None
-        return self.locked_bones[: int(np.flatnonzero(self.locked_bones)[-1]) + 1]
-
-    def told_apart(self, label: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Labels (V,) of vertices that have one of `label` and in what is kept of them."""
-        kept = [] if self.free else [self.rest, self.indices, self.weights, self.locked_vertices]
-        return told_apart(label, *kept)
-
-    def of_vertices(self, kept: NDArray[np.intp]) -> Given:
+    def of_vertices(self, kept: NDArray[np.intp]) -> Initial:
         """A copy for the vertices `kept` alone."""
 
         def some(array: Any) -> Any:
             return None if array is None else np.ascontiguousarray(array[kept])
 
-        names = ("rest", "indices", "weights", "locked_vertices", "tree_pose", "nearest_bone")
+        names = ("rest", "indices", "weights", "tree_pose", "nearest_bone")
         skin = self.skeleton_skin
         return replace(
             self,
@@ -104,7 +81,7 @@ class Given:
             skeleton_skin=None if skin is None else (some(skin[0]), some(skin[1])),
         )
 
-    def of_frames(self, chosen: NDArray[np.int64]) -> Given:
+    def of_frames(self, chosen: NDArray[np.int64]) -> Initial:
         """A copy for the frames `chosen` alone, ascending; `rest_frame` must be one of them."""
         transforms = self.transforms
         return replace(
@@ -113,7 +90,7 @@ class Given:
             transforms=None if transforms is None else np.ascontiguousarray(transforms[chosen]),
         )
 
-    def inside(self, alignment: Alignment) -> Given:
+    def inside(self, alignment: Alignment) -> Initial:
         """A copy with rest pose, joints and transforms mapped to the solver's space."""
         inward, inside, tree = alignment.points_from_world, self, self.tree
         if tree is not None:

@@ -20,7 +20,7 @@ from ..solver.alignment import Alignment, centred, rotations_onto, scale_of
 from ..solver.initialization import farthest_points
 from ..solver.trajectories import Array
 
-__all__ = ["OnProgress", "Scan", "needs_streaming", "scan", "subset"]
+__all__ = ["Report", "Scan", "needs_streaming", "scan", "subset"]
 
 _IN_MEMORY = 1 << 30  # bytes of float64 trajectories up to which all frames are held in memory
 _SUBSET = 128 << 20  # bytes of the trajectories of the representative frames
@@ -30,7 +30,7 @@ _FEWEST, _MOST = 120, 1000  # bounds of the number of representative frames
 _SETTLED, _MOST_SETTLED = 512 << 20, 4000
 _PROBES = 64  # vertices by which frames are compared: enough to tell poses apart
 
-OnProgress = Callable[[float], Any]  # called with the fraction that is done
+Report = Callable[[float], None]  # called with the fraction that is done; may raise Stop
 
 
 def needs_streaming(sequences: Sequence[MeshSequence]) -> bool:
@@ -48,15 +48,17 @@ class Scan:
     alignment : Alignment
         Alignment of all frames.
     chosen : (S,) int64
-        Representative frames, ascending; the first frame is one of them.  A scan returned by
-        :meth:`extended` has other frames as well.
+        Representative frames, ascending; the first frame is one of them.
     nearest : (F,) int64
         For each frame, the position in `chosen` of the most similar one.
+    extended_evenly : bool
+        Whether evenly spread frames were added, so that each chosen frame stands for itself alone.
     """
 
     alignment: Alignment
     chosen: NDArray[np.int64]
     nearest: NDArray[np.int64]
+    extended_evenly: bool = False
 
     def importance(self, frames: Array | None) -> Array:
         """Importance (S,) of each chosen frame: the sum over the frames that it stands for.
@@ -64,6 +66,8 @@ class Scan:
         `frames` is the importance (F,) of all frames; None if each has 1.
         """
         each = np.ones(len(self.nearest)) if frames is None else frames
+        if self.extended_evenly:
+            return each[self.chosen]
         counts = np.bincount(self.nearest, weights=each, minlength=len(self.chosen))
         return counts.astype(np.float64)
 
@@ -80,7 +84,7 @@ class Scan:
         chosen = np.union1d(self.chosen, spread)
         nearest = np.searchsorted(chosen, self.chosen)[self.nearest]
         nearest[chosen] = np.arange(len(chosen))
-        return dataclasses.replace(self, chosen=chosen, nearest=nearest)
+        return dataclasses.replace(self, chosen=chosen, nearest=nearest, extended_evenly=True)
 
 
 @serial_blas()
@@ -90,12 +94,12 @@ def scan(
     keep: Sequence[int] = (),
     *,
     executor: Executor | None = None,
-    on_progress: OnProgress | None = None,
+    report: Report | None = None,
 ) -> Scan:
     """Read all frames once; return their alignment and the representative frames.
 
-    `importance` is that of the vertices.  The frames `keep` are chosen in any case.  `on_progress`
-    is called with the fraction of the frames that is done.
+    `importance` is that of the vertices.  The frames `keep` are chosen in any case.  `report` is
+    called with the fraction of the frames that is done.
     """
     n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
     weight = None if importance is None else importance / importance.sum()
@@ -108,10 +112,10 @@ def scan(
     )
     for (_, stop), part in zip(spans, walk, strict=True):
         parts.append(part)
-        if on_progress is not None:
-            on_progress(stop / n_frames)
-    centre, turn, features = (np.concatenate([p[k] for p in parts]) for k in range(3))
-    turn[0] = np.eye(3)
+        if report is not None:
+            report(stop / n_frames)
+    centre, rotation, features = (np.concatenate([p[k] for p in parts]) for k in range(3))
+    rotation[0] = np.eye(3)
     size, spread = sum(p[3] for p in parts), max(p[4] for p in parts)
     seeds, nearest = farthest_points(features, min(_representatives(n), n_frames), 0)
     chosen = np.union1d(seeds, np.asarray(keep, dtype=np.int64)).astype(np.int64)
@@ -119,7 +123,7 @@ def scan(
     where[chosen] = np.arange(len(chosen))
     scale = scale_of(float(np.sqrt(size / (n * n_frames))), spread)
     return Scan(
-        alignment=Alignment(centre=centre, rotation=turn, scale=scale),
+        alignment=Alignment(centre=centre, rotation=rotation, scale=scale),
         chosen=chosen,
         nearest=where.astype(np.int64),
     )
@@ -133,22 +137,22 @@ def _representatives(n_vertices: int) -> int:
 def _scan_span(
     frames: Frames, first: Array, weight: Array | None, probes: NDArray[np.int64]
 ) -> tuple[Array, Array, Array, float, float]:
-    centre, turn = np.empty((len(frames), 3)), np.empty((len(frames), 3, 3))
+    centre, rotation = np.empty((len(frames), 3)), np.empty((len(frames), 3, 3))
     features = np.empty((len(frames), 3 * len(probes)))
     sizes, spreads = np.empty(len(frames)), np.empty(len(frames))
     for start, block in frames.blocks():
 
         def work(_: int, i: int, k: int, start: int = start, block: Any = block) -> None:
             here, centre[start + i : start + k] = centred(block[i:k], weight)
-            turned = rotations_onto(here, first, weight)
-            turn[start + i : start + k] = turned
-            seen = np.matmul(here[:, probes], turned)
+            onto_first = rotations_onto(here, first, weight)
+            rotation[start + i : start + k] = onto_first
+            seen = np.matmul(here[:, probes], onto_first)
             features[start + i : start + k] = seen.reshape(k - i, -1)
             sizes[start + i : start + k] = np.einsum("tic,tic->t", here, here)
             spreads[start + i : start + k] = np.abs(here).max(axis=(1, 2))
 
         run_chunks(work, chunk_bounds(len(block), 8))
-    return centre, turn, features, float(sizes.sum()), float(spreads.max())
+    return centre, rotation, features, float(sizes.sum()), float(spreads.max())
 
 
 def subset(

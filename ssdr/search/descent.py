@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..parallel import serial_blas
-from ..problem.initial import Given
-from ..problem.progress import Clock
+from ..problem.initial import Initial
+from ..progress import Monitor, Stop
 from ..solver.alternation import bone_costs, repeat_alternation, vertex_step
 from ..solver.model import Locked, Model
 from ..solver.objective import Objective
@@ -31,7 +31,7 @@ from ..solver.trajectories import Trajectories
 from .moves import polish_steps
 from .vertex_sample import model_of_all
 
-__all__ = ["ALTERNATIONS_OF_ALL", "Descent", "Schedule", "Stop", "step"]
+__all__ = ["ALTERNATIONS_OF_ALL", "Descent", "Schedule", "step"]
 
 # Alternations on all vertices after a sample, and polish steps if the descent is stopped there.
 ALTERNATIONS_OF_ALL, _STEPS_AFTER_STOP = 8, 8
@@ -45,10 +45,6 @@ _NO_LOSS = 1e-13
 _EXPECTED = 60
 
 
-class Stop(Exception):
-    """End of a descent before its schedule is done; the argument is the reason."""
-
-
 @dataclasses.dataclass
 class Work:
     """What is done of a schedule.
@@ -59,17 +55,17 @@ class Work:
         Number of alternations and polish steps so far.
     done, expected : float
         Work that is done and that of the whole schedule, in alternations.
-    estimating : bool
-        Whether the work of a schedule is being estimated: steps change nothing then.
-    told : callable or None
+    plan : list of (phase, number of steps) or None
+        Steps of a schedule while it is planned: they change nothing then.
+    report : callable or None
         Called with the phase after each step.
     """
 
     iteration: int = 0
     done: float = 0.0
     expected: float = 1.0
-    estimating: bool = False
-    told: Callable[[str], None] | None = None
+    plan: list[tuple[str, int]] | None = None
+    report: Callable[[str], None] | None = None
 
 
 class Descent:
@@ -82,11 +78,11 @@ class Descent:
     rng : numpy.random.Generator
     locked : Locked
         Parts that are kept, and the bone model.
-    given : Given
+    initial : Initial
         Parts that the caller gave, in the solver's space.
     smoothness : WeightSmoothness or None
         Penalty on the weights.
-    clock : Clock, optional
+    monitor : Monitor, optional
     rigid_joints : bool
         Whether only models with bones attached at their joints are accepted as best.
     normals : bool
@@ -122,9 +118,9 @@ class Descent:
         influences: int,
         rng: np.random.Generator,
         locked: Locked,
-        given: Given,
+        initial: Initial,
         smoothness: WeightSmoothness | None = None,
-        clock: Clock | None = None,
+        monitor: Monitor | None = None,
         rigid_joints: bool = False,
         normals: bool = False,
     ) -> None:
@@ -132,10 +128,10 @@ class Descent:
         self.few: Descent | None = None
         self._chosen: NDArray[np.intp] = np.zeros(0, dtype=np.intp)
         self.bones, self.influences, self.rng = bones, influences, rng
-        self.asked, self.given, self.smoothness = locked, given, smoothness
+        self.asked, self.initial, self.smoothness = locked, initial, smoothness
         self.rigid_joints, self.normals = rigid_joints, normals
         self.objective = Objective(locked, smoothness)
-        self.clock = clock or Clock()
+        self.monitor = monitor or Monitor()
         self.best: Model | None = None
         self.best_value = np.inf
         self.records: list[tuple[int, float, float, str]] = []
@@ -149,9 +145,9 @@ class Descent:
         return dataclasses.replace(self.asked, bone_model="rigid") if self._rigid else self.asked
 
     @property
-    def given_parts(self) -> Given:
+    def start_parts(self) -> Initial:
         """Parts for a new start."""
-        return self.given.beside_model()
+        return self.initial.beside_model()
 
     @property
     def iteration(self) -> int:
@@ -163,9 +159,9 @@ class Descent:
         self.work.iteration = count
 
     @property
-    def estimating(self) -> bool:
-        """Whether the work of a schedule is being estimated: steps change nothing then."""
-        return self.work.estimating
+    def planning(self) -> bool:
+        """Whether a schedule is only planned: steps change nothing then."""
+        return self.work.plan is not None
 
     @property
     def best_model(self) -> Model:
@@ -179,16 +175,17 @@ class Descent:
         return math.inf if self.best is None else self.best.weighted_error(self.data)
 
     @property
-    def idle_bones(self) -> int:
+    def removable_bones(self) -> int:
         """Number of bones that the best model could lose, one at a time, without more error.
 
         In a tree only bones without children count.
         """
         wide = self.best_model.with_restarted_support()
-        idle = bone_costs(self.data, wide) <= _NO_LOSS * float(self.data.importance @ self.data.x2)
+        energy = float(self.data.importance @ self.data.x2)
+        removable = bone_costs(self.data, wide) <= _NO_LOSS * energy
         if wide.tree is not None:
-            idle[wide.tree.parents[wide.tree.non_roots]] = False
-        return int(idle.sum())
+            removable[wide.tree.parents[wide.tree.non_roots]] = False
+        return int(removable.sum())
 
     def best_of_all(self) -> Model:
         """Best model so far of all vertices, made from a sample in progress if that is better."""
@@ -207,9 +204,9 @@ class Descent:
         few.data, few.asked = self.data.select_vertices(chosen), self.asked.select_vertices(chosen)
         if self.data.surface is not None and not free:
             few.data = dataclasses.replace(few.data, surface=self.data.surface.sampled(chosen))
-        few.given, few.records = self.given_parts.of_vertices(chosen), []
+        few.initial, few.records = self.start_parts.of_vertices(chosen), []
         few.objective = Objective(few.asked)
-        if not self.estimating:
+        if not self.planning:
             few.model, few.best = (m.select_vertices(chosen) for m in (self.model, self.best_model))
             few.best_value = few.value(few.best)
             self.few, self._chosen = few, chosen
@@ -217,10 +214,10 @@ class Descent:
 
     def of_all(self, few: Model) -> Model:
         """Model of all vertices made from one of the sample in progress, by eight alternations."""
-        given, locked = self.given_parts, self.locked
-        rest = given.first_pose(self.data)
+        parts, locked = self.start_parts, self.locked
+        rest = parts.first_pose(self.data)
         model = model_of_all(few, rest, self._chosen)
-        if given.rest is not None:
+        if parts.rest is not None:
             model.rest = rest
         vertex_step(self.data, model, locked=locked)
         repeat_alternation(self.data, model, ALTERNATIONS_OF_ALL, locked)
@@ -231,8 +228,8 @@ class Descent:
         return self.objective.value(self.data, model)
 
     def below(self, limit: float, *, expected: bool) -> bool:
-        """Whether the present objective is below `limit`; `expected` while work is estimated."""
-        return expected if self.estimating else self.value(self.model) < limit
+        """Whether the present objective is below `limit`; `expected` while steps are planned."""
+        return expected if self.planning else self.value(self.model) < limit
 
     # --- what steps change ---------------------------------------------------------------------
 
@@ -248,7 +245,7 @@ class Descent:
 
     def drop_tree(self) -> None:
         """Remove the tree from the present model, so that its bones move freely."""
-        if not self.estimating:
+        if not self.planning:
             self.model = dataclasses.replace(self.model.copy(), tree=None)
 
     def accept_if_lower(self, trial: Model) -> bool:
@@ -274,16 +271,15 @@ class Descent:
 
     # --- schedules -----------------------------------------------------------------------------
 
-    @serial_blas()
-    def follow(self, schedule: Schedule, after_step: Callable[[str], None] | None = None) -> str:
+    def follow(self, schedule: Schedule, report: Callable[[str], None] | None = None) -> str:
         """Follow a schedule to its end.
 
         Parameters
         ----------
         schedule : Schedule
-        after_step : callable, optional
-            Called with the phase of each step that was made; it raises :class:`Stop` to end the
-            descent.
+        report : callable, optional
+            Called with the phase of each step that was made; it raises :class:`~ssdr.progress.Stop`
+            to end the descent.
 
         Returns
         -------
@@ -291,17 +287,18 @@ class Descent:
             Reason of the stop; "converged" or "effort spent" if there was none.
         """
         work = self.work
-        work.estimating, work.done = True, 0.0
-        schedule(self)
-        work.estimating, work.expected, work.done = False, work.done or 1.0, 0.0
-        work.told = after_step
-        try:
+        with serial_blas():
+            work.plan, work.done = [], 0.0
             schedule(self)
-        except Stop as stop:
-            if self.few is not None:
-                self.best, self.few = self.best_of_all(), None
-                self.best_value = self.value(self.best)
-            return str(stop)
+            work.plan, work.expected, work.done = None, work.done or 1.0, 0.0
+            work.report = report
+            try:
+                schedule(self)
+            except Stop as stop:
+                if self.few is not None:
+                    self.best, self.few = self.best_of_all(), None
+                    self.best_value = self.value(self.best)
+                return str(stop)
         return "converged" if self.converged else "effort spent"
 
     @property
@@ -309,24 +306,21 @@ class Descent:
         """Estimated fraction of the schedule's work that is done."""
         return min(1.0, self.work.done / self.work.expected)
 
-    def make_steps(self, steps: Iterator[None], phase: str, *, cost: float, count: int) -> None:
-        """Make the steps of an iterator; remember the best model and tell the caller after each.
+    def after_step(self, phase: str) -> None:
+        """Remember the best model and report the step.
 
-        While the work of a schedule is estimated, `count` steps of this `cost`, in alternations,
-        are only counted.
+        Raises
+        ------
+        Stop
+            If the report asks to stop, or no error is left.
         """
-        work = self.work
-        end = work.done + cost * min(count, _EXPECTED)
-        for _ in () if work.estimating else steps:
-            work.done = min(work.done + cost, end)
-            self._remember_best(phase)
-            exact = self.best_value <= _EXACT * float(self.data.x2.sum())
-            self.converged |= exact
-            if work.told is not None:
-                work.told(phase)
-            if exact:
-                raise Stop("converged")
-        work.done = end
+        self._remember_best(phase)
+        exact = self.best_value <= _EXACT * float(self.data.x2.sum())
+        self.converged |= exact
+        if self.work.report is not None:
+            self.work.report(phase)
+        if exact:
+            raise Stop("converged")
 
     def _remember_best(self, phase: str) -> None:
         if not hasattr(self, "model"):
@@ -341,7 +335,7 @@ class Descent:
             self.best, self.best_value = model.copy(), value
             # the error alone, without the penalty that `value` may carry
             error = model.weighted_error(self.data)
-            self.records.append((self.iteration, self.clock.elapsed, error, phase))
+            self.records.append((self.iteration, self.monitor.elapsed, error, phase))
 
 
 Schedule = Callable[[Descent], None]
@@ -367,10 +361,17 @@ def step(
         usual = inspect.signature(generator).parameters.get("steps")
 
         @functools.wraps(generator)
-        def made(d: Descent, /, *args: P.args, **options: P.kwargs) -> None:
+        def make_steps(d: Descent, /, *args: P.args, **options: P.kwargs) -> None:
             count: Any = options.get("steps", 1 if usual is None else usual.default)
-            d.make_steps(generator(d, *args, **options), phase, cost=cost, count=count)
+            work = d.work
+            end = work.done + cost * min(count, _EXPECTED)
+            if work.plan is not None:
+                work.plan.append((phase, count))
+            for _ in () if work.plan is not None else generator(d, *args, **options):
+                work.done = min(work.done + cost, end)
+                d.after_step(phase)
+            work.done = end
 
-        return made
+        return make_steps
 
     return decorate

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Literal
+
+from ..problem.problem import Effort
 
 __all__ = [
     "LARGE",
@@ -22,11 +23,8 @@ __all__ = [
     "TRIALS_OF_A_REBUILD",
     "TRIALS_OF_A_START",
     "TRIALS_OF_A_TREE",
-    "Effort",
     "Rebuilds",
 ]
-
-Effort = Literal["fast", "balanced", "best"]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

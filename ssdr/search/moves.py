@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from ..kernels.polish import polish_vertices
 from ..parallel import chunk_bounds, run_chunks, serial_blas
-from ..solver.alternation import bone_costs, bone_step, repeat_alternation, vertex_step
+from ..solver.alternation import bone_costs, repeat_alternation, vertex_step
 from ..solver.gauge import free_gauge
 from ..solver.gauss_newton import GaussNewton
 from ..solver.initialization import by_motion, fit_patches
@@ -28,7 +28,6 @@ __all__ = [
     "add_bone",
     "alternate_some",
     "drop_influence",
-    "entering_at",
     "exchange_bones",
     "exchange_influences",
     "merge_bones",
@@ -60,9 +59,6 @@ _FEWEST_VERTICES = 4  # in a patch: a rotation needs three that are not on a lin
 # Gauss–Newton rounds on a vertex from which a bone is removed on trial: after these, nine of ten
 # vertices are within 0.1 % of their least error (a test checks this).
 _ROUNDS = 2
-# In every third polish step, up to three bones may enter the support of a vertex: to try this in
-# every step costs more than it brings.
-_ENTERING_EVERY, _ENTERING_BONES = 3, 3
 
 
 # --- bones -------------------------------------------------------------------------------------
@@ -273,25 +269,14 @@ def alternate_some(
     """
     moved = model.with_restarted_support()
     for _ in range(int(rng.integers(1, _MOST_ALTERNATIONS + 1))):
-        bone_step(data, moved, locked=locked)
-        vertex_step(data, moved, locked=locked)
+        repeat_alternation(data, moved, 1, locked)
         free_gauge(data, moved, locked)
     return moved
 
 
-def entering_at(step: int) -> int:
-    """Number of bones that may enter a vertex's support in a polish step; the first step is 0."""
-    return _ENTERING_BONES if step % _ENTERING_EVERY == 0 else 0
-
-
 def polish_steps(data: Trajectories, model: Model, count: int, locked: Locked) -> None:
-    """Make `count` Gauss–Newton steps (in place).
-
-    In the first and in every third step after it, further bones may become influences of a vertex.
-    """
-    polish = GaussNewton(data, model, locked=locked)
-    for k in range(count):
-        polish.step(entering=entering_at(k))
+    """Make `count` Gauss–Newton steps (in place)."""
+    GaussNewton(data, model, locked=locked).run(count)
     free_gauge(data, model, locked)
 
 
@@ -314,15 +299,14 @@ def patch_of_most_error(
     n = data.n_vertices
     order = by_motion(data)
     error = model.error * data.importance
-    there = np.arange(n)
+    rows = np.arange(n)
     if among is not None and among.any():
-        there, order = np.flatnonzero(among), order[among[order]]
-    total = float(error[there].sum())
+        rows, order = np.flatnonzero(among), order[among[order]]
+    total = float(error[rows].sum())
     chance = None if not total > 0 else error[order] / total
     seeds = order[rng.choice(len(order), size=min(_CANDIDATES, len(order)), p=chance)]
-    size = int(fraction * n / model.n_bones)
-    near = np.searchsorted(there, seeds)
-    return there[_neighbourhood_of_most_error(model.rest[there], error[there], near, size)]
+    seeds, size = np.searchsorted(rows, seeds), int(fraction * n / model.n_bones)
+    return rows[_neighbourhood_of_most_error(model.rest[rows], error[rows], seeds, size)]
 
 
 def _neighbourhood_of_most_error(
@@ -333,9 +317,9 @@ def _neighbourhood_of_most_error(
     A patch has at least four vertices, unless the mesh has fewer.
     """
     size = min(len(error), max(_FEWEST_VERTICES, size))
-    _, near = cKDTree(rest).query(rest[seeds], k=size)
-    near = np.asarray(near).reshape(len(seeds), size)
-    return np.asarray(near[error[near].sum(axis=1).argmax()])
+    _, neighbours = cKDTree(rest).query(rest[seeds], k=size)
+    neighbours = np.asarray(neighbours).reshape(len(seeds), size)
+    return np.asarray(neighbours[error[neighbours].sum(axis=1).argmax()])
 
 
 def _with_more_bones(

@@ -25,7 +25,7 @@ from ..solver.model import ARRAYS, FREE, Model
 from ..solver.trajectories import Array, Trajectories
 from ..solver.vertex_newton import optimise_vertices
 from .moves import drop_influence
-from .vertex_sample import model_of_all, sample_size, spread_sample
+from .vertex_sample import model_of_all, motion_sample, sample_size
 
 __all__ = ["Nested", "nested_models"]
 
@@ -66,7 +66,7 @@ class Nested:
 
     def polish(self, levels: list[Model], rounds: int) -> list[Model]:
         """Move all bones together `rounds` times, after each level has chosen its influences."""
-        n, damping = self.data.n_vertices, None
+        n, damping = self.data.n_vertices, 1e-3
         stacked = self.data.select_vertices(np.tile(np.arange(n), len(levels)))
         if self.data.surface is not None:
             surface = self.data.surface.repeated(len(levels))
@@ -83,16 +83,14 @@ class Nested:
             parts: dict[str, Any] = {
                 k: np.concatenate([getattr(x, k) for x in padded]) for k in ARRAYS[1:]
             }
-            whole = Model(transforms=levels[0].transforms, **parts)
-            newton = GaussNewton(data, whole, damping=damping or 1e-3)  # keeps the influences
-            for _ in range(_STEPS):
-                newton.step()
-            damping = newton.damping
+            joined = Model(transforms=levels[0].transforms, **parts)
+            # with a damping, it keeps the influences
+            damping = GaussNewton(data, joined, damping=damping).run(_STEPS, entering=False)
             blocks = [
-                whole.select_vertices(np.arange(k * n, k * n + n)) for k in range(len(levels))
+                joined.select_vertices(np.arange(k * n, k * n + n)) for k in range(len(levels))
             ]
             levels = [
-                _with_transforms(block.with_influences(k), whole.transforms[:, : level.n_bones])
+                _with_transforms(block.with_influences(k), joined.transforms[:, : level.n_bones])
                 for block, level, k in zip(blocks, levels, widths, strict=True)
             ]
         return levels
@@ -162,7 +160,7 @@ class Nested:
 
 
 def nested_models(
-    whole: Trajectories,
+    data: Trajectories,
     finest: Model,
     counts: Sequence[int],
     targets: Array,
@@ -176,7 +174,7 @@ def nested_models(
 
     Parameters
     ----------
-    whole : Trajectories
+    data : Trajectories
     finest : Model
         A model of ``counts[0]`` bones.
     counts : sequence of int
@@ -190,16 +188,16 @@ def nested_models(
     report : callable
         Called with the fraction of the work that is done.
     """
-    n = whole.n_vertices
+    n = data.n_vertices
     size = min(n, sample_size(n, counts[0]))
-    chosen = spread_sample(whole, size)
+    chosen = motion_sample(data, size)
     # a sample spread evenly over the motion has about its share of the error
-    few = Nested(whole.select_vertices(chosen), targets * (size / n), influences, rng)
+    few = Nested(data.select_vertices(chosen), targets * (size / n), influences, rng)
     levels = _removed(few, finest.select_vertices(chosen), counts)
     levels = few.narrowed(few.widened(levels, _WIDER), _ROUNDS)
     levels = few.search(levels, 2 * trials // 3, lambda done: report((1 + done) / 4))
-    full = Nested(whole, targets, influences, rng)
-    levels = full.polish([_spread(whole, x, finest.rest, chosen) for x in levels], _ROUNDS)
+    full = Nested(data, targets, influences, rng)
+    levels = full.polish([_solved_for_all(data, x, finest.rest, chosen) for x in levels], _ROUNDS)
     return full.search(levels, trials - 2 * trials // 3, lambda done: report((2 + 2 * done) / 4))
 
 
@@ -226,7 +224,7 @@ def _removed(search: Nested, finest: Model, counts: Sequence[int]) -> list[Model
     return levels
 
 
-def _spread(data: Trajectories, few: Model, rest: Array, chosen: NDArray[np.intp]) -> Model:
+def _solved_for_all(data: Trajectories, few: Model, rest: Array, chosen: NDArray[np.intp]) -> Model:
     """Solve a model of all vertices, from one of a sample."""
     model = model_of_all(few, rest, chosen)
     vertex_step(data, model)

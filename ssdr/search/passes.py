@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from ..frames.executor import Executor, Frames, Local, SpanTask, spans_of
 from ..parallel import chunk_bounds, run_chunks, serial_blas
-from ..problem.initial import Given
-from ..problem.scan import OnProgress, Scan
+from ..problem.initial import Initial
+from ..problem.scan import Report, Scan
+from ..progress import Stop
 from ..sequence import MeshSequence
 from ..solver.alignment import Alignment
 from ..solver.gauss_newton import fit_motion
@@ -39,7 +40,7 @@ _GAIN = 2e-3  # relative decrease of the objective below which a pass is the las
 
 
 def carried(
-    model: Model, nearest: NDArray[np.int64], ratio: float, given: Given, locked: Locked
+    model: Model, nearest: NDArray[np.int64], ratio: float, initial: Initial, locked: Locked
 ) -> Model:
     """A copy of a model for all frames, each with the transforms of the most similar solved frame.
 
@@ -50,18 +51,17 @@ def carried(
         Position, among the model's frames, of the one most similar to each frame.
     ratio : float
         Scale of the model's space, divided by the scale of the new space.
-    given : Given
+    initial : Initial
         Given parts in the new space; its transforms replace those of locked bones, or of all bones
         if it is a whole model to go on from.
     locked : Locked
     """
     transforms = model.transforms[nearest]
     transforms[..., 3] *= ratio
-    if given.transforms is not None:
-        own = np.full(given.transforms.shape[1], given.free) | locked.bone_mask(
-            given.transforms.shape[1]
-        )
-        transforms[:, np.flatnonzero(own)] = given.transforms[:, own]
+    if initial.transforms is not None:
+        count = initial.transforms.shape[1]
+        own = np.full(count, initial.is_model) | locked.bone_mask(count)
+        transforms[:, np.flatnonzero(own)] = initial.transforms[:, own]
     moved = dataclasses.replace(model.copy(), transforms=transforms)
     moved.rest *= ratio
     if moved.tree is not None:
@@ -84,7 +84,7 @@ class AllFrames:
     model : Model
         Model of the chosen frames; it is copied.
     locked : Locked
-    given : Given
+    initial : Initial
         Given parts in the solver's space of all frames.
     importance : (F,) array or None
         Importance of the frames.
@@ -100,7 +100,7 @@ class AllFrames:
         model: Model,
         *,
         locked: Locked,
-        given: Given,
+        initial: Initial,
         importance: Array | None,
         executor: Executor | None = None,
     ) -> None:
@@ -109,7 +109,7 @@ class AllFrames:
         self.alignment = scan.alignment
         self.passes = 0
         ratio = data.scale / self.alignment.scale
-        self.model = carried(model, scan.nearest, ratio, given, locked)
+        self.model = carried(model, scan.nearest, ratio, initial, locked)
         # all that is kept of the trajectories of all frames
         self.space = Trajectories(
             z=data.z[:, :0],
@@ -127,31 +127,39 @@ class AllFrames:
         self.model.error *= ratio**2 * share
         self.model.normal_error *= share
 
-    def improve(
-        self, most: int, *, entering: int, on_progress: OnProgress | None = None
-    ) -> Iterator[float]:
+    def improve(self, most: int, *, entering: int, report: Report | None = None) -> Iterator[float]:
         """Make at most `most` passes, until one gains little; yield the objective after each.
 
-        A pass after which the objective is not lower is taken back, and is not among them.
-        The arguments are those of :meth:`pass_over`.
+        A pass after which the objective is not lower is taken back, and is not among them.  One in
+        which `report` raises Stop is completed and is the last.  The arguments are those of
+        :meth:`pass_over`.
         """
-        last = math.inf
+        last, stopped = math.inf, False
+
+        def ask(done: float) -> None:
+            nonlocal stopped
+            if report is not None and not stopped:
+                try:
+                    report(done)
+                except Stop:
+                    stopped = True
+
         for _ in range(most):
             before = self.model.copy() if math.isfinite(last) else None
-            value = self.pass_over(entering=entering, on_progress=on_progress)
+            value = self.pass_over(entering=entering, report=ask)
             if before is not None and not value < last:
                 self.model = before
                 return
             yield value
-            if not value < (1 - _GAIN) * last:
+            if stopped or not value < (1 - _GAIN) * last:
                 return
             last = value
 
     @serial_blas()
-    def pass_over(self, *, entering: int, on_progress: OnProgress | None = None) -> float:
+    def pass_over(self, *, entering: int, report: Report | None = None) -> float:
         """Alternate once over all frames; return the objective (:class:`Objective`) of the model.
 
-        `entering` is the number of bones that may enter the support of a vertex.  `on_progress` is
+        `entering` is the number of bones that may enter the support of a vertex.  `report` is
         called with the fraction of the frames that is done.
         """
         model, space, n_bones = self.model, self.space, self.model.n_bones
@@ -179,8 +187,8 @@ class AllFrames:
         def take(k: int, own: Array) -> None:
             start, stop = spans[k]
             model.transforms[start:stop] = own
-            if on_progress is not None:
-                on_progress(stop / space.n_frames)
+            if report is not None:
+                report(stop / space.n_frames)
 
         task = SpanTask(_pass_span, self.sequences, spans, of_span, shared)
         y, g, x2 = self.executor.total(task, take)
@@ -204,7 +212,7 @@ class AllFrames:
 def _pass_span(
     frames: Frames,
     centre: Array,
-    turn: Array,
+    rotation: Array,
     frame_scale: Array,
     transforms: Array,
     model: Model,
@@ -220,7 +228,7 @@ def _pass_span(
     transforms = transforms.copy()
     y, x2 = np.zeros((n, n_points, 4, n_bones)), np.zeros((n, n_points))
     g = np.zeros((4 * n_bones, 4 * n_bones))
-    alignment = Alignment(centre=centre, rotation=turn, scale=scale)
+    alignment = Alignment(centre=centre, rotation=rotation, scale=scale)
     for start, block in frames.blocks():
         stop = start + len(block)
         flat = alignment.inward(block, start, frame_scale).reshape(n, -1)
@@ -232,7 +240,7 @@ def _pass_span(
             frame_scale=frame_scale[start:stop],
             faces=faces,
             centre=centre[start:stop],
-            rotation=turn[start:stop],
+            rotation=rotation[start:stop],
             scale=scale,
         )
         if n_points > 1:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from ..problem.problem import Effort
 from .bone_steps import merge, move_bones
 from .descent import Descent, Schedule
-from .efforts import REBUILDS, TREE_ROUNDS, TRIALS_OF_A_TREE, Effort, Rebuilds
+from .efforts import REBUILDS, TREE_ROUNDS, TRIALS_OF_A_TREE, Rebuilds
 from .starts import quick_start, start, start_from_model
 from .steps import alternate, compress, lowest, polish, relax, return_to_best, solve_normals
 from .tree_steps import attach, search_trees
@@ -15,7 +16,7 @@ __all__ = [
     "last_polish",
     "lowest_tree",
     "merged_start",
-    "polish_given",
+    "polish_model",
     "rebuilds",
     "relax_bones",
     "relax_tree",
@@ -102,7 +103,7 @@ def rebuilds(size: float) -> Rebuilds:
     return next(numbers for bound, numbers in REBUILDS if size < bound)
 
 
-def polish_given(d: Descent, effort: Effort) -> None:
+def polish_model(d: Descent, effort: Effort) -> None:
     """Start from the given model and polish it."""
     start_from_model(d)
     compress(d)

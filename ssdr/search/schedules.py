@@ -10,8 +10,8 @@ Those of bones with joints are in :mod:`.tree_schedules`.
 from __future__ import annotations
 
 from functools import partial
-from typing import Literal
 
+from ..problem.problem import Effort, RigKind
 from .bone_steps import add_and_merge, move_bones, search
 from .descent import Descent
 from .efforts import (
@@ -24,7 +24,6 @@ from .efforts import (
     STARTS_OF_MANY_BONES,
     TRIALS_OF_A_REBUILD,
     TRIALS_OF_A_START,
-    Effort,
     Rebuilds,
 )
 from .schedule_parts import (
@@ -32,7 +31,7 @@ from .schedule_parts import (
     last_polish,
     lowest_tree,
     merged_start,
-    polish_given,
+    polish_model,
     rebuilds,
     relax_bones,
     relax_tree,
@@ -52,15 +51,13 @@ from .steps import (
 )
 from .tree_schedules import (
     bones_of_skeleton,
-    loose_given,
+    loose_from_model,
     loose_skeleton,
-    tree_given,
+    tree_from_model,
     tree_of_bones,
 )
 
-__all__ = ["RigKind", "follow_effort", "settle"]
-
-RigKind = Literal["none", "loose", "rigid"]
+__all__ = ["follow_effort", "settle"]
 
 # Ratio of a tree's objective to the best one up to which the tree is improved.
 _PROMISING = 4.0
@@ -242,14 +239,14 @@ def nothing_to_place(d: Descent, effort: Effort) -> None:
     last_polish(d, steps=NUMBERS[effort].polish, gain=1e-3)
 
 
-def smooth(d: Descent, effort: Effort, *, placed: bool) -> None:
+def smooth(d: Descent, effort: Effort, *, bones_placed: bool) -> None:
     """Alternate under a smoothness penalty, which the polish ignores, until the error settles.
 
-    Unless weights or all bones are locked (`placed`), a polish and further alternations follow the
-    first ones, since this sometimes lowers the penalised error.
+    Unless weights or all bones are locked (`bones_placed`), a polish and further alternations
+    follow the first ones, since this sometimes lowers the penalised error.
     """
     steps = NUMBERS[effort].smooth
-    if placed:
+    if bones_placed:
         compress(d)
         start(d)
         alternate(d, steps=10)
@@ -279,7 +276,7 @@ def smooth(d: Descent, effort: Effort, *, placed: bool) -> None:
 # --- from a model, and which of them -------------------------------------------------------------
 
 
-def smooth_given(d: Descent, effort: Effort) -> None:
+def smooth_from_model(d: Descent, effort: Effort) -> None:
     """Continue from the given model under a smoothness penalty."""
     start_from_model(d)
     compress(d)
@@ -287,7 +284,7 @@ def smooth_given(d: Descent, effort: Effort) -> None:
 
 
 def follow_effort(
-    d: Descent, *, effort: Effort, rig: RigKind, placed: bool, tries_model: bool
+    d: Descent, *, effort: Effort, rig: RigKind, bones_placed: bool, tries_model: bool
 ) -> None:
     """Make all steps of a call.
 
@@ -297,37 +294,37 @@ def follow_effort(
     effort : {"fast", "balanced", "best"}
     rig : {"none", "loose", "rigid"}
         Kind of joints.
-    placed : bool
+    bones_placed : bool
         Whether weights or all bones are locked.
     tries_model : bool
         Whether a whole model was given that is tried beside other starts.
     """
     size = float(d.data.n_vertices) * d.data.n_frames * d.bones
-    starts_from_model = d.given.free and not tries_model
+    starts_from_model = d.initial.is_model and not tries_model
     if starts_from_model and d.smoothness is not None:
-        smooth_given(d, effort)
+        smooth_from_model(d, effort)
     elif starts_from_model and rig == "rigid":
-        tree_given(d, effort)
+        tree_from_model(d, effort)
     elif starts_from_model:
-        loose_given(d, effort)
-    elif d.given_parts.tree is not None and rig == "rigid":
+        loose_from_model(d, effort)
+    elif d.start_parts.tree is not None and rig == "rigid":
         bones_of_skeleton(d, effort)
-    elif d.given_parts.tree is not None:
+    elif d.start_parts.tree is not None:
         loose_skeleton(d, effort)
     elif rig == "rigid":
         tree_of_bones(d, effort, size)
     elif d.smoothness is not None:
-        smooth(d, effort, placed=placed)
-    elif placed:
+        smooth(d, effort, bones_placed=bones_placed)
+    elif bones_placed:
         nothing_to_place(d, effort)
     else:
-        stretching = d.asked.bone_model != "rigid" and d.given_parts.transforms is None
+        stretching = d.asked.bone_model != "rigid" and d.start_parts.transforms is None
         if effort == "best":
             best_bones(d, size, stretching=stretching)
         else:
             free_bones(d, effort, size, stretching=stretching)
     if tries_model:
-        beside(d, partial(polish_given, effort=effort))
+        beside(d, partial(polish_model, effort=effort))
     unfold(d)
 
 

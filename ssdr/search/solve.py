@@ -1,63 +1,162 @@
-"""Driver for frames that fit into memory."""
+"""Solution of a problem: in memory or, if the frames do not fit, on some and then on all.
+
+    scan of all frames
+         -> the usual schedule on representative frames
+         -> a polish on as many frames as fit into memory, since representative ones are extreme
+         -> passes over all frames, each an exact alternation, until one gains little
+
+The passes call a function for every span of frames, in this process or in the workers of a cluster,
+and sum the results in the order of the spans, so that the sum does not depend on which worker
+computed a part.
+"""
 
 from __future__ import annotations
 
-import logging
+import contextlib
+import dataclasses
 import math
 from collections.abc import Callable
 from functools import partial
 
-from ..errors import Cancelled
-from ..problem.answer import outcome_of, skinning_of
-from ..problem.initial import Given
+from ..errors import InputError
+from ..problem.answer import Step, outcome_of, skinning_of
+from ..problem.initial import Initial
 from ..problem.problem import Problem
-from ..problem.progress import Clock, ProgressReport
+from ..problem.scan import Scan, needs_streaming, scan, subset
+from ..progress import Stop
 from ..result import Decomposition
 from ..sequence import MeshSequence
+from ..solver.alignment import Alignment
+from ..solver.model import Model
+from ..solver.rounding import rounded_models
 from ..solver.smoothness import WeightSmoothness
-from ..solver.trajectories import Trajectories
-from .descent import Descent, Schedule, Stop
-from .schedules import follow_effort
-from .weight_rounding import rounded_best
+from ..solver.trajectories import Trajectories, gather
+from .descent import Descent, Schedule
+from .efforts import NUMBERS
+from .passes import ENTERING, AllFrames, carried
+from .schedules import follow_effort, settle
 
-__all__ = ["after_step", "begin", "schedule_of", "solve"]
+__all__ = ["PASSES", "SCANNED", "read_frames", "rounded", "scan_of", "solve"]
 
-_logger = logging.getLogger(__name__)
+# Fractions of the work that are done after the scan, after the run on representative frames, and
+# after the run on more frames, as measured for sequences of the paper's size.
+SCANNED, _REPRESENTED, _SETTLED = 0.05, 0.3, 0.5
+# Most passes over all frames.  At the paper's size the first one ends where a second one stays.
+PASSES = {"fast": 1, "balanced": 1, "best": 4}
 
 
 def solve(problem: Problem, schedule: Schedule | None = None) -> Decomposition:
-    """Solve a problem on all frames at once, by default with the schedule of its effort.
+    """Solve a problem; with a `schedule` of its own instead of the effort's, in memory.
+
+    A model of representative frames is refined on as many frames as fit into memory, if these are
+    more, unless the run is stopped or out of time.
 
     Raises
     ------
+    InputError
+        If joints are locked, which is possible only for frames in memory.
     Cancelled
         If the callback stopped the run before there was any model.
     """
-    clock = Clock()
-    data = problem.trajectories(problem.sequences, problem.frame_importance)
-    d = begin(problem, data, problem.given.inside(data), clock)
+    monitor = problem.monitor
+    streamed = schedule is None and needs_streaming(problem.sequences)
+    if streamed and problem.locked.rotations is not None:
+        raise InputError("rig.locked_joints", "() for frames that are streamed", "some")
+    few = chosen = scan_of(problem) if streamed else None
+    more = None if few is None else few.extended(problem.n_vertices)
+    sequences, data, initial = read_frames(problem, few)
+    # normals are solved in the last of the runs
+    d = _begin(problem, data, initial, normals=more is None)
     del data  # frees the frames once they have been compressed
-    report = ProgressReport(problem.callback, clock, problem.time_limit)
-    reason = d.follow(schedule or schedule_of(problem), after_step(problem, d, report))
-    model, steps, reason = rounded_best(problem, d, report, reason)
-    return outcome_of(problem, d.data, model, steps, reason=reason, idle=d.idle_bones)
+    part = (0.0, 1.0) if few is None else (SCANNED, _REPRESENTED)
+    reason = _follow(problem, d, schedule or _schedule_of(problem), sequences, part)
+    later = problem
+    if d.initial.transforms is None:  # those of a start may turn out to be of other frames
+        initial = dataclasses.replace(problem.initial, transforms=None)
+        later = dataclasses.replace(problem, initial=initial)
+    if few is not None and more is not None and monitor.stopped is None:
+        chosen = more
+        d, sequences = _carried(later, d, few, more)
+        part = _REPRESENTED, _SETTLED
+        reason = _follow(problem, d, partial(settle, effort=problem.effort), sequences, part)
+    removable, records = d.removable_bones, list(d.records)
+
+    def report(model: Model) -> None:
+        rmse = d.data.rmse(model.weighted_error(d.data))
+        monitor.report("round weights", iteration=d.iteration, rmse=rmse, fraction=part[1])
+
+    model = rounded(problem, d.data, d.best_model, report)
+    if problem.storage != "float32":
+        error = model.weighted_error(d.data)
+        records.append((d.iteration, monitor.elapsed, error, "round weights"))
+    alignment: Alignment = d.data
+    if few is not None and chosen is not None:
+        model, records = _passes_over_all(later, d, chosen, model)
+        alignment = few.alignment
+    reason = monitor.stopped or reason
+    return outcome_of(problem, alignment, model, records, reason=reason, removable=removable)
 
 
-def schedule_of(problem: Problem) -> Schedule:
-    """Schedule of the problem's effort."""
-    return partial(
-        follow_effort,
-        effort=problem.effort,
-        rig=problem.rig,
-        placed=problem.placed,
-        tries_model=problem.beside,
+def scan_of(problem: Problem) -> Scan:
+    """Scan all frames of a problem."""
+
+    def report(done: float) -> None:
+        problem.monitor.report(
+            "scan", iteration=0, rmse=math.inf, fraction=SCANNED * done, ready=False
+        )
+
+    return scan(
+        problem.sequences,
+        problem.vertex_importance,
+        [problem.initial.rest_frame or 0],
+        executor=problem.executor,
+        report=report,
     )
 
 
-def begin(problem: Problem, data: Trajectories, given: Given, clock: Clock) -> Descent:
+def read_frames(
+    problem: Problem, chosen: Scan | None
+) -> tuple[list[MeshSequence], Trajectories, Initial]:
+    """Read the chosen frames, or all; return them, their trajectories, and the parts for them."""
+    sequences, initial = problem.sequences, problem.initial
+    importance = problem.frame_importance
+    if chosen is not None:
+        sequences = [subset(sequences, chosen.chosen, executor=problem.executor)]
+        importance, initial = chosen.importance(importance), initial.of_frames(chosen.chosen)
+    data = gather(
+        sequences,
+        bones=problem.bones,
+        vertex_importance=problem.vertex_importance,
+        frame_importance=importance,
+        compress=False,
+    )
+    return sequences, data, initial.inside(data)
+
+
+def rounded(
+    problem: Problem, data: Trajectories, model: Model, report: Callable[[Model], None]
+) -> Model:
+    """The model with weights that the problem's storage holds.
+
+    It is made in rounds, after each of which `report` is called and may raise Stop.
+    """
+    locked = problem.locked
+    if problem.smoothness > 0:  # which an exchange of units would not know
+        locked = locked.with_weights(data.n_vertices)
+    if problem.storage == "float32":
+        return model
+    rounds = NUMBERS[problem.effort].rounding
+    best = model
+    with contextlib.suppress(Stop):
+        for best in rounded_models(data, model, problem.storage, locked=locked, rounds=rounds):
+            report(best)
+    return best
+
+
+def _begin(problem: Problem, data: Trajectories, initial: Initial, *, normals: bool) -> Descent:
     """A descent on the frames of `data`, whose rest pose keeps to the surface that it may have."""
     if data.surface is None:
-        data, given = problem.with_rest_surface(data, given)
+        data, initial = problem.with_rest_surface(data, initial)
     smoothness = WeightSmoothness.build(data, problem.sequences[0].faces, problem.smoothness)
     return Descent(
         data,
@@ -65,50 +164,97 @@ def begin(problem: Problem, data: Trajectories, given: Given, clock: Clock) -> D
         influences=min(problem.influences, problem.bones),
         rng=problem.rng,
         locked=problem.locked,
-        given=given,
+        initial=initial,
         smoothness=smoothness,
-        clock=clock,
+        monitor=problem.monitor,
         rigid_joints=problem.rig == "rigid",
-        normals=problem.normals and smoothness is None,
+        normals=normals and problem.normals and smoothness is None,
     )
 
 
-def after_step(
+def _schedule_of(problem: Problem) -> Schedule:
+    """Schedule of the problem's effort."""
+    return partial(
+        follow_effort,
+        effort=problem.effort,
+        rig=problem.rig,
+        bones_placed=problem.bones_placed,
+        tries_model=problem.tries_model,
+    )
+
+
+def _follow(
     problem: Problem,
     d: Descent,
-    report: ProgressReport,
-    *,
-    sequences: list[MeshSequence] | None = None,
-    part: tuple[float, float] = (0.0, 1.0),
-) -> Callable[[str], None]:
-    """Function that reports a step and writes checkpoints, and stops the descent if that is asked.
+    schedule: Schedule,
+    sequences: list[MeshSequence],
+    part: tuple[float, float],
+) -> str:
+    """Follow a schedule on the frames `sequences`, which is a `part` of the work."""
+    monitor = problem.monitor
 
-    Parameters
-    ----------
-    problem : Problem
-    d : Descent
-    report : ProgressReport
-    sequences : list of MeshSequence, optional
-        Frames of `d`, if these are not all.
-    part : (float, float)
-        Fractions of the whole work that are done before and after this descent.
-    """
-    unit = d.data.scale / math.sqrt(d.data.n_frames * d.data.n_vertices)
-
-    def told(phase: str) -> None:
-        rmse = unit * math.sqrt(d.best_error)
-        fraction = part[0] + (part[1] - part[0]) * d.fraction
-        said = phase, d.iteration, rmse, 100 * fraction
-        _logger.debug("%s, iteration %d, rmse %.6g, %.0f %% done", *said)
+    def report(phase: str) -> None:
         if d.best is not None:
-            problem.checkpoint.offer(
-                lambda: skinning_of(problem, d.data, d.best_of_all(), sequences)
-            )
-        if report(phase, iteration=d.iteration, rmse=rmse, fraction=fraction):
-            if d.best is None:
-                raise Cancelled("stopped by the callback before there was any model")
-            raise Stop("cancelled")
-        if d.best is not None and report.out_of_time:
-            raise Stop("time limit")
+            monitor.offer(lambda: skinning_of(problem, d.data, d.best_of_all(), sequences))
+        rmse, ready = d.data.rmse(d.best_error), d.best is not None
+        monitor.report(phase, iteration=d.iteration, rmse=rmse, fraction=d.fraction, ready=ready)
 
-    return told
+    with monitor.part(*part):
+        return d.follow(schedule, report)
+
+
+def _carried(
+    problem: Problem, first: Descent, few: Scan, more: Scan
+) -> tuple[Descent, list[MeshSequence]]:
+    """A descent that goes on from the model of the representative frames with more frames.
+
+    Representative frames are few and extreme; solved on these alone, the weights follow motion that
+    other frames do not have.
+    """
+    first.release()
+    sequences, data, initial = read_frames(problem, more)
+    ratio = first.data.scale / data.scale
+    if first.data.surface is not None:
+        data = dataclasses.replace(data, surface=first.data.surface.scaled(ratio))
+    d = _begin(problem, data, initial, normals=True)
+    d.iteration = first.iteration
+    nearest = few.nearest[more.chosen]
+    d.model = carried(first.best_model, nearest, ratio, initial, problem.locked)
+    return d, sequences
+
+
+def _passes_over_all(
+    problem: Problem, d: Descent, chosen: Scan, model: Model
+) -> tuple[Model, list[Step]]:
+    """Make passes over all frames, until one gains little, from a model of the chosen frames."""
+    monitor, most, locked = problem.monitor, PASSES[problem.effort], problem.locked
+    if d.smoothness is not None or problem.storage != "float32":
+        # a pass knows neither penalty nor rounding, so that it must keep the weights
+        locked = locked.with_weights(d.data.n_vertices)
+    frames = AllFrames(
+        problem.sequences,
+        chosen,
+        d.data,
+        model,
+        locked=locked,
+        initial=problem.initial.inside(chosen.alignment),
+        importance=problem.frame_importance,
+        executor=problem.executor,
+    )
+    d.release()
+    passes: list[Step] = []
+
+    def report(done: float) -> None:
+        monitor.report(
+            "all frames",
+            iteration=d.iteration + len(passes),
+            rmse=frames.space.rmse(passes[-1][2]) if passes else math.inf,
+            fraction=_SETTLED + (1 - _SETTLED) * (len(passes) + done) / most,
+        )
+
+    entering = 0 if d.smoothness else ENTERING
+    for _ in frames.improve(most, entering=entering, report=report):
+        error = frames.model.weighted_error(frames.space)
+        passes.append((d.iteration + len(passes) + 1, monitor.elapsed, error, "all frames"))
+        monitor.offer(lambda: skinning_of(problem, frames.alignment, frames.model))
+    return frames.model, passes

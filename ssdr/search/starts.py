@@ -41,14 +41,14 @@ def start(d: Descent, *, factor: float = 1.0, influences: int | None = None) -> 
 @step("quick", cost=8)
 def quick_start(d: Descent, *, influences: int | None = None) -> Iterator[None]:
     """Make a first model from all frames or, if there are many, from 64, then fit it to all."""
-    data, given = d.data, d.given_parts
-    if data.n_frames < 2 * _FEW_FRAMES or given.transforms is not None:
+    data, initial = d.data, d.start_parts
+    if data.n_frames < 2 * _FEW_FRAMES or initial.transforms is not None:
         d.model = _first_model(d, 1.0, influences, quick=True)
         vertex_step(data, d.model, locked=d.locked)
         yield
         return
     chosen = np.linspace(0, data.n_frames - 1, _FEW_FRAMES).round().astype(np.intp)
-    few, rest = data.select_frames(chosen), given.first_pose(data)
+    few, rest = data.select_frames(chosen), initial.first_pose(data)
     k, kind = influences or d.influences, d.locked.bone_model
     model = start_model(few, rest, d.bones, k, d.rng, None, kind, quick=True)
     vertex_step(few, model, locked=d.locked)
@@ -65,17 +65,17 @@ def quick_start(d: Descent, *, influences: int | None = None) -> Iterator[None]:
 def _first_model(
     d: Descent, factor: float, influences: int | None, *, quick: bool = False
 ) -> Model:
-    data, given, k = d.data, d.given_parts, influences or d.influences
-    rest, bones = given.first_pose(data), given.transforms
+    data, initial, k = d.data, d.start_parts, influences or d.influences
+    rest, bones = initial.first_pose(data), initial.transforms
     if factor > 1 and d.locked.bones is None:
         bones = None  # given bones that are not locked have served as a start already
-    if given.indices is not None and given.weights is not None:
+    if initial.indices is not None and initial.weights is not None:
         if bones is None:
-            bones = _patches_of_weights(d, rest, given.indices)
-        return Model.with_weights(bones.copy(), rest, given.indices, given.weights, k)
+            bones = _patches_of_weights(d, rest, initial.indices)
+        return Model.with_weights(bones.copy(), rest, initial.indices, initial.weights, k)
     if bones is not None and bones.shape[1] == d.bones:
         every = np.arange(data.n_vertices)
-        cost, positions = single_bone_errors(data, given.rest, bones, every)
+        cost, positions = single_bone_errors(data, initial.rest, bones, every)
         label = cost.argmin(axis=1)
         if positions is not None:
             rest = np.ascontiguousarray(positions[every, :, label])
@@ -92,15 +92,15 @@ def start_from_model(d: Descent) -> Iterator[None]:
     to the vertices that it moves most.  In that case the bones are fitted anew to the weights, and
     a later step attaches them to their joints again.
     """
-    data, given = d.data, d.given
-    own = _given_model(d, None)
-    model = own if given.transforms is None else _given_model(d, given.transforms.copy())
-    tree = given.tree if d.rigid_joints else None
+    data, initial = d.data, d.initial
+    own = _initial_model(d, None)
+    model = own if initial.transforms is None else _initial_model(d, initial.transforms.copy())
+    tree = initial.tree if d.rigid_joints else None
     if own is model or own.weighted_error(data) < model.weighted_error(data):
         model = own
         _fit_motion(d, model)
         tree = None if tree is None else dataclasses.replace(tree, rigid=False)
-        d.given = dataclasses.replace(given, transforms=None)
+        d.initial = dataclasses.replace(initial, transforms=None)
     if data.normals is not None:
         model = with_rest_normals(data, model)
     model.tree = tree
@@ -115,14 +115,14 @@ def fit_copied_bones(d: Descent) -> Iterator[None]:
     yield
 
 
-def _given_model(d: Descent, bones: Array | None) -> Model:
-    given = d.given
-    assert given.rest is not None
-    assert given.indices is not None
-    assert given.weights is not None
+def _initial_model(d: Descent, bones: Array | None) -> Model:
+    initial = d.initial
+    assert initial.rest is not None
+    assert initial.indices is not None
+    assert initial.weights is not None
     if bones is None:
-        bones = _patches_of_weights(d, given.rest, given.indices)
-    model = Model.with_weights(bones, given.rest, given.indices, given.weights, d.influences)
+        bones = _patches_of_weights(d, initial.rest, initial.indices)
+    model = Model.with_weights(bones, initial.rest, initial.indices, initial.weights, d.influences)
     _measure_error(d, model)
     return model
 

@@ -7,15 +7,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..solver.alternation import bone_step, vertex_step
+from ..solver.alternation import repeat_alternation
 from ..solver.gauge import free_gauge
 from ..solver.gauss_newton import GaussNewton
-from ..solver.objective import normal_length
 from ..solver.rest_normals import with_rest_normals
 from ..solver.vertex_newton import optimise_some
 from .descent import ALTERNATIONS_OF_ALL, Descent, Schedule, step
-from .moves import entering_at, polish_then_drop_influence
-from .vertex_sample import LEAST, MOST, sample_size, spread_sample
+from .moves import polish_then_drop_influence
+from .vertex_sample import LEAST, MOST, motion_sample, sample_size
 
 __all__ = [
     "alternate",
@@ -34,7 +33,6 @@ __all__ = [
 _PLATEAU = 1e-5
 # Failures in a row that end the alternations: with fewer, they would end at a pause.
 _PLATEAU_ALTERNATIONS = 3
-_POLISH_WINDOW = 8  # polish steps over which the stopping test measures the gain
 _UNFOLD_ROUNDS = 4  # solves of weights and rest pose after the edges have become stiffer
 
 
@@ -56,17 +54,11 @@ def alternate(d: Descent, *, steps: int, gain: float = _PLATEAU) -> Iterator[Non
     """
     failures = 0
     for _ in range(steps):
-        model, data = d.model, d.data
-        before = d.value(model)
-        penalty, pull, stiff = 0.0, None, None
-        if d.smoothness is not None:
-            penalty = d.smoothness.penalty(model)
-            pull, stiff = d.smoothness.terms(model)
-        bone_step(data, model, locked=d.locked, length=normal_length(data, model, penalty))
-        vertex_step(data, model, locked=d.locked, pull=pull, stiff=stiff, penalty=penalty)
-        free_gauge(data, model, d.locked)
+        before = d.value(d.model)
+        repeat_alternation(d.data, d.model, 1, d.locked, d.smoothness)
+        free_gauge(d.data, d.model, d.locked)
         d.iteration += 1
-        still = before - d.value(model) < max(gain, _PLATEAU) * before
+        still = before - d.value(d.model) < max(gain, _PLATEAU) * before
         failures = failures + 1 if still else 0
         d.converged = failures >= _PLATEAU_ALTERNATIONS
         yield
@@ -81,17 +73,10 @@ def polish(d: Descent, *, steps: int, gain: float = 0.0) -> Iterator[None]:
     It ends when eight steps lower the error by less than the share `gain`.
     """
     newton = GaussNewton(d.data, d.model, locked=d.locked)
-    values = [newton.value]
-    for k in range(steps):
-        newton.step(entering=entering_at(k))
+    for _ in newton.steps(steps, gain=gain):
         d.iteration += 1
-        values = [*values, newton.value][-_POLISH_WINDOW - 1 :]
-        # the objective is a square: its relative change is twice that of the error
-        change = 0.5 * (values[0] - values[-1]) / max(values[0], 1e-300)
-        d.converged = len(values) > _POLISH_WINDOW and change < gain
+        d.converged = newton.converged
         yield
-        if d.converged:
-            return
 
 
 @step("relax", cost=40)
@@ -138,8 +123,7 @@ def unfold(d: Descent, *, steps: int = 8) -> Iterator[None]:
         return
     d.model, locked = d.best_model.with_restarted_support(), d.locked
     if d.smoothness is not None:  # which this solve of weights would not know
-        every = np.ones(d.data.n_vertices, dtype=bool)
-        locked = dataclasses.replace(locked, weights=every)
+        locked = locked.with_weights(d.data.n_vertices)
     for _ in range(steps):
         assert d.data.surface is not None
         turned = d.data.surface.turned(d.model.rest, d.data.faces)
@@ -171,7 +155,7 @@ def on_sample(
     if 2 * count >= d.data.n_vertices:
         schedule(d)
         return False
-    few = d.sample(spread_sample(d.data, count), free=free)
+    few = d.sample(motion_sample(d.data, count), free=free)
     schedule(few)
     all_vertices(d)
     return True

@@ -77,8 +77,8 @@ def add_edge_between_skin_neighbours(
         tree = changed.hierarchy
         meet = find_contacts(changed)
         chance = np.triu(meet.overlap, 1)
-        hung = tree.non_roots
-        chance[hung, tree.parents[hung]] = chance[tree.parents[hung], hung] = 0.0
+        children = tree.non_roots
+        chance[children, tree.parents[children]] = chance[tree.parents[children], children] = 0.0
         if not chance.sum() > 0:
             break
         n = changed.n_bones
@@ -134,7 +134,7 @@ def mirror_edge(
     if mirror is None:
         return reparent(data, model, rng, locked)
     changed, tree, other = model.with_restarted_support(), model.hierarchy, mirror.partners
-    alone = [b for b, there in edges_with_image(mirror, tree.parents).items() if not there]
+    alone = [b for b, has_image in edges_with_image(mirror, tree.parents).items() if not has_image]
     if not alone:
         return reparent(data, model, rng, locked)
     edge = alone[int(rng.integers(len(alone)))]
@@ -242,7 +242,7 @@ def remove_cheapest_bone(data: Trajectories, model: Model, locked: Locked) -> Mo
     bone = int(np.argmin([loss.cost for loss in losses]))
     loss = losses[bone]
     smaller = model.without(np.array([bone]))
-    smaller.tree = model.hierarchy.contract(bone, loss.heir, loss.points)
+    smaller.tree = model.hierarchy.contract(bone, loss.successor, loss.points)
     snap_to_joints(data, smaller, locked)
     return smaller
 
@@ -258,11 +258,11 @@ class Loss:
     heir : int
         The neighbour to which the other neighbours would be attached; −1 if there are none.
     points : dict
-        For each other neighbour, its joint with `heir`.
+        For each other neighbour, its joint with `successor`.
     """
 
     cost: float
-    heir: int
+    successor: int
     points: dict[int, Array]
 
 
@@ -273,17 +273,17 @@ def removal_losses(data: Trajectories, model: Model) -> list[Loss]:
     beyond, total = tree.subtree_sums(mass), float(mass.sum())
     losses = []
     for bone, cost in enumerate(bone_costs(data, model)):
-        near = tree.neighbours(bone)
+        neighbours = tree.neighbours(bone)
         best = Loss(np.inf, -1, {})
-        for heir in near:
+        for successor in neighbours:
             price, points = float(cost), {}
-            for k in near:
-                if k == heir:
+            for k in neighbours:
+                if k == successor:
                     continue
-                points[k], gap = fit_joint(model, k, heir, tree.joint(bone, k))
-                there = beyond[k] if tree.parents[k] == bone else total - beyond[bone]
-                price += min(there, total - there) * gap
+                points[k], gap = fit_joint(model, k, successor, tree.joint(bone, k))
+                mass_beyond = beyond[k] if tree.parents[k] == bone else total - beyond[bone]
+                price += min(mass_beyond, total - mass_beyond) * gap
             if price < best.cost:
-                best = Loss(price, heir, points)
+                best = Loss(price, successor, points)
         losses.append(best)
     return losses

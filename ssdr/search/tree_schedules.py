@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from ..problem.problem import Effort
 from .bone_steps import move_bones
 from .descent import Descent, Schedule
-from .efforts import NUMBERS, TREE_ROUNDS, TRIALS_OF_A_TREE, Effort
+from .efforts import NUMBERS, TREE_ROUNDS, TRIALS_OF_A_TREE
 from .schedule_parts import (
     attach_and_polish,
     first_model,
     last_polish,
     lowest_tree,
     merged_start,
-    polish_given,
+    polish_model,
     rebuilds,
     relax_bones,
     relax_tree,
@@ -29,7 +30,13 @@ from .tree_steps import (
     start_on_skeleton,
 )
 
-__all__ = ["bones_of_skeleton", "loose_given", "loose_skeleton", "tree_given", "tree_of_bones"]
+__all__ = [
+    "bones_of_skeleton",
+    "loose_from_model",
+    "loose_skeleton",
+    "tree_from_model",
+    "tree_of_bones",
+]
 
 
 def tree_of_bones(d: Descent, effort: Effort, size: float) -> None:
@@ -67,7 +74,7 @@ def bones_of_skeleton(d: Descent, effort: Effort) -> None:
     If the skeleton brings no weights, one start binds vertices to the nearest limb, and others bind
     vertices that move together; the lowest objective is continued.
     """
-    n, given = NUMBERS[effort], d.given
+    n, initial = NUMBERS[effort], d.initial
 
     def by_limb(d: Descent) -> None:
         compress(d)
@@ -85,21 +92,21 @@ def bones_of_skeleton(d: Descent, effort: Effort) -> None:
         relax_tree(d)
         search_weights(d, steps=n.weight_trials)
 
-    if given.weights is not None or effort == "fast" or given.skeleton_skin is not None:
+    if initial.weights is not None or effort == "fast" or initial.skeleton_skin is not None:
         compress(d)
         start_on_skeleton(d)
         attach(d)
     else:
         lowest(d, by_limb, *n.limbs * (by_motion,))
     polish(d, steps=20, gain=0.01)
-    if given.weights is not None:
+    if initial.weights is not None:
         last_polish(d, steps=n.polish, gain=1e-3)
         return
     if effort == "fast":
         add_bones(d)
         last_polish(d, steps=6)
         return
-    if effort == "best" and given.skeleton_skin is None:
+    if effort == "best" and initial.skeleton_skin is None:
         relaxed(d)
         lowest_tree(d, *n.limbs * (by_motion,))
     relaxed(d)
@@ -115,29 +122,29 @@ def loose_skeleton(d: Descent, effort: Effort) -> None:
     compress(d)
     start_on_skeleton(d)
     alternate(d, steps=20, gain=1e-3)
-    if d.given.weights is None and effort != "fast":
+    if d.initial.weights is None and effort != "fast":
         polish(d, steps=8)
         relax_bones(d)
     last_polish(d, steps=NUMBERS[effort].polish, gain=1e-3)
 
 
-def tree_given(d: Descent, effort: Effort) -> None:
+def tree_from_model(d: Descent, effort: Effort) -> None:
     """Continue from the given model with bones attached at joints."""
-    search_given = search_weights if d.given.keeps_tree else search_trees
+    search_model = search_weights if d.initial.keeps_tree else search_trees
     start_from_model(d)
     compress(d)
     attach_unattached(d)
     for _ in range({"fast": 0, "balanced": 1, "best": TREE_ROUNDS}[effort]):
         return_to_best(d)
         relax_tree(d)
-        search_given(d, steps=TRIALS_OF_A_TREE)
+        search_model(d, steps=TRIALS_OF_A_TREE)
     return_to_best(d)
     last_polish(d, steps=40, gain=0.002)
 
 
-def loose_given(d: Descent, effort: Effort) -> None:
+def loose_from_model(d: Descent, effort: Effort) -> None:
     """Continue from the given model with the loose joints of a skeleton."""
-    polish_given(d, effort)
+    polish_model(d, effort)
     if effort != "fast":
         relax_bones(d)
         return_to_best(d)

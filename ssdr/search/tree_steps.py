@@ -72,7 +72,7 @@ def attach(d: Descent, *, steps: int = 20) -> Iterator[None]:
 
 def attach_unattached(d: Descent) -> None:
     """Attach the bones at joints, unless the present model's are."""
-    if d.estimating or d.model.tree is None or not d.model.tree.rigid:
+    if d.planning or d.model.tree is None or not d.model.tree.rigid:
         attach(d)
 
 
@@ -84,14 +84,14 @@ def start_on_skeleton(d: Descent, *, by_motion: bool = False) -> Iterator[None]:
     `by_motion`, with the bone of the skeleton that the free bone of the present model is matched
     with.
     """
-    data, given = d.data, d.given
-    tree, label = given.tree, given.nearest_bone
+    data, initial = d.data, d.initial
+    tree, label = initial.tree, initial.nearest_bone
     assert tree is not None
-    rest = given.tree_pose if given.rest is None else given.rest
+    rest = initial.tree_pose if initial.rest is None else initial.rest
     assert rest is not None
-    indices, weights = given.indices, given.weights
-    if indices is None and given.skeleton_skin is not None:
-        indices, weights = given.skeleton_skin
+    indices, weights = initial.indices, initial.weights
+    if indices is None and initial.skeleton_skin is not None:
+        indices, weights = initial.skeleton_skin
     if indices is not None:
         label = indices[:, 0].astype(np.intp)
     assert label is not None
@@ -119,7 +119,7 @@ def add_bones(d: Descent, *, steps: int = 4) -> Iterator[None]:
 
     If the caller named parents, these are the bones that are split.
     """
-    parents = d.given.extra_parents
+    parents = d.initial.extra_parents
     while d.model.n_bones < d.bones:
         parent = parents[d.model.n_bones - (d.bones - len(parents))]
         model = d.model.with_restarted_support()

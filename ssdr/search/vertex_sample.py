@@ -10,7 +10,7 @@ from ..solver.initialization import by_motion
 from ..solver.model import Model
 from ..solver.trajectories import Array, Trajectories
 
-__all__ = ["LEAST", "MOST", "model_of_all", "sample_size", "spread_sample"]
+__all__ = ["LEAST", "MOST", "model_of_all", "motion_sample", "sample_size"]
 
 LEAST, MOST = 48, 128  # bounds of the number of vertices of a sample, for each bone
 
@@ -20,7 +20,7 @@ def sample_size(n_vertices: int, bones: int, least: int = LEAST, most: int = MOS
     return min(most * bones, max(least * bones, n_vertices // 3))
 
 
-def spread_sample(data: Trajectories, count: int) -> NDArray[np.intp]:
+def motion_sample(data: Trajectories, count: int) -> NDArray[np.intp]:
     """Indices of `count` vertices, ascending, spread evenly over the range of motion."""
     every = np.linspace(0, data.n_vertices - 1, count).round().astype(np.intp)
     return np.sort(by_motion(data)[every])
@@ -32,8 +32,8 @@ def model_of_all(few: Model, rest: Array, chosen: NDArray[np.intp]) -> Model:
     Each vertex has the weights of the nearest chosen one, and lies as far from it as in the pose
     `rest` (V, 3).
     """
-    near = np.asarray(cKDTree(rest[chosen]).query(rest)[1])
-    model = few.select_vertices(near)
-    model.rest = model.rest + rest - rest[chosen][near]
+    nearest = np.asarray(cKDTree(rest[chosen]).query(rest)[1])
+    model = few.select_vertices(nearest)
+    model.rest = model.rest + rest - rest[chosen][nearest]
     model.restart_support()
     return model

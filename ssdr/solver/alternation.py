@@ -13,20 +13,31 @@ from .affine_fit import leap_rigid, solve_affine
 from .model import CHUNK, FREE, Locked, Model
 from .moments import bone_sums, coupled_bones, transform_sums
 from .objective import normal_length, rest_pulls
+from .smoothness import WeightSmoothness
 from .trajectories import Array, Trajectories
 
 __all__ = ["bone_costs", "bone_step", "repeat_alternation", "sweep", "vertex_step"]
 
 
-def repeat_alternation(data: Trajectories, model: Model, count: int, locked: Locked) -> None:
+def repeat_alternation(
+    data: Trajectories,
+    model: Model,
+    count: int,
+    locked: Locked,
+    smoothness: WeightSmoothness | None = None,
+) -> None:
     """Take `count` alternations of bones, weights and rest pose (in place).
 
     The error never increases, except when a vertex's influences are reduced to K: that keeps the
     largest weights, even if other bones would fit better (Le and Deng 2012, section 3).
     """
+    penalty, pull, stiff = 0.0, None, None
     for _ in range(count):
-        bone_step(data, model, locked=locked)
-        vertex_step(data, model, locked=locked)
+        if smoothness is not None:
+            penalty = smoothness.penalty(model)
+            pull, stiff = smoothness.terms(model)
+        bone_step(data, model, locked=locked, length=normal_length(data, model, penalty))
+        vertex_step(data, model, locked=locked, pull=pull, stiff=stiff, penalty=penalty)
 
 
 def vertex_step(

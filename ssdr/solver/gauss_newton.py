@@ -20,6 +20,7 @@ problems", 1980 (the approximation that drops second derivatives).
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -37,6 +38,10 @@ __all__ = ["GaussNewton", "fit_motion", "tangent_of"]
 
 _DAMPING = 1e-3  # λ of the first step
 _STEPPED = ("transforms", *SOLVED)  # arrays that a step changes
+# In every third step, up to three bones may enter the support of a vertex: to try this in every
+# step costs more than it brings.
+_ENTERING_EVERY, _ENTERING_BONES = 3, 3
+_WINDOW = 8  # steps over which the stopping test measures the gain
 # Most steps of bones with joints, and the relative gain of a step below which no further step is
 # taken.
 _STEPS, _LEAST_GAIN = 12, 1e-3
@@ -59,6 +64,8 @@ class GaussNewton:
     ----------
     value : float
         Objective of the model.
+    accepted, converged : bool
+        Whether the last step was accepted, and whether it ended by the stopping test.
     damping : float
         λ of the next step.
     recycled : Recycled or None
@@ -77,11 +84,42 @@ class GaussNewton:
         self.tangent, self.objective = tangent_of(data, model, locked), Objective(locked)
         self.damping = _DAMPING if damping is None else damping
         self.recycled: Recycled | None = None
+        self.accepted = self.converged = False
         # with a damping, the vertices are optimised already and need only be factored
         first = {"entering": 3, "rounds": 2} if damping is None else {"entering": -1, "rounds": 0}
         self._vertices = optimise_vertices(data, model, locked=locked, **first)
         self._system: ReducedSystem | None = None
         self.value = self.objective.value(data, model)
+
+    def steps(self, most: int, *, gain: float = 0.0, entering: bool = True) -> Iterator[None]:
+        """Make up to `most` steps, and yield after each.
+
+        Parameters
+        ----------
+        most : int
+        gain : float
+            Decrease of the error, relative to it, which eight steps have to reach to go on.
+        entering : bool
+            Whether further bones may become influences of a vertex, in the first step and in every
+            third after it.
+        """
+        values = [self.value]
+        for k in range(most):
+            enter = entering and k % _ENTERING_EVERY == 0
+            self.accepted = self.step(entering=_ENTERING_BONES if enter else 0)
+            values = [*values, self.value][-_WINDOW - 1 :]
+            # the objective is a square: its relative change is twice that of the error
+            change = 0.5 * (values[0] - values[-1]) / max(values[0], 1e-300)
+            self.converged = len(values) > _WINDOW and change < gain
+            yield
+            if self.converged:
+                return
+
+    def run(self, count: int, *, entering: bool = True) -> float:
+        """Make `count` steps of :meth:`steps`; return the damping of the next."""
+        for _ in self.steps(count, entering=entering):
+            pass
+        return self.damping
 
     @serial_blas()
     def step(self, *, entering: int = 0) -> bool:
@@ -184,7 +222,8 @@ def fit_motion(
     every = np.ones(data.n_vertices, dtype=bool)
     as_is = dataclasses.replace(locked, rest=True, weights=every, joints=True)
     newton = GaussNewton(data, model, locked=as_is)
-    for _ in range(_STEPS):
-        before = newton.value
-        if newton.step() and newton.value > (1 - _LEAST_GAIN) * before:
+    before = newton.value
+    for _ in newton.steps(_STEPS, entering=False):
+        if newton.accepted and newton.value > (1 - _LEAST_GAIN) * before:
             break
+        before = newton.value

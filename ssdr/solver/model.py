@@ -281,6 +281,10 @@ class Locked:
         weights = None if self.weights is None else self.weights[chosen]
         return dataclasses.replace(self, weights=weights)
 
+    def with_weights(self, n: int) -> Locked:
+        """A copy in which the weights of all n vertices are locked."""
+        return dataclasses.replace(self, weights=np.ones(n, dtype=bool))
+
     def vertex_mask(self, n: int) -> NDArray[np.bool_]:
         """Mask (n,) of the vertices whose weights are locked, for n vertices."""
         return np.zeros(n, dtype=bool) if self.weights is None else self.weights

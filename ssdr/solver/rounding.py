@@ -81,7 +81,7 @@ def rounded_models(
         half = rng.random(data.n_vertices) < 0.5  # these keep their weights; the others adapt
         for mask, units in ((stay | half, stay | half), (np.ones_like(stay), stay)):
             trial = trial.copy()
-            _polish(data, trial, dataclasses.replace(locked, weights=mask))
+            GaussNewton(data, trial, locked=dataclasses.replace(locked, weights=mask)).run(_STEPS)
             trial = _rounded(data, trial, storage, dataclasses.replace(locked, weights=units))
 
 
@@ -129,18 +129,12 @@ def _draw_together(
     importance[n:] *= (k + 1) * _NOISE / np.iinfo(storage).max ** 2
     mask = np.concatenate([locked.vertex_mask(n), np.ones(len(vertex), dtype=bool)])
     surface = None if data.surface is None else data.surface.extended(rows)
-    _polish(
+    GaussNewton(
         dataclasses.replace(data.select_vertices(rows), importance=importance, surface=surface),
         wide,
-        dataclasses.replace(locked, weights=mask),
-    )
+        locked=dataclasses.replace(locked, weights=mask),
+    ).run(_STEPS)
     narrow = wide.select_vertices(np.arange(n))
     for name in ARRAYS:
         setattr(model, name, getattr(narrow, name))
     model.tree = narrow.tree
-
-
-def _polish(data: Trajectories, model: Model, locked: Locked) -> None:
-    polish = GaussNewton(data, model, locked=locked)
-    for k in range(_STEPS):
-        polish.step(entering=3 if k % 3 == 0 else 0)

@@ -8,6 +8,7 @@ r, they are written as X ≈ Z Qᵀ, where Q has r orthonormal columns.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -209,6 +210,10 @@ class Trajectories(Alignment):
         if q is None:
             return self
         return dataclasses.replace(self, z=z, q=q)
+
+    def rmse(self, squared: float) -> float:
+        """RMSE, in the input's units, of a squared error in the solver's."""
+        return self.scale * math.sqrt(squared / (self.n_frames * self.n_vertices))
 
     def frame(self, t: int) -> Array:
         """Positions (V, 3) of one frame."""

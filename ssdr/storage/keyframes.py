@@ -11,10 +11,11 @@ from ..hierarchy.transforms import from_local, parents_first, rest_diagonal, to_
 from ..parallel import chunk_bounds, run_chunks
 from ..rigid import matrix_from_quaternion, quaternion_from_matrix, slerp, unflip_quaternions
 from ..skinning import Skinning
-from ..solver.trajectories import Array
 from .size import key_bytes, time_bytes
 
 __all__ = ["Tracks"]
+
+Array = NDArray[np.float64]
 
 # Numbers of frames from one key to the next: all up to six, then each about a quarter larger.
 _SPANS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32)

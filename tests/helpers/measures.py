@@ -14,7 +14,7 @@ import pytest
 import ssdr
 from helpers import motions
 from helpers.stretches import check_kind
-from ssdr.problem.initial import Given
+from ssdr.problem.initial import Initial
 from ssdr.search.descent import Descent, Schedule
 from ssdr.search.starts import start
 from ssdr.search.steps import alternate
@@ -50,7 +50,7 @@ def descent_of(
     influences: int = 4,
     *,
     locked: Locked | None = None,
-    given: Given | None = None,
+    initial: Initial | None = None,
 ) -> Descent:
     """A descent that has not begun."""
     return Descent(
@@ -59,7 +59,7 @@ def descent_of(
         influences=influences,
         rng=np.random.default_rng(0),
         locked=locked or Locked(),
-        given=given or Given(),
+        initial=initial or Initial(),
     )
 
 

@@ -209,7 +209,7 @@ def clips() -> Problem:
     return Problem(parts, diagonal(base()))
 
 
-def after(iterations: int) -> Callable[[ssdr.problem.progress.Progress], bool]:
+def after(iterations: int) -> Callable[[ssdr.progress.Progress], bool]:
     """Callback that stops the run after this many iterations."""
     return lambda progress: progress.iteration >= iterations and bool(np.isfinite(progress.rmse))
 

@@ -121,7 +121,7 @@ def test_a_clip_is_made_of_each_sequence(way, monkeypatch):
     if way == "smallest":
         result = ssdr.smallest(three(), tolerance="20%", effort="fast")
     else:
-        monkeypatch.setattr("ssdr.decomposition.needs_streaming", lambda _: way == "streamed")
+        monkeypatch.setattr("ssdr.search.solve.needs_streaming", lambda _: way == "streamed")
         result = ssdr.decompose(three(), bones=3, effort="fast")
     assert result.skinning.clips == CLIPS
     assert (result.skinning.fps, result.skinning.name) == (24.0, "")

@@ -28,8 +28,8 @@ _MODULES = (
 )
 # What functions hand back; docs/api/results.md names them.
 _RESULTS = (
-    ("ssdr.problem.progress", "Progress"),
-    ("ssdr.problem.progress", "Record"),
+    ("ssdr.progress", "Progress"),
+    ("ssdr.progress", "Record"),
     ("ssdr.fit.fit", "Fit"),
     ("ssdr.fit.bones", "BoneFit"),
     ("ssdr.viewer.page", "Page"),

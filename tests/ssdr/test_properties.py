@@ -114,7 +114,7 @@ def test_steps_follow_the_input(change: Callable[[Frames, Any], Change], kind: s
         start = dataclasses.replace(start or ssdr.Start(), **parts, locked_vertices=[])
         steps: list[str] = []
 
-        def tenth(progress: ssdr.problem.progress.Progress) -> bool:
+        def tenth(progress: ssdr.progress.Progress) -> bool:
             steps.append(progress.phase)
             return progress.iteration == 10
 

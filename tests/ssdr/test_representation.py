@@ -13,7 +13,7 @@ import ssdr
 from helpers import motions
 from ssdr.fit.bones import BoneFit
 from ssdr.fit.fit import Fit
-from ssdr.problem.progress import Progress, Record
+from ssdr.progress import Progress, Record
 from ssdr.viewer.page import Page
 
 ARRAYS = ("NDArray", "Array", "Any", "bytes", "tuple[Skinning", "tuple[Record")

@@ -95,7 +95,7 @@ def test_the_smallest_model_holds_the_tolerance_with_its_stored_weights() -> Non
 
 
 def test_frames_that_are_streamed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ssdr.decomposition.needs_streaming", lambda _: True)
+    monkeypatch.setattr("ssdr.search.solve.needs_streaming", lambda _: True)
     result = ssdr.decompose(rig().frames, bones=5, influences=(3, "uint8"), effort="fast")
     in_units(result.skinning, "uint8")
 

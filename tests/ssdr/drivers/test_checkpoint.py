@@ -16,8 +16,8 @@ import ssdr
 from helpers import motions
 from helpers.disks import small_files
 from helpers.measures import frames, rig, rmse_of
+from ssdr import progress
 from ssdr.io.arrays import npz
-from ssdr.problem import checkpoint
 
 ROOT = Path(__file__).parents[3]
 
@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[3]
 @pytest.fixture
 def always(monkeypatch: pytest.MonkeyPatch) -> None:
     """A checkpoint after every step."""
-    monkeypatch.setattr(checkpoint, "_SECONDS", 0.0)
+    monkeypatch.setattr(progress, "_SECONDS", 0.0)
 
 
 def assert_same(a: ssdr.Skinning, b: ssdr.Skinning) -> None:
@@ -48,7 +48,7 @@ def assert_goes_on(path: Path, array: np.ndarray, **options: Any) -> None:
 def test_a_checkpoint_is_the_best_model_so_far(tmp_path: Path, joints: str | None) -> None:
     path, seen = tmp_path / "model.npz", []
 
-    def watch(progress: ssdr.problem.progress.Progress) -> None:
+    def watch(state: ssdr.progress.Progress) -> None:
         if not np.isfinite(progress.rmse):
             assert not path.exists()
             return
@@ -79,13 +79,13 @@ def test_a_checkpoint_is_written_every_minute_and_at_the_end(
         written.append(steps)
         return write(*arguments, **options)
 
-    def tick(progress: ssdr.problem.progress.Progress) -> None:
+    def tick(state: ssdr.progress.Progress) -> None:
         nonlocal now, steps
         now += 7.0
         steps += 1
 
     monkeypatch.setattr(npz, "write_skinning", counted)
-    monkeypatch.setattr(checkpoint.time, "monotonic", lambda: now)
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now)
     # a str will do
     where = str(tmp_path / "model.npz")
     ssdr.decompose(frames(), bones=4, effort="fast", checkpoint=where, callback=tick)
@@ -97,7 +97,7 @@ def test_a_checkpoint_is_written_every_minute_and_at_the_end(
 def test_while_frames_are_streamed_it_is_a_model_of_those_that_were_read(tmp_path: Path) -> None:
     array, path, lengths = motions.rippled(), tmp_path / "model.npz", []
 
-    def watch(progress: ssdr.problem.progress.Progress) -> None:
+    def watch(state: ssdr.progress.Progress) -> None:
         if path.exists() and (not lengths or progress.phase in ("spread", "all frames")):
             lengths.append(ssdr.load_skinning(path).n_frames)
             assert_goes_on(path, array)
@@ -151,8 +151,9 @@ KILLED = """
 import sys
 import ssdr
 from helpers import motions
-from ssdr.problem import checkpoint, scan
-checkpoint._SECONDS = 0.0
+from ssdr import progress
+from ssdr.problem import scan
+progress._SECONDS = 0.0
 if sys.argv[2] == "streamed":
     scan._IN_MEMORY, scan._FEWEST, scan._MOST, scan._MOST_SETTLED = 1, 40, 40, 80
 def watch(progress):

@@ -8,31 +8,25 @@ import numpy as np
 import pytest
 
 import ssdr
-from ssdr.problem.initial import Given
+from helpers.measures import descent_of
 from ssdr.search.descent import Descent
 from ssdr.search.schedules import best_bones, follow_effort
-from ssdr.solver.model import Locked
 from ssdr.solver.trajectories import gather
 
 
-class Listed(Descent):
+def planning(bones: int) -> Descent:
     """A descent that makes no steps, but lists their phases and numbers."""
-
-    def __init__(self, bones: int) -> None:
-        frames = np.random.default_rng(0).random((2, 30, 3))
-        data = gather([ssdr.MeshSequence(frames)], bones=bones)
-        parts: dict[str, Any] = {"locked": Locked(), "given": Given(), "influences": 4}
-        super().__init__(data, bones=bones, rng=np.random.default_rng(0), **parts)
-        self.work.estimating, self.listed = True, list[tuple[str, int]]()
-
-    def make_steps(self, steps: Any, phase: str, *, cost: float, count: int) -> None:
-        self.listed.append((phase, count))
+    frames = np.random.default_rng(0).random((2, 30, 3))
+    d = descent_of(gather([ssdr.MeshSequence(frames)], bones=bones), bones)
+    d.work.plan = []
+    return d
 
 
 def best_schedule(bones: int, size: float) -> list[tuple[str, int]]:
-    d = Listed(bones)
+    d = planning(bones)
     best_bones(d, size, stretching=False)
-    return d.listed
+    assert d.work.plan is not None
+    return d.work.plan
 
 
 def phases(listed: list[tuple[str, int]]) -> list[str]:
@@ -72,7 +66,7 @@ def test_small_models_are_rebuilt_before_another_start_is_set_beside_them(
 @pytest.mark.parametrize("effort", ["fast", "balanced", "best"])
 @pytest.mark.parametrize("rig", ["none", "rigid"])
 def test_normals_count_from_the_last_polish_on(effort: Any, rig: Any) -> None:
-    d = Listed(6)
-    follow_effort(d, effort=effort, rig=rig, placed=False, tries_model=False)
-    assert phases(d.listed)[-3:] == ["normals", "polish", "unfold"]
-    assert phases(d.listed).count("normals") == 1
+    d = planning(6)
+    follow_effort(d, effort=effort, rig=rig, bones_placed=False, tries_model=False)
+    assert phases(d.work.plan)[-3:] == ["normals", "polish", "unfold"]
+    assert phases(d.work.plan).count("normals") == 1

@@ -8,7 +8,7 @@ import pytest
 import ssdr
 from helpers import trees
 from helpers.measures import descent_of, rmse_of
-from ssdr.problem.initial import Given
+from ssdr.problem.initial import Initial
 from ssdr.search.descent import Descent
 from ssdr.search.schedule_parts import first_model
 from ssdr.search.tree_steps import add_bones, attach, remove_bones
@@ -25,9 +25,9 @@ def _attach_first(d: Descent) -> None:
     attach(d)
 
 
-def _descent(made: trees.Skeleton, bones: int, given: Given | None = None) -> Descent:
+def _descent(made: trees.Skeleton, bones: int, initial: Initial | None = None) -> Descent:
     data = gather([ssdr.MeshSequence(made.frames)], bones=8)
-    d = descent_of(data, bones, 2, given=given)
+    d = descent_of(data, bones, 2, initial=initial)
     d.follow(_attach_first)
     return d
 
@@ -67,7 +67,7 @@ def test_bones_are_attached_and_removed_one_by_one(made: trees.Skeleton) -> None
 def test_bones_are_added_as_leaves_below_those_that_were_named(
     made: trees.Skeleton, parents: tuple[int, ...]
 ) -> None:
-    d = _descent(made, 6, Given(extra_parents=parents))
+    d = _descent(made, 6, Initial(extra_parents=parents))
     before = _attached(d, made.frames, 6)
     value = d.value(d.model)
     d.bones = 8

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 import ssdr
 from helpers.measures import wavy
-from ssdr.parsimony.fewest_bones import FewestBones
+from ssdr.parsimony import fewest_bones
+from ssdr.parsimony.fewest_bones import Bounds, descend
 
 
 def test_progress_and_cancel() -> None:
@@ -51,15 +52,18 @@ def test_a_time_limit_hands_out_a_model() -> None:
     assert np.isfinite(result.rmse)
 
 
-class _Ladder:
+class _Models:
     """Numbers of bones alone: each attempt holds or fails as drawn."""
 
     def __init__(self, least: int, held: int, failed: set[int], luck: Any) -> None:
         self.least, self.luck, self.made, self.fewest = least, luck, 0, held
         self.errors = dict.fromkeys([*failed, held], 2.0)
         self.tolerance = 1.0
-        self.stages: Any = SimpleNamespace(merge=lambda: (), move=lambda _: ())
         self.models: Any = defaultdict(lambda: SimpleNamespace(with_restarted_support=lambda: None))
+
+    @property
+    def held_bones(self) -> int:
+        return self.fewest
 
     def fits(self, bones: int) -> bool:
         return self.fewest <= bones
@@ -78,16 +82,16 @@ class _Ladder:
 def test_merging_down_ends_one_above_what_was_given_up(data: Any, least: int, held: int) -> None:
     """Whatever fails or holds, also where what failed once holds later."""
     failed = data.draw(st.sets(st.integers(least, held - 1)))
-    ladder: Any = _Ladder(least, held, failed, lambda a, b: data.draw(st.integers(a, b)))
-    search, given_up = FewestBones(ladder, least, held, 0, "fast"), list[int]()
-    refine = search.refine
+    models: Any = _Models(least, held, failed, lambda a, b: data.draw(st.integers(a, b)))
+    refine, given_up = fewest_bones.refine, list[int]()
 
-    def refined(bones: int) -> None:
-        refine(bones)
-        if not ladder.fits(bones):
+    def refined(models: Any, bones: int, *rest: Any) -> None:
+        refine(models, bones, *rest)
+        if not models.fits(bones):
             given_up.append(bones)
 
-    search.refine = refined  # type: ignore[method-assign]
-    search.descend()
-    end = ladder.fewest
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fewest_bones, "refine", refined)
+        descend(models, Bounds(least, held, 0), "fast")
+    end = models.fewest
     assert end == least or given_up == [end - 1]

@@ -12,9 +12,9 @@ from scipy.spatial import cKDTree
 
 import ssdr
 from helpers.measures import diagonal, small, wavy
-from ssdr.parsimony.driver import Driver
 from ssdr.space import UNKNOWN
 
+FIND = "ssdr.parsimony.smallest.find_smallest"
 QUANTIZED = {"compression": "quantized", "name": "wavy"}
 
 
@@ -114,7 +114,7 @@ def test_weights_too_coarse_for_the_file_are_said() -> None:
 def test_what_no_file_can_be_written_with_is_refused_before_the_work(
     monkeypatch: pytest.MonkeyPatch, argument: str, change: dict[str, Any]
 ) -> None:
-    monkeypatch.setattr(Driver, "solve", lambda _: pytest.fail("the work has started"))
+    monkeypatch.setattr(FIND, lambda *_, **__: pytest.fail("the work has started"))
     with pytest.raises(ssdr.InputError) as caught:
         ssdr.smallest(wavy(), tolerance="1%", **change)
     assert caught.value.argument == argument
@@ -122,6 +122,6 @@ def test_what_no_file_can_be_written_with_is_refused_before_the_work(
 
 def test_a_missing_package_is_named_before_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "meshoptimizer", None)
-    monkeypatch.setattr(Driver, "solve", lambda _: pytest.fail("the work has started"))
+    monkeypatch.setattr(FIND, lambda *_, **__: pytest.fail("the work has started"))
     with pytest.raises(ssdr.MissingDependencyError, match="meshoptimizer"):
         ssdr.smallest(wavy(), tolerance="1%", file={"compression": "meshopt"})

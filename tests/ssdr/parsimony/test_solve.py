@@ -14,7 +14,7 @@ import ssdr
 from helpers import motions
 from helpers.measures import diagonal, largest_of, rmse_of, small, wavy
 from ssdr.problem import scan
-from ssdr.problem.progress import ProgressReport
+from ssdr.progress import Monitor
 
 
 @pytest.mark.slow
@@ -186,7 +186,7 @@ def _stopped_in_a_pass(patch: pytest.MonkeyPatch, late: bool) -> tuple[Any, list
         return within() and not late
 
     if late:
-        patch.setattr(ProgressReport, "out_of_time", property(lambda _: within()))
+        patch.setattr(Monitor, "out_of_time", property(lambda _: within()))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         options = {"tolerance": "2%", "bones": 12, "effort": "balanced" if late else "fast"}

@@ -7,12 +7,13 @@ import pytest
 
 import ssdr
 from helpers.measures import descent_of
-from ssdr.problem.initial import Given
+from ssdr.problem.initial import Initial
+from ssdr.progress import Stop
 from ssdr.search.bone_steps import move_bones
-from ssdr.search.descent import Descent, Schedule, Stop
+from ssdr.search.descent import Descent, Schedule
 from ssdr.search.schedule_parts import first_model, merged_start
 from ssdr.search.steps import alternate, on_sample
-from ssdr.search.vertex_sample import spread_sample
+from ssdr.search.vertex_sample import motion_sample
 from ssdr.solver.model import Locked, Model
 from ssdr.solver.trajectories import Trajectories, gather
 
@@ -34,8 +35,8 @@ def few_vertices(d: Descent, schedule: Schedule) -> None:
 
 def descent(rest: bool = False) -> Descent:
     data = gather([ssdr.MeshSequence(strip())], bones=BONES, compress=False)
-    given = Given(rest=data.frame(3).copy() if rest else None)
-    return descent_of(data, BONES, INFLUENCES, locked=Locked(rest=rest), given=given)
+    initial = Initial(rest=data.frame(3).copy() if rest else None)
+    return descent_of(data, BONES, INFLUENCES, locked=Locked(rest=rest), initial=initial)
 
 
 def followed(*parts: Schedule, rest: bool = False) -> Descent:
@@ -65,7 +66,7 @@ def true_error(data: Trajectories, model: Model) -> float:
 def test_a_sample_is_spread_from_still_to_wild_vertices() -> None:
     seen: list[Descent] = []
     d = followed(lambda d: few_vertices(d, seen.append))
-    few, chosen = seen[-1], spread_sample(d.data, EACH * BONES)
+    few, chosen = seen[-1], motion_sample(d.data, EACH * BONES)
     assert len(np.unique(chosen)) == len(chosen) == few.data.n_vertices
     rank = np.argsort(np.argsort(d.data.x2))[chosen]
     assert np.diff(np.sort(rank)).max() <= -(-d.data.n_vertices // (EACH * BONES)) + 1
@@ -97,7 +98,7 @@ def test_the_way_back_ends_on_a_model_of_all_vertices(rest: bool) -> None:
     alone = followed(search, rest=rest)
     assert value < 1.3 * alone.best_value
     if rest:
-        np.testing.assert_array_equal(model.rest, d.given.rest)
+        np.testing.assert_array_equal(model.rest, d.initial.rest)
 
 
 def test_a_stop_on_a_sample_keeps_what_it_found() -> None:
@@ -109,7 +110,7 @@ def test_a_stop_on_a_sample_keeps_what_it_found() -> None:
 
     def schedule(d: Descent) -> None:
         first_model(d)
-        stopping.append(not d.estimating)
+        stopping.append(not d.planning)
         few_vertices(d, lambda d: (merged_start(d), alternate(d, steps=4)))
 
     stopping: list[bool] = []

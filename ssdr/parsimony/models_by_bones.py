@@ -1,7 +1,4 @@
-"""Ladder: the best models found for different numbers of bones.
-
-The search for the smallest model fills a ladder, and so does the curve of error against size.
-"""
+"""The best models found for different numbers of bones, and attempts to find better ones."""
 
 from __future__ import annotations
 
@@ -10,10 +7,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..problem.initial import Given
-from ..problem.progress import Clock, Record
+from ..problem.initial import Initial
+from ..progress import Record, Stop
 from ..search.bone_steps import merge, move_bones, search
-from ..search.descent import Descent, Schedule, Stop
+from ..search.descent import Descent, Schedule
 from ..search.schedule_parts import merged_start
 from ..search.steps import alternate, polish, return_to_best, solve_normals
 from ..search.tree_steps import attach, remove_bones, search_trees
@@ -22,9 +19,8 @@ from .report import Attempt
 from .solved_frames import SolvedFrames
 
 __all__ = [
-    "Ladder",
-    "Report",
-    "Stopped",
+    "PRUNING",
+    "ModelsByBones",
     "merge_down",
     "move_some",
     "search_long",
@@ -39,20 +35,11 @@ _RECHECK, _RECHECK_NORMALS = 0.97, 0.5
 _LEVEL_ROUNDS, _LEVEL_FLOOR, _LEVELLED = 6, 0.05, 2.0
 # For the estimate of the work that is done: the fraction at which pruning begins, and the least
 # number of attempts that are taken to share equally what is left until then.
-_PRUNING, _FOLLOWING = 0.95, 4
+PRUNING, _FOLLOWING = 0.95, 4
 
 
-class Stopped(Exception):
-    """End of the search by the caller or the time limit; `reason` is the stop reason."""
-
-    def __init__(self, reason: str) -> None:
-        self.reason = reason
-        super().__init__(reason)
-
-
-# Called with phase, iteration, fraction done, and whether there is a model to return; raises
-# Stopped to end the search.
-Report = Callable[[str, int, float, bool], None]
+# Called with the phase of a step, and whether there is a model to return; may raise Stop.
+Report = Callable[[str, bool], None]
 
 
 # --- parts of schedules, for free bones or for bones attached at joints --------------------------
@@ -105,21 +92,21 @@ def solve_normals_lightly(d: Descent) -> None:
     polish(d, steps=12, gain=0.005)
 
 
-def level(d: Descent) -> None:
+def polish_reweighted(d: Descent) -> None:
     """A few steps after the importance of vertices has changed."""
     if not d.rigid_joints:
         alternate(d, steps=2)
     polish(d, steps=4)
 
 
-class Ladder:
+class ModelsByBones:
     """The model of least error found for each number of bones.
 
     Parameters
     ----------
     frames : SolvedFrames
-    report : Report
-    clock : Clock
+    report : callable
+        Called with the phase of a step, and whether there is a model to return; may raise Stop.
     tolerance : float
         In the mesh's units; an attempt ends once its error is within the tolerance.
     expected : int
@@ -144,12 +131,11 @@ class Ladder:
         self,
         frames: SolvedFrames,
         report: Report,
-        clock: Clock,
         *,
         tolerance: float = 0.0,
         expected: int = 12,
     ) -> None:
-        self.frames, self.report, self.clock = frames, report, clock
+        self.frames, self.report = frames, report
         self.tolerance, self.expected, self.fraction = tolerance, expected, 0.0
         self.models: dict[int, Model] = {}
         self.errors: dict[int, float] = {}
@@ -162,6 +148,12 @@ class Ladder:
     def fewest(self) -> int | None:
         """Fewest bones of a model that holds the tolerance; None if no model does."""
         return min((b for b, e in self.errors.items() if e <= self.tolerance), default=None)
+
+    @property
+    def held_bones(self) -> int:
+        """Fewest bones of a model that holds the tolerance, which is known to exist."""
+        assert self.fewest is not None
+        return self.fewest
 
     def fits(self, bones: int) -> bool:
         """Whether a model of at most `bones` bones holds the tolerance."""
@@ -181,7 +173,7 @@ class Ladder:
         name: str,
         *,
         start: Model | None = None,
-        given: Given | None = None,
+        initial: Initial | None = None,
         until: float | None = None,
     ) -> None:
         """Run a schedule, and keep its best model if no other with as many bones is as good.
@@ -194,17 +186,17 @@ class Ladder:
             What the attempt starts from.
         start : Model, optional
             Model to begin with, for schedules that do not make one.
-        given : Given, optional
-            Given parts that replace those of the ladder's frames.
+        initial : Initial, optional
+            Parts to begin from that replace those of the frames.
         until : float, optional
             Error at which the attempt ends; the tolerance by default.
         """
         frames, until = self.frames, self.tolerance if until is None else until
-        d = frames.descent(bones, given=given)
+        d, before = frames.descent(bones, initial=initial), self.iteration
         if start is not None:
             d.begin_with(start)
         following = max(self.expected - len(self.attempts), _FOLLOWING)
-        done, work = self.fraction, (_PRUNING - self.fraction) / following
+        done, work = self.fraction, (PRUNING - self.fraction) / following
         # The largest error is at least the RMSE, so that neither measure can be within `until`
         # unless the squared error is within this bound.
         worth_checking = (1 + 1e-9) * frames.squared(until)
@@ -217,29 +209,30 @@ class Ladder:
                 if frames.error(d.best_model) <= until:
                     raise Stop("held")
             ready = d.best is not None or bool(self.models)
-            self.fraction = done + work * d.fraction
-            phase = f"{bones} bone{'s' * (bones > 1)}: {phase}"
-            self.report(phase, self.iteration + d.iteration, self.fraction, ready)
+            self.fraction, self.iteration = done + work * d.fraction, before + d.iteration
+            self.report(f"{bones} bone{'s' * (bones > 1)}: {phase}", ready)
 
         try:
             d.follow(schedule, after_step)
         finally:
+            self.iteration = before
             self._keep(d, name)
+        frames.problem.monitor.raise_if_stopped()
         if self.errors[bones] <= self.tolerance:
             return
         if frames.degree and frames.error(d.best_model, frames.measure) <= self.tolerance:
-            self._light(d.best_model)
+            self._fit_normals(d.best_model)
         elif frames.measure == "max" and self.errors[bones] <= _LEVELLED * self.tolerance:
-            self._level(d.best_model)
+            self._reweight(d.best_model)
 
-    def _light(self, model: Model) -> None:
-        """Polish with normals in the objective, as no other run of the ladder does."""
+    def _fit_normals(self, model: Model) -> None:
+        """Polish with normals in the objective, as no other attempt does."""
         d = self.frames.descent(model.n_bones, data=self.frames.tolerant)
         d.begin_with(model.with_restarted_support())
         d.follow(solve_normals_lightly)
         self._keep(d, "normals")
 
-    def _level(self, model: Model) -> None:
+    def _reweight(self, model: Model) -> None:
         """Lower the largest error: each round scales importance by vertex errors (Lawson 1961)."""
         importance = self.frames.data.importance
         for _ in range(_LEVEL_ROUNDS):
@@ -249,12 +242,12 @@ class Ladder:
             data = dataclasses.replace(self.frames.data, importance=importance)
             d = self.frames.descent(model.n_bones, data=data)
             d.begin_with(model.with_restarted_support())
-            d.follow(level)
+            d.follow(polish_reweighted)
             model = d.best_model
             self._keep(d, "levelled")
             if self.fits(model.n_bones):
                 return
-            self.report(f"{model.n_bones} bones: level", self.iteration, self.fraction, True)
+            self.report(f"{model.n_bones} bones: level", True)
 
     def _keep(self, d: Descent, name: str) -> None:
         self.iteration += d.iteration
@@ -269,6 +262,7 @@ class Ladder:
             self.models[bones], self.errors[bones] = model, error
         if error <= self.tolerance and (fewest is None or bones < fewest):
             self.held.append(model)
-            rmse, elapsed = self.frames.error(model, "rmse"), self.clock.elapsed
+            rmse = self.frames.error(model, "rmse")
+            elapsed = self.frames.problem.monitor.elapsed
             record = Record(iteration=self.iteration, elapsed=elapsed, rmse=rmse, phase="bones")
             self.records.append(record)

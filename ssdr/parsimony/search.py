@@ -1,0 +1,243 @@
+"""Search for the smallest model: the fewest bones that hold a tolerance, then the fewest bytes."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from ..checks import check_squarable
+from ..errors import Cancelled
+from ..frames.motion import motion_rms
+from ..problem.answer import with_normals
+from ..problem.problem import Problem
+from ..progress import Record, Stop
+from ..search.descent import Descent
+from ..search.solve import PASSES, SCANNED
+from ..search.starts import start_from_model
+from ..search.tree_steps import attach_unattached
+from ..skinning import Skinning
+from ..solver.model import Model
+from ..solver.trajectories import Trajectories
+from .fewest_bones import Bounds, fewest_bones, polish_fewest
+from .models_by_bones import PRUNING, ModelsByBones
+from .pruning import prune
+from .rank import rank_bound, rank_of, reduced
+from .report import Measure, Parsimony, Pruning, Smallest
+from .solved_frames import SolvedFrames, Written
+
+__all__ = ["find_smallest"]
+
+_ROUNDING = 1e-13  # error that counts as zero, relative to the largest coordinate
+_LOOSE = 10.0  # largest tolerance in use, relative to the scale of the frames
+_RETRIES = 4  # most searches on representative frames, each with a stricter tolerance
+
+
+def find_smallest(
+    problem: Problem,
+    *,
+    asked: float,
+    measure: Measure,
+    written: Written | None = None,
+    angle: float | None = None,
+) -> Smallest:
+    """Find the smallest model that holds a tolerance; if none does, that of least error.
+
+    Parameters
+    ----------
+    problem : Problem
+        Its `bones` is the largest number of bones allowed.
+    asked : float
+        The tolerance, in the mesh's units.
+    measure : {"rmse", "max"}
+    written : Written, optional
+        For a file that is to hold the tolerance, too.
+    angle : float, optional
+        Tolerance of the mean angle of drawn normals, in degrees.
+
+    Raises
+    ------
+    Cancelled
+        If the callback stopped the search before there was a model.
+    """
+    frames, monitor = SolvedFrames(problem, measure, written), problem.monitor
+    tolerance = _usable_tolerance(frames, asked)
+    allowed, (least, exact) = frames.squared(tolerance), _least_bones(frames, tolerance)
+    frames.data = reduced(frames.data, allowed)
+    if angle is not None:
+        frames.degree, frames.slack = tolerance / angle, allowed
+
+    def report(phase: str, ready: bool = True) -> None:
+        held = models.fewest
+        if held is not None:
+            monitor.offer(lambda: frames.skinning(models.models[held]))
+        monitor.report(
+            phase,
+            iteration=models.iteration,
+            rmse=math.inf if held is None else models.errors[held],
+            fraction=models.fraction,
+            ready=ready,
+        )
+
+    def on_all_frames() -> None:
+        report("all frames")
+
+    def pruned(model: Model, data: Trajectories) -> Skinning:
+        report("pruning")
+        return frames.skinning_of_all(model, passes=1, entering=0, report=on_all_frames, data=data)
+
+    models = ModelsByBones(frames, report, tolerance=tolerance)
+    models.fraction = 0.0 if frames.scan is None else SCANNED
+    bounds = Bounds(min(least, problem.bones), problem.bones, exact)
+    skinning, reason, prunings = None, "tolerance held", list[Pruning]()
+    try:
+        if problem.start is not None:
+            bones = problem.start.n_bones
+            models.attempt(bones, _begin_with_model, "given", initial=frames.initial)
+        # If frames are streamed, the search solves representative ones, and if weights are stored
+        # in integers or the model in a file, it knows no rounding.  It is then repeated with a
+        # stricter tolerance until the rounded model holds the tolerance on all frames.
+        for _ in range(_RETRIES):
+            fewest_bones(models, bounds, problem.effort)
+            held, passes = models.fewest, PASSES[problem.effort]
+            if held is None:
+                break
+            polish_fewest(models, problem.effort)
+            model = models.models[held]
+            skinning = frames.skinning_of_all(model, passes=passes, report=on_all_frames)
+            monitor.raise_if_stopped()
+            error = _kept_error(frames, skinning, tolerance)
+            if error <= tolerance or frames.are_all_exact or error == math.inf:
+                break
+            models.tolerance *= 0.99 * tolerance / error
+            bounds = dataclasses.replace(bounds, least=held)
+        if skinning is not None and models.held:
+            prunings.append(_fewer_bones(frames, models.held[0], models.held[-1]))
+            if _kept_error(frames, skinning, tolerance) <= tolerance:
+                models.fraction = PRUNING
+                model = models.models[models.fewest or models.held[-1].n_bones]
+                skinning, more = prune(frames, model, tolerance, skinning, pruned)
+                prunings += more
+    except Stop as stop:
+        reason = str(stop)
+    if skinning is None:
+        if models.smallest is None:
+            raise Cancelled("stopped by the callback before there was any model")
+        skinning = frames.skinning_of_all(models.smallest, passes=1, report=on_all_frames)
+    return _result(frames, models, skinning, reason, prunings, asked, tolerance, angle, least)
+
+
+def _usable_tolerance(frames: SolvedFrames, asked: float) -> float:
+    """The tolerance within the range of what can be computed."""
+    data = frames.data
+    check_squarable(data.centre, "vertices")
+    largest = max(float(np.abs(data.centre).max()), data.scale)
+    # a tolerance so large that every model holds it is reduced, since its square may overflow
+    most = _LOOSE * data.scale * math.sqrt(data.n_frames * data.n_vertices)
+    return max(min(asked, most), _ROUNDING * largest)
+
+
+def _least_bones(frames: SolvedFrames, tolerance: float) -> tuple[int, int]:
+    """Lower bound on the number of bones, and most bones that an exact skinning may have.
+
+    Both follow from the rank of the motion.  The second is 0 if the rank does not suggest that
+    there is an exact skinning.
+    """
+    problem = frames.problem
+    if problem.weighted or problem.rows is not None or frames.scan is not None:
+        return 1, 0
+    least = rank_bound(frames.data, frames.squared(tolerance))
+    # an exact skinning has the rank 4B − 1, less one for each joint that two bones share: since
+    # the rank is at least 3B, there are at most a third as many bones
+    exact = -(-rank_of(frames.data, 0.0) // 3)
+    return least, 0 if exact > 2 * least + 1 else exact
+
+
+def _kept_error(frames: SolvedFrames, skinning: Skinning, tolerance: float) -> float:
+    """Error of a skinning or, if it holds the tolerance, the larger of its and its file's."""
+    return frames.kept(skinning, frames.error_of_all(skinning), tolerance)[1]
+
+
+def _fewer_bones(frames: SolvedFrames, first: Model, last: Model) -> Pruning:
+    counts, stored = (first.n_bones, last.n_bones), (frames.bytes(first), frames.bytes(last))
+    return Pruning("bones", *counts, *stored, frames.error(first), frames.error(last))
+
+
+def _result(
+    frames: SolvedFrames,
+    models: ModelsByBones,
+    skinning: Skinning,
+    reason: str,
+    prunings: list[Pruning],
+    asked: float,
+    tolerance: float,
+    angle: float | None,
+    least: int,
+) -> Smallest:
+    problem = frames.problem
+    skinning, normals = with_normals(problem, skinning)
+    error, rmse = (frames.error_of_all(skinning, m) for m in (frames.measure, "rmse"))
+    file, worst = frames.file(skinning), (error, 0.0 if normals is None else normals.mean)
+    if file is not None:
+        worst = max(error, file.error), max(worst[1], file.normals or 0.0)
+    held = frames.larger(*worst) <= tolerance
+    if not held and reason == "tolerance held":
+        reason = "tolerance out of reach"
+    elapsed = problem.monitor.elapsed
+    last = Record(iteration=models.iteration, elapsed=elapsed, rmse=rmse, phase="result")
+    parsimony = Parsimony(
+        tolerance=asked,
+        measure=frames.measure,
+        normals_tolerance=angle,
+        error=error,
+        held=held,
+        bones=skinning.n_bones,
+        influences=skinning.n_influences,
+        least_bones=least,
+        size=frames.size(skinning),
+        prunings=tuple(prunings),
+        attempts=tuple(models.attempts),
+        file=file,
+    )
+    return Smallest(
+        skinning=skinning,
+        rmse=rmse,
+        stop_reason=reason,
+        history=(*models.records, last),
+        offsets=problem.offsets,
+        normals=normals,
+        motion=motion_rms(problem.inputs, executor=problem.executor),
+        copies=problem.copies,
+        warnings=() if held else (_shortfall(problem, parsimony, worst, reason),),
+        parsimony=parsimony,
+    )
+
+
+def _shortfall(problem: Problem, found: Parsimony, worst: tuple[float, float], reason: str) -> str:
+    """Text of the warning that the tolerance is not held."""
+    if worst[0] == math.inf:
+        return f"stopped ({reason}): the weights of the file are too coarse for its tolerance"
+    diagonal = max(s.diagonal() for s in problem.sequences)
+
+    def text(value: float, degrees: float | None) -> str:
+        share = f" ({100 * value / diagonal:.3g} % of the diagonal)" if diagonal else ""
+        normals = f" and {degrees:.3g}° of normals" if found.normals_tolerance else ""
+        return f"{value:.4g}{share}{normals}"
+
+    asked = text(found.tolerance, found.normals_tolerance)
+    head = f"stopped ({reason}) before tolerance {asked} was held"
+    if reason == "tolerance out of reach":
+        head = f"tolerance {asked} is out of reach"
+        if found.least_bones > problem.bones:
+            head += f", the motion's rank asks for at least {found.least_bones} bones"
+    kind = {"rmse": "RMSE", "max": "largest error"}[found.measure]
+    where = "reach a" if found.file is None else "reach in the file a"
+    most = f"{found.bones} bones of at most {problem.influences} influences"
+    return f"{head}: {most} {where} {kind} of {text(*worst)}"
+
+
+def _begin_with_model(d: Descent) -> None:
+    start_from_model(d)
+    if d.rigid_joints:
+        attach_unattached(d)

@@ -1,0 +1,175 @@
+"""Checks of the arguments of ``decompose`` and of functions that offer some of them."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from ..checks import (
+    check_bone_model,
+    check_callback,
+    check_frame_importance,
+    check_importance,
+    check_influences,
+    check_rng,
+    check_smoothness,
+    check_whole,
+)
+from ..copies import told_apart
+from ..errors import InputError, check_choice, check_flag, is_real, is_whole
+from ..progress import Monitor
+from ..quantisation import WeightStorage
+from ..sequence import as_sequences, labels_of, without_copies
+from ..skinning import Skinning
+from ..solver.model import Locked
+from ..solver.rest_surface import RestPose
+from ..start import Skeleton, Start, as_start
+from .check_start import check_skeleton, check_start, extra_parents, with_skeleton
+from .initial import Initial
+from .problem import Effort, Problem, RigKind
+
+__all__ = ["check_problem"]
+
+
+def check_problem(
+    sequence: Any,
+    faces: Any,
+    *,
+    bones: Any,
+    influences: Any,
+    effort: Any,
+    bone_model: Any = "rigid",
+    rig: Any = None,
+    start: Any = None,
+    vertex_importance: Any = None,
+    frame_importance: Any = None,
+    smoothness: Any = 0.0,
+    rest_pose: Any = "surface",
+    normals: Any = True,
+    rng: Any,
+    time_limit: Any = None,
+    checkpoint: Any = None,
+    callback: Any = None,
+    most_bones: int | None = None,
+) -> Problem:
+    """Check the arguments of ``decompose``, or of a function that offers some of them.
+
+    With `most_bones`, `bones` may be None without a model, too: then there are that many, or as
+    many as there are vertices that differ if these are fewer.
+
+    Raises
+    ------
+    InputError
+        If an argument is not usable, before anything is computed.
+    """
+    sequences = as_sequences(sequence, faces)
+    n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
+    influences, storage = _check_stored(influences)
+    bone_model = check_bone_model(bone_model)
+    check_choice(effort, "effort", Effort)
+    check_choice(rest_pose, "rest_pose", RestPose)
+    start = as_start(start, n_frames)
+    if not (start is None or isinstance(start, (Skinning, Start))):
+        expected = "None, a Skinning or a result, a MeshSequence, a Start or the number of a frame"
+        raise InputError("start", expected, type(start).__name__)
+    if not (rig is None or isinstance(rig, Skeleton) or _is_kind(rig)):
+        raise InputError("rig", "None, 'loose', 'rigid' or a Skeleton", repr(rig))
+    by_default = bones is None and most_bones is not None
+    bones = _count_bones(min(n, most_bones or n) if by_default else bones, n, rig, start)
+    initial, locked = check_start(start, (n_frames, n, bones, influences), bone_model)
+    names: tuple[str, ...] = ()
+    kind: RigKind = "none"
+    if isinstance(rig, Skeleton):
+        initial, locked = with_skeleton(rig, initial, locked, sequences, influences, start)
+        kind, names = rig.joints, rig.skinning.names()
+    elif rig is not None:
+        kind = rig
+    smoothness = check_smoothness(smoothness, sequences[0].faces)
+    _check_rig(kind, initial, locked, smoothness)
+    if time_limit is not None and not (is_real(time_limit, finite=False) and time_limit > 0):
+        raise InputError("time_limit", "a number of seconds > 0 or None", repr(time_limit))
+    frame_importance = check_frame_importance(frame_importance, n_frames)
+    importance = check_importance(vertex_importance, "vertex_importance", n)
+    weighted = importance is not None or frame_importance is not None
+    inputs, rows = sequences, None
+    kept = () if initial.is_model else (initial.rest, initial.indices, initial.weights)
+    label = told_apart(labels_of(inputs), *kept, locked.weights)
+    differ = int(label.max()) + 1
+    if by_default:
+        bones = min(bones, differ)
+    if bones <= differ < n:
+        sequences, importance, firsts, rows = without_copies(inputs, label, importance)
+        initial, locked = initial.of_vertices(firsts), locked.select_vertices(firsts)
+    near_skin = kind == "rigid" and not isinstance(rig, Skeleton)
+    return Problem(
+        sequences=sequences,
+        inputs=inputs,
+        rows=rows,
+        bones=bones,
+        influences=influences,
+        storage=storage,
+        effort=effort,
+        rig=kind,
+        names=names,
+        locked=dataclasses.replace(locked, near_skin=near_skin),
+        initial=initial,
+        start=start if isinstance(start, Skinning) else None,
+        smoothness=smoothness,
+        rest_pose=rest_pose,
+        normals=check_flag(normals, "normals"),
+        vertex_importance=importance,
+        weighted=weighted,
+        frame_importance=frame_importance,
+        rng=check_rng(rng),
+        monitor=Monitor(check_callback(callback), time_limit=time_limit, checkpoint=checkpoint),
+    )
+
+
+def _check_stored(influences: Any) -> tuple[int, WeightStorage]:
+    """Largest number of influences, and the type in which their weights are stored."""
+    if not (isinstance(influences, tuple) and len(influences) == 2):
+        return check_influences(influences), "float32"
+    count, storage = influences
+    check_choice(storage, "influences[1]", WeightStorage)
+    return check_influences(count), storage
+
+
+def _is_kind(rig: Any) -> bool:
+    return isinstance(rig, str) and rig in ("loose", "rigid")
+
+
+def _count_bones(bones: Any, n_vertices: int, rig: Any, start: Any) -> int:
+    """Number of bones: that of the given skeleton or model, or else `bones`."""
+    known, what = None, "bones"
+    if isinstance(rig, Skeleton):
+        check_skeleton(rig)
+        known, what = rig.skinning.n_bones + len(extra_parents(rig, n_vertices)), "rig"
+    elif isinstance(start, Skinning):
+        known, what = start.n_bones, "start"
+    if bones is None and known is None:
+        raise InputError("bones", f"an integer from 1 to {n_vertices}", "None")
+    if known is not None and bones is not None and not (is_whole(bones) and bones == known):
+        raise InputError("bones", f"{known}, as the {what} has, or None", repr(bones))
+    if known is None:
+        return check_whole(bones, "bones", 1, n_vertices, " (the number of vertices)")
+    if known > n_vertices:
+        raise InputError(what, f"at most {n_vertices} bones, as there are vertices", known)
+    return known
+
+
+def _check_rig(kind: RigKind, initial: Initial, locked: Locked, smoothness: float) -> None:
+    """Raise InputError for arguments that cannot be combined with bones attached at joints."""
+    if kind == "none":
+        return
+    beside = "beside a Skeleton" if initial.keeps_tree else f"beside rig={kind!r}"
+    if locked.bone_model != "rigid":
+        raise InputError("bone_model", f"'rigid' {beside}", repr(locked.bone_model))
+    if kind == "loose" and locked.rotations is not None:
+        raise InputError("rig.locked_joints", "() beside loose joints", "some")
+    if kind == "loose" and not initial.keeps_tree:
+        return
+    for name in ("weights", "transforms") if not (initial.keeps_tree or initial.is_model) else ():
+        if getattr(initial, name) is not None:
+            raise InputError(f"start.{name}", f"None {beside}", "an array")
+    if smoothness > 0:
+        raise InputError("smoothness", f"0 {beside}", smoothness)
