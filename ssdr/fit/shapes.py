@@ -19,7 +19,7 @@ from ..parallel import serial_blas
 from ..parsimony.report import key_bytes
 from ..sequence import MeshSequence
 from ..shapes import Shapes
-from ..skinning import Skinning
+from ..skinning import Skinning, check_skinning
 from .fit import Fit, checked
 
 __all__ = ["ShapeFit", "fit_shapes"]
@@ -128,7 +128,7 @@ def fit_shapes(
     >>> fit.displaced, round(fit.rmse, 6)
     (1, 0.0)
     """
-    given = checked(sequence, skinning)
+    given = checked(sequence, check_skinning(skinning))
     model, n_frames = dataclasses.replace(given.skinning, rest=given.rest), given.n_frames
     given.transforms()
     truth = np.concatenate([np.asarray(s.frames(slice(None)), float) for s in given.sequences])

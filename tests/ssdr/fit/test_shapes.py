@@ -96,7 +96,7 @@ def test_refusals(options, match):
 
 def test_models_that_do_not_fit():
     model, vertices = exact()
-    with pytest.raises(ssdr.InputError, match="254 vertices|253 vertices"):
+    with pytest.raises(ssdr.InputError, match="253 vertices"):
         ssdr.fit_shapes(vertices[:, 1:], model, shapes=1)
     with pytest.raises(ssdr.InputError, match="transforms"):
         ssdr.fit_shapes(vertices[1:], model, shapes=1)
