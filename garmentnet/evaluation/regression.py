@@ -175,7 +175,7 @@ class Regression(Method):
     @torch.no_grad()
     def _parts(self, clip: Clip) -> dict[Part, Array]:
         features, frame, _ = self.reader.features(clip.joints)
-        x = self.reader.inputs(features, None)[None]
+        x = torch.from_numpy(self.reader.inputs(features, None))[None]
         joints = transforms_in_frame(clip.joints, frame)
         out: dict[Part, Array] = {}
         for part, (net, basis) in self.nets.items():
