@@ -70,6 +70,8 @@ class Clips:
             [p for p in store.parameters() if roles[p] == role] for role in ("train", "test")
         )
         self.clips = {(c.motion, c.parameters): c for c in store.clips()}
+        # A beginning of the data set may lack one of them.
+        self.splits = {name: s for name, s in SPLITS.items() if self.motions(s)}
 
     def motions(self, split: str) -> list[str]:
         """Motions of a split that were simulated at every parameter set."""
@@ -113,13 +115,13 @@ def mixed(run: Clips, answer: Answer) -> dict[str, dict[str, float]]:
     """Errors of every rule with some pivots, by seen and unseen motions and number of pivots."""
     answers = {
         (m, p): answer(m, p)
-        for split in SPLITS.values()
+        for split in run.splits.values()
         for m in run.motions(split)
         for p in run.train
     }
     theta = np.stack([p.normalised() for p in run.train])
     learned = run.grams(answers, "train", run.train)
-    tests = {name: run.grams(answers, split, run.test) for name, split in SPLITS.items()}
+    tests = {name: run.grams(answers, split, run.test) for name, split in run.splits.items()}
     rows: dict[str, dict[str, float]] = {}
     for count in COUNTS:
         pivots = select_pivots(learned, theta, count)
@@ -139,10 +141,11 @@ def mixed(run: Clips, answer: Answer) -> dict[str, dict[str, float]]:
 def apart(run: Clips) -> dict[str, float]:
     """What separates simulations: mm for each parameter's difference, by least squares.
 
-    Squared distances of all pairs of sets on unseen motions are fitted by Σ (c_k Δθ_k)², θ in
-    normalised units: c_k is the distance of two sets half of the range apart in one parameter.
+    Squared distances of all pairs of sets are fitted by Σ (c_k Δθ_k)², θ in normalised units: c_k
+    is the distance of two sets half of the range apart in one parameter.
     """
-    sets, motions = [*run.train, *run.test], run.motions("test")
+    sets = [*run.train, *run.test]
+    motions = [m for split in run.splits.values() for m in run.motions(split)]
     theta = np.stack([p.normalised() for p in sets])
     cloth = [np.concatenate([run.simulated(m, p) for m in motions]) for p in sets]
     pairs = [(i, j) for i in range(len(sets)) for j in range(i)]
@@ -169,7 +172,7 @@ def main() -> None:
         found = mixed(run, answer)
         table |= {f"{pivots}, {name}": row for name, row in found.items()}
     direct = {}
-    for motions, split in SPLITS.items():
+    for motions, split in run.splits.items():
         each = [
             np.mean([gram([run.predicted(m, p)], run.simulated(m, p)) for m in run.motions(split)])
             for p in run.test
@@ -179,13 +182,13 @@ def main() -> None:
     record = {
         "rows": table,
         "simulations apart, mm": apart(run),
-        "motions": {name: run.motions(split) for name, split in SPLITS.items()},
+        "motions": {name: run.motions(split) for name, split in run.splits.items()},
         "frames": given.every,
         "command": f"python benchmarks/garment/mixing.py parameters.clips {given.model}",
         "revision": common.revision(),
     }
     common.write_json(given.out, record)
-    columns = [f"{m}, {k}" for m in SPLITS for k in COUNTS]
+    columns = [f"{m}, {k}" for m in run.splits for k in COUNTS]
     print(common.table([{"pivots": n} | r for n, r in table.items()], ["pivots", *columns]))
     print(record["simulations apart, mm"])
 
