@@ -55,6 +55,8 @@ class Engine:
         Explanation of `shapes`.
     clamps_shapes : bool
         Whether it takes amounts below 0 for 0, and those above 1 for 1.
+    stretch : bool
+        Whether a bone may stretch along axes that do not turn with it.
     storage : {"float32", "uint16", "uint8"}
         Type in which the engine stores weights with its default settings.
     rounds_down : bool
@@ -84,6 +86,7 @@ class Engine:
     shapes_kind: Literal["refused", "cut off"] = "cut off"
     shapes_why: str = ""
     clamps_shapes: bool = False
+    stretch: bool = True
     storage: WeightStorage = "float32"
     rounds_down: bool = False
     write: WeightStorage = "float32"
@@ -101,6 +104,7 @@ ENGINES: dict[EngineName, Engine] = {
         influences_why="Unlimited Bone Influences keeps 12",
         bones=256,
         still_bones=False,
+        stretch=False,
         bones_kind="refused",
         bones_why="for each material; not drawn unless Support 16-bit Bone Index is on",
         storage="uint8",
@@ -191,6 +195,9 @@ def _findings(model: Skinning, engine: Engine, suffix: str) -> Iterator[Finding]
     if engine.one_root and roots > 1:
         text = f"{roots} root bones: takes 1, unless it counts a node above them as one"
         yield Finding("refused", text)
+    if model.bone_model == "affine" and not engine.stretch:
+        text = "stretch of bones: a transform holds one rotation, so that shear is lost"
+        yield Finding("cut off", text)
     yield from _of_shapes(model, engine)
     kept = model
     used = (model.weights > 0).sum(axis=1)

@@ -23,9 +23,9 @@ from scipy.spatial import cKDTree
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 
+from benchmarks.garment.published import BASELINES
+from benchmarks.garment.reproduce import Reproduction
 from garmentnet.data.store import ClipStore
-from garmentnet.evaluation.published import BASELINES
-from garmentnet.evaluation.reproduce import Reproduction
 from ssdr import MeshSequence
 from ssdr.render import render_frame
 

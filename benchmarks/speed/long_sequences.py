@@ -35,6 +35,9 @@ CASES: dict[str, Row] = {
     f"{frames} frames": {"kind": "frames", "size": frames}
     for frames in (2500, 5000, 10_000, FRAMES)
 }
+CASES[f"{FRAMES} frames, positions alone"] = {
+    "kind": "frames", "size": FRAMES, "options": {"rest_pose": "free", "normals": False},
+}  # fmt: skip
 CASES |= {
     "200000 vertices": {"kind": "vertices", "size": 200_000},
     "1000 clips": {"kind": "clips", "size": 1000},
@@ -49,7 +52,9 @@ def paper() -> Skirt:
     return Skirt(vertices=12_273, columns=16, influences=8)
 
 
-def solved(make_input: Callable[[], Any], bones: int, influences: int) -> tuple[Any, Row]:
+def solved(
+    make_input: Callable[[], Any], bones: int, influences: int, **options: Any
+) -> tuple[Any, Row]:
     """Solve from the file on; returns the result, times and memory."""
     over, most = threading.Event(), [0.0]
 
@@ -69,7 +74,7 @@ def solved(make_input: Callable[[], Any], bones: int, influences: int) -> tuple[
     wall, cpu = time.perf_counter(), time.process_time()
     result = ssdr.decompose(
         make_input(), bones=bones, influences=influences, callback=lap,
-        checkpoint=FOLDER / "checkpoint.npz",
+        checkpoint=FOLDER / "checkpoint.npz", **options,
     )  # fmt: skip
     over.set()
     return result, {
@@ -93,15 +98,16 @@ def spread(count: int, frames: int) -> np.ndarray:
     return np.unique(np.linspace(0, frames - 1, count).astype(int))
 
 
-def frames(size: int) -> Row:
+def frames(size: int, options: Row | None = None) -> Row:
     """Solve the first frames; of two sizes also 500 evenly spread frames in memory."""
     skirt, path = paper(), FOLDER / "paper.npy"
-    result, row = streamed(skirt, path, size, FRAMES, 8)
+    result, row = streamed(skirt, path, size, FRAMES, 8, options or {})
     if size in (5000, FRAMES):
         some, mapped = spread(500, size), np.load(path, mmap_mode="r")
         inner, _ = solved(
-            lambda: ssdr.MeshSequence(mapped[some], skirt.faces, 30.0), skirt.bones, 8
-        )
+            lambda: ssdr.MeshSequence(mapped[some], skirt.faces, 30.0), skirt.bones, 8,
+            **(options or {}),
+        )  # fmt: skip
         row["rmse of 500 frames"] = true_error(mapped, result.skinning, some)
         row["rmse of these in memory"] = inner.rmse
         row["ratio"] = row["rmse of 500 frames"] / inner.rmse
@@ -110,15 +116,17 @@ def frames(size: int) -> Row:
 
 def vertices(size: int) -> Row:
     skirt = Skirt(vertices=size, columns=12, influences=4)
-    return streamed(skirt, FOLDER / f"vertices_{size}.npy", 1000, 1000, 4)[1]
+    return streamed(skirt, FOLDER / f"vertices_{size}.npy", 1000, 1000, 4, {})[1]
 
 
-def streamed(skirt: Skirt, path: Path, count: int, whole: int, influences: int) -> tuple[Any, Row]:
+def streamed(
+    skirt: Skirt, path: Path, count: int, whole: int, influences: int, options: Row
+) -> tuple[Any, Row]:
     """Solve the first frames of a file."""
     floor = skirt.write(path, count, whole)
     mapped = np.load(path, mmap_mode="r")[:count]
     result, row = solved(
-        lambda: ssdr.MeshSequence(mapped, skirt.faces, 30.0), skirt.bones, influences
+        lambda: ssdr.MeshSequence(mapped, skirt.faces, 30.0), skirt.bones, influences, **options
     )
     error = true_error(mapped, result.skinning, spread(400, count))
     return result, row | {"floor": floor, "rmse of 400 frames": error}
@@ -172,9 +180,9 @@ def dem_bones(size: int) -> Row:
 KINDS = {f.__name__: f for f in (frames, vertices, clips, dem_bones)}
 
 
-def measure(kind: str, size: int) -> Row:
+def measure(kind: str, size: int, **options: Any) -> Row:
     FOLDER.mkdir(parents=True, exist_ok=True)
-    return KINDS[kind](size)
+    return KINDS[kind](size, **options)
 
 
 if __name__ == "__main__":

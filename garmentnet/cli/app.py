@@ -18,7 +18,7 @@ from ssdr.signals import interrupt_on_signals
 
 from .exporting import export
 from .importing import import_clips
-from .learning import demo, evaluate, predict, reproduce, train
+from .learning import demo, evaluate, predict, train
 from .models import models
 from .simulating import simulate
 from .viewing import view
@@ -41,7 +41,7 @@ app = typer.Typer(
 
 
 _COMMANDS = (
-    simulate, train, evaluate, predict, view, export, reproduce, demo, models
+    simulate, train, evaluate, predict, view, export, demo, models
 )  # fmt: skip
 for _command in _COMMANDS:
     app.command()(_command)

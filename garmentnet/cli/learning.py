@@ -1,4 +1,4 @@
-"""The commands ``garmentnet train, evaluate, predict, reproduce, demo``."""
+"""The commands ``garmentnet train, evaluate, predict, demo``."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ __all__ = [
     "evaluate",
     "output_folder",
     "predict",
-    "reproduce",
     "train",
 ]
 
@@ -103,15 +102,12 @@ def evaluate(
     store: Annotated[Path, typer.Option("--store", "-s", help="Folder of clips.")],
     output: Folder = None,
     baselines: Annotated[
-        bool, typer.Option(help="Train and score what the networks must beat.")
+        bool, typer.Option(help="Fit and score what the networks must beat.")
     ] = True,
     pictures: Annotated[int, typer.Option(help="Test clips to draw, per checkpoint.")] = 1,
     clips: Annotated[
         list[str] | None,
         typer.Option("--clips", metavar="PATTERN", help="As 'base-dance-220*'; repeatable."),
-    ] = None,
-    against: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Method that the others are divided by.")
     ] = None,
 ) -> None:
     """Score networks on unseen motions and parameters as the paper does, beside baselines."""
@@ -127,7 +123,6 @@ def evaluate(
             baselines=baselines,
             pictures=pictures,
             clips=clips or (),
-            against=against,
             progress=show,
         )
     typer.echo(text)
@@ -203,43 +198,6 @@ def predict(
                 progress=lambda done: show("drawing", done),
             )
         typer.echo(f"{path}: {text}")
-
-
-def reproduce(
-    output: Folder = None,
-    data: Annotated[
-        Path | None, typer.Option("--data", help="Where the data sets lie, or are simulated.")
-    ] = None,
-    only: Annotated[
-        list[str] | None,
-        typer.Option("--only", help="curve, table2, table3, table4, bones, capture; repeatable."),
-    ] = None,
-    motion: Annotated[
-        Path | None, typer.Option("--motion", help="BVH files, which the dress dances, too.")
-    ] = None,
-    settings: Settings = None,
-) -> None:
-    """The paper's tables on data sets of our own; what is there is not trained again."""
-    from ..evaluation.reproduce import TABLES, Reproduction
-    from ..scenes.dataset import make_data_set, recorded_motions
-    from ..scenes.scene_file import load_data_set
-
-    def simulate(name: str, path: Path) -> None:
-        data_set = load_data_set(name)
-        recorded = recorded_motions(motion, data_set) if motion and name == "dress" else ()
-        make_data_set(data_set, path, recorded=recorded)
-
-    folder = output or output_folder() / "reproduction"
-    with progress_bar() as show:
-        run = Reproduction(
-            data or output_folder(),
-            folder,
-            simulate=simulate,
-            settings=settings or (),
-            progress=show,
-        )
-        found = [f"# {name}\n\n{run.table(name)}" for name in only or TABLES]
-    typer.echo("\n\n".join(found))
 
 
 def demo(

@@ -21,21 +21,17 @@ from ..data.virtual_bones import VirtualBones, parameter_roles, virtual_bones
 from ..drawing.dressed import draw_clip
 from ..io.files import write_file, writing
 from ..networks.checkpoint import Checkpoint, load_checkpoint
-from ..training.run import choose_clips, with_mirrored
+from ..training.run import choose_clips
 from .baselines import BodySkinned, MeanShape, Ridge
 from .methods import BonesThemselves, MeanDetail, Method, Network
-from .published import SANTESTEBAN
-from .regression import train_regression
 from .scores import PARTS, VERTICES, Scores, chaos_floor, evaluate
-from .tables import class_table, interval_table, intervals, markdown, score_table
+from .tables import class_table, markdown, score_table
 
 __all__ = ["fit_baselines", "group_of", "report"]
 
 _NUMBER = re.compile(r"[-_]\d+\Z")
 RECORDED = "recorded"
 _MOTIONS = "unseen motions, "  # beginning of the titles of sections; their groups follow
-# Below so many clips, an interval of the bootstrap is mostly too narrow.
-_FEW_CLIPS = 8
 Progress = Callable[[str, float], None]
 
 
@@ -47,7 +43,6 @@ def report(
     baselines: bool = True,
     pictures: int = 1,
     clips: Sequence[str] = (),
-    against: str | None = None,
     progress: Progress | None = None,
 ) -> str:
     """Score checkpoints on unseen motions and, if they read parameters, unseen parameters.
@@ -58,8 +53,7 @@ def report(
         Checkpoints on one set of virtual bones.
     store : ClipStore
     folder : path
-        Folder for ``report.md``, ``report.json`` and pictures, with a subfolder ``baselines`` for
-        the trained baseline.
+        Folder for ``report.md``, ``report.json`` and pictures.
     baselines : bool
         Whether to fit and score baselines, too.
     pictures : int
@@ -67,9 +61,6 @@ def report(
     clips : sequence of str
         Patterns of clip names as in a shell, such as ``base-dance-220*``; by default all test
         clips.
-    against : str, optional
-        Method by whose errors those of the others are divided; by default the baseline of
-        Santesteban et al. 2019 if it is scored, otherwise the first checkpoint.
 
     Returns
     -------
@@ -79,8 +70,8 @@ def report(
     Raises
     ------
     InputError
-        If a checkpoint is of another garment or body, the store lacks test clips, a pattern
-        matches none or `against` is not scored.
+        If a checkpoint is of another garment or body, the store lacks test clips, or a pattern
+        matches none.
     """
     folder = Path(folder)
     with writing(folder):
@@ -92,28 +83,22 @@ def report(
     config, base = first.networks[0].config, _base(first, store)
     reading = [n for n in networks if n.checkpoint.reads_parameters]
     sections = _sections(store, base, bool(reading), clips)
-    fitted = (MeanShape, BodySkinned, Ridge, SANTESTEBAN) if baselines else ()
-    names = [m.name for m in (BonesThemselves, MeanDetail, *networks, *fitted)]
-    against = against or (SANTESTEBAN.name if baselines else networks[0].name)
-    if against not in names:
-        raise InputError("against", f"one of {', '.join(names)}", repr(against))
-
     bones = virtual_bones(store, config.bones, progress=progress)
     bounds = BonesThemselves(bones), MeanDetail(bones)
     methods: list[Method] = [*bounds, *networks]
     if baselines:
-        methods += fit_baselines(bones, config, base, folder / "baselines", progress)
+        methods += fit_baselines(bones, config, base)
     document: dict[str, Any] = {
         "parameters": dataclasses.asdict(base),
         "bones": bones.report,
         "groups": {},
     }
-    lines = ["RMSE and Hausdorff distance in mm, intervals of 95 % (paired bootstrap over clips)"]
+    lines = ["RMSE and Hausdorff distance in mm"]
     for title, names in sections.items():
         # Baselines do not read parameters.
         entered = methods if title.startswith(_MOTIONS) else [*bounds, *reading]
         rows = evaluate(bones, entered, names, progress=progress)
-        lines += _section(title, rows, against, document)
+        lines += _section(title, rows, document)
     lines += _chaos(bones, document)
     motions = [n for title in sections if title.startswith(_MOTIONS) for n in sections[title]]
     for network in networks:
@@ -127,51 +112,21 @@ def report(
     return text
 
 
-def fit_baselines(
-    bones: VirtualBones,
-    config: Config,
-    base: SimulationParameters,
-    folder: Path,
-    progress: Progress | None = None,
-) -> list[Method]:
-    """The baselines, fitted to the training clips of one parameter set.
-
-    Parameters
-    ----------
-    bones : VirtualBones
-    config : Config
-        Configuration with the features and training options of the recurrent baseline.
-    base : SimulationParameters
-        The parameter set.
-    folder : Path
-        Folder for the training of the recurrent baseline, which is not repeated if it is there.
-    progress : callable, optional
+def fit_baselines(bones: VirtualBones, config: Config, base: SimulationParameters) -> list[Method]:
+    """The baselines, fitted to the clips of a configuration at one parameter set.
 
     Raises
     ------
     InputError
         If the store lacks training or validation clips of these parameters.
     """
-    store = bones.store
-    text = ",".join(repr(v) for v in dataclasses.astuple(base))
+    store, text = bones.store, ",".join(repr(v) for v in dataclasses.astuple(base))
     data = dataclasses.replace(config.data, parameters=text, condition=False)
     plain = dataclasses.replace(config, data=data)
-    names, _ = choose_clips(store, plain)
-    held, _ = choose_clips(store, plain, "validation")
+    names, held = (choose_clips(store, plain, split)[0] for split in ("train", "validation"))
     if not held:
         raise InputError("store", f"validation clips of {base} for the baselines", str(store.path))
-
-    def after_epoch(p: Any) -> None:
-        if progress:
-            progress(f"training {SANTESTEBAN.name}", p.fraction)
-
-    learned = with_mirrored(store, config, names)
-    return [
-        MeanShape(bones, names),
-        BodySkinned(store),
-        Ridge(bones, names, held),
-        train_regression(SANTESTEBAN, bones, config, learned, held, folder, callback=after_epoch),
-    ]
+    return [MeanShape(bones, names), BodySkinned(store), Ridge(bones, names, held)]
 
 
 def group_of(clip: Clip) -> str:
@@ -216,22 +171,14 @@ def _sections(
     return {title: names for title, names in chosen.items() if names}
 
 
-def _section(
-    title: str, rows: Sequence[Scores], against: str, document: dict[str, Any]
-) -> list[str]:
+def _section(title: str, rows: Sequence[Scores], document: dict[str, Any]) -> list[str]:
     """Lines of a section with the tables of `rows`; their figures are added to `document`."""
-    names = [r.name for r in rows]
-    # If `against` is not scored here, errors are divided by those of the first checkpoint.
-    found = intervals(rows, against if against in names else names[2])
     group, count = title.removeprefix(_MOTIONS), len(rows[0].clips)
-    document["groups"][group] = {"rows": [r.as_dict() for r in rows], "intervals": found}
+    document["groups"][group] = {"rows": [r.as_dict() for r in rows]}
     lines = ["", f"## {title}: {count} clips, {rows[0].frames} frames", ""]
     pinned = any(r.free != r.all for r in rows)
     for vertices in VERTICES if pinned else VERTICES[:1]:
         lines += [score_table(rows, vertices), "", class_table(rows, vertices), ""]
-        rough = " Intervals of so few clips are rough." if count < _FEW_CLIPS else ""
-        lines += [f"Ratios are to {found['reference']}.{rough}", ""]
-        lines += [interval_table(found, vertices), ""]
     return lines
 
 

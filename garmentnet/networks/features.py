@@ -11,33 +11,19 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
-from torch import Tensor
 
 from ssdr.errors import InputError
-from ssdr.rigid import sixd_from_matrix
 
 from ..configs.config import FeatureOptions
 from ..data.skeleton import Skeleton, check_joints
+from .pose_kernels import pose_features
 
-__all__ = ["Normaliser", "PoseFeatures", "PoseReader", "PoseState", "transforms_in_frame"]
+__all__ = ["FRAMES", "Normaliser", "PoseFeatures", "PoseReader", "transforms_in_frame"]
 
 Array = NDArray[np.float64]
-# Length of the twist's sine and cosine, at most 2, below which the body is upside down.
-_UPSIDE_DOWN = 1e-12
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class PoseState:
-    """State of earlier frames from which the next features are computed; positions in metres."""
-
-    first: Array
-    position: Array
-    velocity: Array
-    rotation: Array  # of the root, in the world
-    pose: Array  # features of the rotations, for their velocities
+# Moving frames of the output, in the order of their numbers in the kernels.
+FRAMES = ("world", "root", "heading")
 
 
 class PoseFeatures:
@@ -64,27 +50,34 @@ class PoseFeatures:
     """
 
     def __init__(self, skeleton: Skeleton, options: FeatureOptions, fps: float) -> None:
-        self.skeleton, self.options, self.fps = skeleton, options, float(fps)
-        self._read = skeleton.read(options.joints)
+        self.skeleton, self.options, self.fps, o = skeleton, options, float(fps), options
+        self.read = np.array(skeleton.read(o.joints), np.int64)
+        self._parents = skeleton.parents.astype(np.int64)
+        self._code = len(self.read) * (3 if o.rotation == "vector" else 6)
+        self._options = (
+            o.rotation == "sixd", o.heading_free, o.translation, o.velocities, o.root_motion
+        )  # fmt: skip
+        self._frame = FRAMES.index(o.frame)
 
     @property
     def size(self) -> int:
         """Number of features."""
-        o, n = self.options, len(self._read)
-        each = 3 if o.rotation == "vector" else 6
-        pose = n * each
-        return pose + (pose if o.velocities else 0) + 3 * o.translation + 12 * o.root_motion
+        o = self.options
+        return self._code * (1 + o.velocities) + 3 * o.translation + 12 * o.root_motion
 
-    def __call__(
-        self, joints: Any, state: PoseState | None = None
-    ) -> tuple[Array, Array, PoseState]:
+    @property
+    def state_size(self) -> int:
+        """Numbers of a state, as :mod:`garmentnet.networks.pose_kernels` describes it."""
+        return 18 + self._code
+
+    def __call__(self, joints: Any, state: Array | None = None) -> tuple[Array, Array, Array]:
         """Features of consecutive frames.
 
         Parameters
         ----------
         joints : (F, J, 3, 4) array
             World transforms from the body's rest pose.
-        state : PoseState, optional
+        state : (n,) array, optional
             State after the frame before; None if the motion starts here, from rest.
 
         Returns
@@ -92,45 +85,26 @@ class PoseFeatures:
         features : (F, D) float64
         frame : (F, 3, 4) float64
             Transforms from the moving frame to the world.
-        state : PoseState
+        state : (n,) float64
             State after the last frame.
 
         Raises
         ------
         InputError
-            If a shape does not fit or a number is not finite.
+            If a shape does not fit, a number is not finite or a joint not rigid.
         """
-        o = self.options
-        m = check_joints(joints, self.skeleton.n_joints)
-        position, relative = self.skeleton.pose(m)
-        root = relative[:, 0].copy()
-        heading = _heading(root)
-        if o.heading_free:
-            relative[:, 0] = np.einsum("fba,fbc->fac", heading, root)
-        pose = _code(relative[:, self._read], o.rotation)
-        if state is None:
-            zero = np.zeros(3)
-            state = PoseState(position[0], position[0], zero, root[0], pose[0])
-        parts = [pose]
-        if o.translation:
-            parts.insert(0, position - state.first)
-        if o.velocities:
-            parts.append((pose - np.concatenate([state.pose[None], pose[:-1]])) * self.fps)
-        before = np.concatenate([state.position[None], position[:-1]])
-        velocity = (position - before) * self.fps
-        if o.root_motion:
-            change = velocity - np.concatenate([state.velocity[None], velocity[:-1]])
-            turn = root @ np.concatenate([state.rotation[None], root[:-1]]).transpose(0, 2, 1)
-            spin = Rotation.from_matrix(turn).as_rotvec() * self.fps
-            local = [np.einsum("fba,fb->fa", heading, x) for x in (velocity, change, spin)]
-            parts += [local[0], local[1] * self.fps, local[2], local[2] ** 2]
-        frame = np.zeros((len(m), 3, 4))
-        frame[:, :, :3] = np.eye(3)
-        if o.frame != "world":
-            frame[:, :, :3] = root if o.frame == "root" else heading
-            frame[:, :, 3] = position
-        new = PoseState(state.first, position[-1], velocity[-1], root[-1], pose[-1])
-        return np.concatenate(parts, axis=1), frame, new
+        return self.of(check_joints(joints, self.skeleton.n_joints), state)
+
+    def of(self, joints: Array, state: Array | None) -> tuple[Array, Array, Array]:
+        """As a call, for joints that are known to be those of the body and rigid."""
+        n, begins = len(joints), state is None
+        states, out = np.empty((n, self.state_size)), np.empty((n, self.size))
+        frames, before = np.empty((n, 3, 4)), states[0] if state is None else state
+        pose_features(
+            np.ascontiguousarray(joints), self.skeleton.rest, self._parents, self.read,
+            self._options, self._frame, self.fps, begins, before, states, out, frames,
+        )  # fmt: skip
+        return out, frames, states[-1].copy()
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -200,7 +174,7 @@ class PoseReader:
         """Number of inputs per frame."""
         return self.features.size + self.condition
 
-    def inputs(self, features: Array, parameters: Any = None) -> Tensor:
+    def inputs(self, features: Array, parameters: Any = None) -> NDArray[np.float32]:
         """Normalised features ``(F, D)``, with the parameters for a network that reads them.
 
         Parameters
@@ -214,13 +188,13 @@ class PoseReader:
         InputError
             If the network reads parameters and there are none.
         """
-        x = torch.from_numpy(self.normaliser(features))
-        if self.condition:
-            if parameters is None:
-                raise InputError("parameters", "the simulation's, which this network reads", None)
-            row = torch.as_tensor(np.asarray(parameters, np.float32))
-            x = torch.cat([x, row.expand(len(x), -1)], dim=1)
-        return x
+        x = self.normaliser(features)
+        if not self.condition:
+            return x
+        if parameters is None:
+            raise InputError("parameters", "the simulation's, which this network reads", None)
+        row = np.asarray(parameters, np.float32)
+        return np.concatenate([x, np.broadcast_to(row, (len(x), len(row)))], axis=1)
 
 
 def transforms_in_frame(transforms: Any, frame: Array) -> Array:
@@ -236,21 +210,3 @@ def transforms_in_frame(transforms: Any, frame: Array) -> Array:
     m[..., 3] -= frame[:, None, :, 3]
     moved: Array = frame[:, None, :, :3].swapaxes(-1, -2) @ m
     return moved
-
-
-def _heading(root: Array) -> Array:
-    # The twist about y of the swing–twist decomposition: unlike the direction of the z axis seen
-    # from above it is defined until the body is upside down.
-    s, c = root[:, 0, 2] - root[:, 2, 0], root[:, 0, 0] + root[:, 2, 2]
-    size = np.hypot(s, c)
-    s = np.divide(s, size, out=np.zeros_like(s), where=size > _UPSIDE_DOWN)
-    c = np.divide(c, size, out=np.ones_like(c), where=size > _UPSIDE_DOWN)
-    o = np.zeros_like(s)
-    return np.stack([c, o, s, o, o + 1, o, -s, o, c], axis=-1).reshape(-1, 3, 3)
-
-
-def _code(rotation: Array, kind: str) -> Array:
-    n = len(rotation)
-    if kind == "vector":
-        return Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_rotvec().reshape(n, -1)
-    return np.asarray(sixd_from_matrix(rotation)).reshape(n, -1)

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from ..configs.config import Config
 from ..data.subject import Subject
 from .detail_basis import DetailBasis, SurfaceTurns
-from .features import Normaliser, PoseFeatures, PoseReader, PoseState, transforms_in_frame
+from .features import Normaliser, PoseFeatures, PoseReader, transforms_in_frame
 from .high_frequency import HighFrequency
 from .low_frequency import BoneCode, LowFrequency
 from .skinning import TorchSkinning, apply_frame
@@ -29,7 +29,7 @@ FRAMES_AT_ONCE = 128
 class NetworkState:
     """State of a network between two frames; the hidden states are ``(1, 1, H)``."""
 
-    pose: PoseState | None = None
+    pose: NDArray[np.float64] | None = None
     low: Tensor | None = None
     high: Tensor | None = None
 
@@ -280,7 +280,7 @@ class MotionNetwork(nn.Module, PoseReader, Predictor):
         """
         state = state or NetworkState()
         features, frame, pose = self.features(joints, state.pose)
-        x = self.inputs(features, parameters).to(self.device)[None]
+        x = torch.from_numpy(self.inputs(features, parameters)).to(self.device)[None]
         chosen = np.arange(len(frame)) if frames is None else np.asarray(frames, np.int64)
         index, frame = torch.from_numpy(chosen).to(self.device), frame[chosen]
         local = transforms_in_frame(np.asarray(joints)[chosen], frame)

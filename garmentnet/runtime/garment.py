@@ -23,13 +23,14 @@ from ..data.skeleton import check_joints
 from ..data.subject import Subject
 from ..io.tensors import load_arrays
 from ..networks.document import read_document
-from .kernels import add_bones, all_rigid, moving_frame, place, pose_features, skin
+from ..networks.features import FRAMES, PoseFeatures
+from ..networks.pose_kernels import all_rigid, moving_frame
+from .kernels import add_bones, place, skin
 from .pivot import Mixture, Pivot, read_pivot
 
 __all__ = ["LiveGarment", "LiveState", "load_live"]
 
 Single = NDArray[np.float32]
-_FRAMES = ("world", "root", "heading")
 # Pivots of less weight are not run: where predictions differ by 0.1 m, that is an error of 0.01 mm.
 _NO_WEIGHT = 1e-4
 _INFLUENCES = 8  # bones a vertex that the kernel blends
@@ -44,7 +45,7 @@ class LiveState:
     Attributes
     ----------
     pose : (18 + P,) float64
-        Pose state, as :mod:`garmentnet.runtime.kernels` describes it.
+        Pose state, as :mod:`garmentnet.networks.pose_kernels` describes it.
     hidden : tuple of (low (H,), high (H,)) float32
         Hidden states of the two GRUs of each pivot.
     bones : (B, 12) float32
@@ -86,15 +87,9 @@ class LiveGarment:
         mixture: Mixture | None = None,
     ) -> None:
         self.subject, self.features, self.pivots, self.mixture = subject, features, pivots, mixture
-        o = features
-        self.read = np.array(subject.skeleton.read(o.joints), np.int64)
-        self._options = (
-            o.rotation == "sixd", o.heading_free, o.translation, o.velocities, o.root_motion
-        )  # fmt: skip
-        self._code = len(self.read) * (6 if o.rotation == "sixd" else 3)
-        self.n_features = self._code * (1 + o.velocities) + 3 * o.translation + 12 * o.root_motion
-        self._frame = _FRAMES.index(o.frame)
-        self._parents = subject.skeleton.parents.astype(np.int64)
+        self._pose = PoseFeatures(subject.skeleton, features, subject.fps)
+        self.read, self.n_features = self._pose.read, self._pose.size
+        self._frame = FRAMES.index(features.frame)
         self._free, self._skin = subject.free, _skin_arrays(subject, pivots[0].high is not None)
         self._sizes = [tuple(map(len, p.start)) for p in pivots]
         self._weights = functools.lru_cache(maxsize=1)(self._weigh)
@@ -162,14 +157,8 @@ class LiveGarment:
         if state is not None and not self._owns(state):
             raise InputError("state", "one of this garment", "another garment's")
         weights, theta = self._weights(parameters)
-        x, row = np.empty(self.n_features), np.empty(18 + self._code)
-        s, begins = self.subject, state is None
-        before = row if state is None else state.pose
-        pose_features(
-            pose, s.skeleton.rest, self._parents, self.read, self._options, s.fps, begins,
-            before, row, x,
-        )  # fmt: skip
-        bones = np.zeros((s.garment.n_bones, 12), np.float32)
+        (x,), _, row = self._pose.of(pose[None], None if state is None else state.pose)
+        bones = np.zeros((self.subject.garment.n_bones, 12), np.float32)
         hidden, detail = [], []
         for k, pivot in enumerate(self.pivots):
             past = pivot.start if state is None else state.hidden[k]
@@ -183,7 +172,7 @@ class LiveGarment:
 
     def _owns(self, state: LiveState) -> bool:
         sizes = [(len(low), len(high)) for low, high in state.hidden]
-        return len(state.pose) == 18 + self._code and sizes == self._sizes
+        return len(state.pose) == self._pose.state_size and sizes == self._sizes
 
     def vertices(self, state: LiveState, pose: NDArray[np.float64]) -> Single:
         """World positions ``(V, 3)`` of the garment in a state, on the body in a pose; metres."""

@@ -80,7 +80,8 @@ def load_tracks(reader: PoseReader, bones: VirtualBones, names: Sequence[str]) -
         clip = bones.store.clip(name)
         features, frame, _ = reader.features(clip.joints)
         theta = clip.parameters.normalised() if reader.condition else None
-        tracks.append(Track(name, bones, reader.inputs(features, theta), frame))
+        inputs = torch.from_numpy(reader.inputs(features, theta))
+        tracks.append(Track(name, bones, inputs, frame))
     return tracks
 
 

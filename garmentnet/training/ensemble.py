@@ -1,4 +1,4 @@
-"""Training of an ensemble: one network for every training set, pivots, kernel, comparison."""
+"""Training of an ensemble: one network for every training set, pivots, kernel."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import dataclasses
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,22 +21,12 @@ from ..io.files import write_file
 from ..networks.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from ..networks.network import MotionNetwork
 from .loop import Progress
-from .pivots import (
-    Mixed,
-    fit_kernel,
-    gram,
-    inverse_distance,
-    left_out,
-    nearest,
-    select_pivots,
-)
+from .pivots import fit_kernel, gram, left_out, select_pivots
 from .run import train
 
-__all__ = ["Rule", "compare_networks", "train_ensemble"]
+__all__ = ["compare_networks", "train_ensemble"]
 
 Array = NDArray[np.float64]
-# Weights (K,) of pivots (K, P) at parameters (P,), all normalised.
-Rule = Callable[[Any, Any], Array]
 # Most clips of a parameter set on which networks are compared, since prediction takes long.
 _CLIPS = 4
 
@@ -61,9 +50,7 @@ def train_ensemble(
     config : Config
     folder : path
         Folder with a subfolder for each network, ``ensemble.safetensors``, and ``ensemble.json``:
-        `sets`, the training parameter sets; `pivots`, their indices; `test_mm`, the errors on the
-        test sets of ``rbf``, ``inverse distance`` and ``nearest``, for training motions
-        (``train``) and test motions (``test``).
+        `sets`, the training parameter sets, and `pivots`, their indices.
     start : Checkpoint, optional
         Network from whose weights every network starts; by default these are random.
     callback : callable, optional
@@ -115,37 +102,15 @@ def train_ensemble(
             raise InputError("callback", "an ensemble to be finished", f"stopped in {name}")
         networks.append(load_checkpoint(path).networks[0])
 
-    def compared(role: str, split: str) -> list[tuple[Array, Array]]:
-        some, out = [p for p in store.parameters() if roles[p] == role], []
-        for k, p in enumerate(some):
-            out.append((compare_networks(store, networks, p, split, o.frames), p.normalised()))
-            if progress:
-                progress(f"comparing networks, {split} motions", (k + 1) / len(some))
-        return out
-
     theta = np.stack([p.normalised() for p in sets])
-    grams = [q for q, _ in compared("train", "train")]
+    grams = []
+    for k, p in enumerate(sets):
+        grams.append(compare_networks(store, networks, p, "train", o.frames))
+        if progress:
+            progress("comparing networks", (k + 1) / len(sets))
     pivots = select_pivots(grams, theta, o.pivots or len(sets))
     kernel = fit_kernel(left_out(grams, theta, pivots), steps=o.steps, seed=config.train.seed)
-    rules: dict[str, Rule] = {
-        "rbf": kernel.weights,
-        "inverse distance": inverse_distance,
-        "nearest": nearest,
-    }
-    tests = {
-        split: [Mixed.of(pivots, theta, at, q) for q, at in compared("test", split)]
-        for split in ("train", "test")
-    }
-
-    def errors(rule: Rule) -> dict[str, float]:
-        found = {k: [m.error(rule) for m in mixed] for k, mixed in tests.items()}
-        return {k: 1e3 * float(np.mean(e)) for k, e in found.items() if e}
-
-    report = {
-        "sets": [dataclasses.asdict(p) for p in sets],
-        "pivots": pivots,
-        "test_mm": {name: errors(rule) for name, rule in rules.items()},
-    }
+    report = {"sets": [dataclasses.asdict(p) for p in sets], "pivots": pivots}
     write_file(folder / "ensemble.json", json.dumps(report, indent=1).encode())
     chosen = tuple(networks[k] for k in pivots)
     whole = Checkpoint(chosen, tuple(sets[k] for k in pivots), kernel)

@@ -22,8 +22,6 @@ from ssdr.errors import InputError
 from ..networks.ensemble import Kernel
 
 Array = NDArray[np.float64]
-# Distance of normalised parameters that counts as 0; their range is 2 long.
-_SAME = 1e-12
 # Square of 10 nm: an exact mixture has no gradient.
 _EXACT = 1e-16
 # Metres²; only against a division by 0 where all residuals vanish.
@@ -35,37 +33,9 @@ __all__ = [
     "extremes",
     "fit_kernel",
     "gram",
-    "inverse_distance",
     "left_out",
-    "nearest",
     "select_pivots",
 ]
-
-
-def inverse_distance(pivots: Any, theta: Any) -> Array:
-    """Weights ∝ 1 / ‖θ_i − θ‖, the paper's first alternative; 1 for a pivot at θ itself.
-
-    Examples
-    --------
-    >>> inverse_distance([[0.0], [3.0]], [1.0]).round(3).tolist()
-    [0.667, 0.333]
-    """
-    gap = np.linalg.norm(np.asarray(pivots, float) - np.asarray(theta, float), axis=1)
-    same = gap < _SAME
-    near = np.asarray(same, np.float64) if same.any() else 1 / gap
-    return np.asarray(near / near.sum())
-
-
-def nearest(pivots: Any, theta: Any) -> Array:
-    """Weight 1 for the pivot whose normalised parameters are closest.
-
-    Examples
-    --------
-    >>> nearest([[0.0], [3.0]], [1.0]).tolist()
-    [1.0, 0.0]
-    """
-    gap = np.linalg.norm(np.asarray(pivots, float) - np.asarray(theta, float), axis=1)
-    return np.asarray(np.arange(len(gap)) == gap.argmin(), float)
 
 
 def gram(predictions: Sequence[Any], truth: Any) -> Array:
@@ -198,7 +168,9 @@ def select_pivots(grams: Sequence[Array], parameters: Any, count: int) -> list[i
     return chosen
 
 
-def fit_kernel(learned: Sequence[Mixed], *, steps: int = 600, seed: int = 0) -> Kernel:
+def fit_kernel(
+    learned: Sequence[Mixed], *, steps: int = 600, seed: int = 0, kernel: type[Kernel] = Kernel
+) -> Kernel:
     """Train the kernel, leaving the pivot of one training parameter set out at a time.
 
     Parameters
@@ -209,6 +181,8 @@ def fit_kernel(learned: Sequence[Mixed], *, steps: int = 600, seed: int = 0) -> 
         Number of steps of Adam.
     seed : int
         Seed of the initial weights.
+    kernel : type of Kernel
+        A subclass has another function of the distance.
 
     Examples
     --------
@@ -218,18 +192,18 @@ def fit_kernel(learned: Sequence[Mixed], *, steps: int = 600, seed: int = 0) -> 
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        kernel = Kernel(len(learned[0].theta))
-    optimiser = torch.optim.Adam(kernel.parameters(), lr=1e-2, weight_decay=1e-3)
+        made = kernel(len(learned[0].theta))
+    optimiser = torch.optim.Adam(made.parameters(), lr=1e-2, weight_decay=1e-3)
     sets = [[torch.from_numpy(x) for x in mixed] for mixed in learned]
     for _ in range(steps):
         errors = []
         for pivots, theta, q in sets:
-            w = kernel(pivots, theta)
+            w = made(pivots, theta)
             errors.append((w @ q @ w).clamp(min=_EXACT).sqrt())
         optimiser.zero_grad()
         torch.autograd.backward(torch.stack(errors).mean())
         optimiser.step()
-    return kernel
+    return made
 
 
 def left_out(grams: Sequence[Array], parameters: Any, pivots: Sequence[int]) -> list[Mixed]:

@@ -18,7 +18,7 @@ from ..problem.check import check_problem
 from ..search.solve import solve
 from ..sequence import MeshSequence
 from ..shapes import Shapes
-from ..skinning import Skinning
+from ..skinning import Skinning, check_skinning
 from ..storage.size import key_bytes
 from .fit import Fit, checked
 
@@ -31,6 +31,7 @@ _FLAT = 0.1  # singular values of a blended matrix below this share of the large
 _ROUNDS = 8  # alternations
 _SETTLED = 1e-3  # fall of the error by which they end
 _MOST = 64  # shapes that are tried for a tolerance
+_SURELY_BONES = 0.3  # worth by half the bones below which that of more bones is not asked
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -79,7 +80,8 @@ def fit_shapes(
     A shape takes the bytes of many bones, and where more bones would do as well, none is made: with
     s the share of what bones leave that k shapes give back, and with g the fall of the logarithm of
     the squared error for each further bone, a shape replaces −ln(1 − s) / (k g) bones.  g is taken
-    from a quick search with half the bones.
+    from a quick search with half the bones or, where these decide nothing, with more bones, of the
+    same bytes as the shapes.
 
     Parameters
     ----------
@@ -126,7 +128,7 @@ def fit_shapes(
     >>> fit.displaced, round(fit.rmse, 6)
     (1, 0.0)
     """
-    given = checked(sequence, skinning)
+    given = checked(sequence, check_skinning(skinning))
     model, n_frames = dataclasses.replace(given.skinning, rest=given.rest), given.n_frames
     given.transforms()
     truth = np.concatenate([np.asarray(s.frames(slice(None)), float) for s in given.sequences])
@@ -150,14 +152,14 @@ def fit_shapes(
     else:
         enough = np.flatnonzero(rms * np.sqrt(np.maximum(1 - share[:_MOST], 0)) <= limit)
         count = int(enough[0]) + 1 if len(enough) else min(_MOST, len(share))
-    worth = _worth(given.sequences, model, rms, share[count - 1], count)
-    if worth <= 1:
-        return _measured(truth, model, worth=worth)
-    found = _measured(truth, _alternated(model, left, amounts[:, :count], names), worth=worth)
-    while limit is not None and found.rmse > limit and count < min(_MOST, len(share)):
-        count += max(1, count // 8)
-        found = _measured(truth, _alternated(model, left, amounts[:, :count], names), worth=worth)
-    return found
+    while True:
+        found = _measured(truth, _alternated(model, left, amounts[:, :count], names))
+        if limit is None or found.rmse <= limit or count >= min(_MOST, len(share)):
+            break
+        count = min(count + max(1, count // 8), _MOST, len(share))
+    worth = _worth(given.sequences, model, rms, found.rmse, count)
+    found = found if worth > 1 else _measured(truth, model)
+    return dataclasses.replace(found, worth=worth)
 
 
 def _displaced(model: Skinning, left: Array, amounts: Any, limit: float, names: Any) -> Skinning:
@@ -227,32 +229,33 @@ def _alternated(model: Skinning, left: Array, amounts: Array, names: Any) -> Ski
 
 
 def _worth(
-    sequences: list[MeshSequence], model: Skinning, rms: float, share: float, count: int
+    sequences: list[MeshSequence], model: Skinning, rms: float, left: float, count: int
 ) -> float:
     """Bones that one of `count` shapes replaces, over those whose bytes it takes."""
-    frames, bones = model.n_frames, model.n_bones
-    half = max(1, bones // 2)
-    if bones < 2:
-        return math.inf
-    few = solve(
-        check_problem(
-            sequences,
-            None,
-            bones=half,
-            influences=min(8, model.n_influences),
-            effort="fast",
-            bone_model=model.bone_model,
-            rng=0,
-        )
-    )
-    # squared errors fall by a power of the number of bones, whose slope is steeper with few
-    power = 2 * math.log(max(few.rmse / rms, 1.0)) / math.log(bones / half)
-    gain = -math.log(max(1 - share, 1e-12)) / count
-    cost = (12 * model.n_vertices + 4 * frames) / (float(key_bytes(model).mean()) * frames)
-    return gain / max(power / bones, 1e-12) / cost
+    bones = model.n_bones
+    each = float(key_bytes(model).mean()) * model.n_frames
+    cost = (12 * model.n_vertices + 4 * model.n_frames) / each
+    gain = 2 * math.log(rms / max(left, 1e-9 * rms)) / (count * cost)
+
+    def error(number: int) -> float:
+        options: dict[str, Any] = {"bones": number, "bone_model": model.bone_model}
+        options |= {"influences": min(8, model.n_influences), "effort": "fast", "rng": 0}
+        return min(solve(check_problem(sequences, None, **options)).rmse, 1e9 * rms)
+
+    worth = math.inf
+    if bones > 1:
+        # squared errors fall about as a power of the number of bones, most steeply at first
+        half = bones // 2
+        power = 2 * math.log(max(error(half) / rms, 1.0)) / math.log(bones / half)
+        worth = gain / max(power / bones, 1e-12)
+    most = bones + max(1, round(count * cost))
+    if _SURELY_BONES <= worth <= 1 or (bones == 1 and most <= model.n_vertices):
+        fall = 2 * math.log(max(rms / max(error(most), 1e-9 * rms), 1.0))
+        worth = gain / max(fall / (most - bones), 1e-12)
+    return worth
 
 
-def _measured(truth: Array, model: Skinning, *, worth: float | None = None) -> ShapeFit:
+def _measured(truth: Array, model: Skinning) -> ShapeFit:
     squares = ((model.skin(dtype=np.float64) - truth) ** 2).sum(axis=2)
     return ShapeFit(
         skinning=model,
@@ -260,5 +263,4 @@ def _measured(truth: Array, model: Skinning, *, worth: float | None = None) -> S
         rmse=math.sqrt(float(squares.mean())),
         max_error=math.sqrt(float(squares.max())),
         displaced=0 if model.shapes is None else int(model.shapes.moved.sum()),
-        worth=worth,
     )

@@ -34,6 +34,7 @@ from ..skinning import Skinning
 from .registry import SaveReport
 from .sampling import off_frames
 from .storage_error import StorageError, frame_blocks
+from .stretch import steady_axes
 from .tables import weight_rows
 
 # frames per second in use in film, television and motion capture
@@ -60,8 +61,8 @@ class Rig:
         Unit quaternions xyzw, whose signs do not flip between consecutive frames.
     translations : (F, B, 3) float32
         Position of each joint.
-    scales : (F, B) float32 or None
-        None if every scale is 1.
+    scales : (F, B, 3) float32 or None
+        Factors along the axes of each joint; None if every one is 1.
     parents : (B,) int32 or None
         -1 at roots; None without a hierarchy.
     offsets : (B, 3) float32
@@ -78,6 +79,8 @@ class Rig:
         are aligned with the world.
     shapes : Shapes or None
         Shapes of the rest pose, with the amounts of every frame.
+    moving : (D,) int or None
+        The joints that move vertices, to which `indices` refer; None if they are all of them.
     """
 
     rest: NDArray[np.float32]
@@ -95,6 +98,7 @@ class Rig:
     clips: tuple[Clip, ...]
     axes: NDArray[np.float64] | None = None
     shapes: Shapes | None = None
+    moving: NDArray[np.int64] | None = None
 
     @property
     def n_frames(self) -> int:
@@ -126,8 +130,8 @@ class Rig:
         u = share[..., None]
         moved = (1 - u) * self.translations[a, bone] + u * self.translations[b, bone]
         if self.scales is not None:
-            scale = (1 - share) * self.scales[a, bone] + share * self.scales[b, bone]
-            rotation = rotation * scale[..., None, None]
+            scale = (1 - u) * self.scales[a, bone] + u * self.scales[b, bone]
+            rotation = rotation * scale[..., None, :]
         if self.parents is not None:
             frames = to_world(np.concatenate([rotation, moved[..., None]], axis=-1), self.parents)
             if self.axes is not None:
@@ -136,9 +140,14 @@ class Rig:
         shift = moved - np.einsum("fbij,bj->fbi", rotation, self.centers.astype(np.float64))
         return np.concatenate([rotation, shift[..., None]], axis=-1)
 
+    def bone_matrices(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Those of :meth:`matrices` that move vertices, in the order of the model's bones."""
+        moves = self.matrices(times)
+        return moves if self.moving is None else moves[:, self.moving]
+
     def skin(self, times: NDArray[np.float64]) -> NDArray[np.floating]:
         """Vertices ``(n, V, 3)`` at n `times` (in frames), from the stored arrays in float64."""
-        rest, moves = self.rest.astype(np.float64), self.matrices(times)
+        rest, moves = self.rest.astype(np.float64), self.bone_matrices(times)
         skinned = self.indices, weight_values(self.weights)
         if self.shapes is None:
             return skin(rest, *skinned, moves)
@@ -189,8 +198,12 @@ def build_rig(
     influences: int | None = None,
     most: int | None = None,
     storage: WeightStorage = "float32",
+    stretch: bool = False,
 ) -> Rig:
     """Rig whose joints are those of the skinning's hierarchy or, without one, bone centroids.
+
+    A bone M = U S Vᵀ that stretches becomes two joints: one that turns by U and scales by S, with
+    the name of the bone and "_stretch", and below it that of the bone, which turns by Vᵀ.
 
     Parameters
     ----------
@@ -201,12 +214,14 @@ def build_rig(
         Largest number of weights for each vertex that the format can hold.
     storage : {"float32", "uint16", "uint8"}
         Type in which weights are stored.
+    stretch : bool
+        Whether the format plays scales along the axes of a joint, so that bones may stretch.
 
     Raises
     ------
     InputError
-        If a vertex has more than `most` weights, the transform of a bone is not a scaled rotation,
-        or coordinates are too large for float32.
+        If a vertex has more than `most` weights, a bone stretches and may not, or mirrors, or
+        coordinates are too large for float32.
     """
     if influences is not None:
         skinning = skinning.prune(influences)
@@ -218,9 +233,13 @@ def build_rig(
             indices.shape[1],
         )
     parents, transforms = skinning.parents, np.asarray(skinning.transforms, dtype=np.float64)
-    scales = _scales_of(transforms[..., :3])
+    kind = skinning.bone_model
     # what calls itself rigid may be off by rounding, but a scale that would be seen is kept
-    rounding = 1e-3 if skinning.bone_model == "rigid" else 1e-6
+    rounding = 1e-3 if kind == "rigid" else 1e-6
+    scales, off = _scales_of(transforms[..., :3])
+    stretched = off.max() > (1e-6 if stretch and kind == "affine" else 1e-3)
+    if (stretched and not stretch) or (scales <= 0).any():
+        _refuse_stretch(off)
     scaled = np.abs(scales - 1).max() >= rounding
     at = skinning.centroids() if parents is None else skinning.joint_positions
     centers = np.asarray(at, dtype=np.float32)
@@ -240,12 +259,14 @@ def build_rig(
         steady = np.where(moving[:, None], rest_offsets(parents, at), local[..., 3].mean(axis=0))
         offsets = steady.astype(np.float32)
         local[..., 3] = np.where(moving[:, None], local[..., 3], offsets)
-    linear, sizes = local[..., :3], None
-    if scaled:
-        sizes = np.cbrt(np.linalg.det(linear))
-        linear = linear / sizes[..., None, None]
+    linear, sizes, within = local[..., :3], None, None
+    if stretched:
+        linear, sizes, within = steady_axes(linear)
+    elif scaled:
+        sizes = np.repeat(np.cbrt(np.linalg.det(linear))[..., None], 3, axis=2)
+        linear = linear / sizes[..., None]
     rotations = quaternion_from_matrix(linear)
-    return Rig(
+    rig = Rig(
         rest=skinning.rest.astype(np.float32),
         indices=indices,
         weights=weights,
@@ -261,6 +282,35 @@ def build_rig(
         clips=skinning.clips,
         shapes=None if skinning.shapes is None else _in_float32(skinning.shapes),
     )
+    return rig if within is None else _with_inner(rig, within)
+
+
+def _with_inner(rig: Rig, within: NDArray[np.float64]) -> Rig:
+    """Rig with another joint below each, which turns by matrices (F, B, 3, 3) and is its bone.
+
+    The outer joint of a bone hangs on the inner one of its parent.
+    """
+    count, above = rig.n_bones, -1 if rig.parents is None else rig.parents
+    own = np.arange(count, dtype=np.int32)
+    turns = unflip_quaternions(quaternion_from_matrix(within)).astype(np.float32)
+
+    def both(first: NDArray[Any], second: Any, axis: int = 1) -> NDArray[Any]:
+        return np.concatenate([first, np.broadcast_to(second, first.shape)], axis=axis)
+
+    assert rig.scales is not None
+    return dataclasses.replace(
+        rig,
+        centers=both(rig.centers, rig.centers, 0),
+        rotations=both(rig.rotations, turns),
+        translations=both(rig.translations, np.float32(0)),
+        scales=both(rig.scales, np.float32(1)),
+        parents=np.concatenate([np.where(above + 0 * own >= 0, above + count, -1), own]),
+        offsets=both(rig.offsets, np.float32(0), 0),
+        translating=both(rig.translating, False, 0),
+        keys=both(rig.keys, rig.keys),
+        names=unique_names([*(f"{name}_stretch" for name in rig.names), *rig.names]),
+        moving=own.astype(np.int64) + count,
+    )
 
 
 def _in_float32(shapes: Shapes) -> Shapes:
@@ -274,21 +324,25 @@ def _sorted_weights(skinning: Skinning) -> tuple[NDArray[np.int32], NDArray[np.f
     return indices, weights / weights.sum(axis=1, keepdims=True)
 
 
-def _scales_of(linear: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Scale factors (F, B) of the matrices (F, B, 3, 3), which must be scaled rotations."""
+def _scales_of(linear: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Scale (F, B) of each matrix (F, B, 3, 3), and how far it is from a rotation of that scale.
+
+    The second is inf where a matrix mirrors.
+    """
     scales = np.cbrt(np.linalg.det(linear))
     rotations = linear / np.where(scales > 0, scales, 1.0)[..., None, None]
     off = np.abs(np.swapaxes(rotations, -1, -2) @ rotations - np.eye(3)).max(axis=(-1, -2))
-    off = np.where(scales > 0, off, np.inf)
-    if off.max() > 1e-3:
-        frame, bone = (int(k) for k in np.unravel_index(int(off.argmax()), off.shape))
-        raise InputError(
-            "thing",
-            "bones that are scaled rotations, all that a node of this format can hold; "
-            "save the vertices instead, as MeshSequence(skinning.skin(), skinning.faces)",
-            f"a shear or reflection (bone {bone}, frame {frame})",
-        )
-    return np.asarray(scales)
+    return scales, np.where(scales > 0, off, np.inf)
+
+
+def _refuse_stretch(off: NDArray[np.float64]) -> None:
+    frame, bone = (int(k) for k in np.unravel_index(int(off.argmax()), off.shape))
+    raise InputError(
+        "thing",
+        "bones that are scaled rotations, all that a node of this format can hold; "
+        "save the vertices instead, as MeshSequence(skinning.skin(), skinning.faces)",
+        f"a shear or reflection (bone {bone}, frame {frame})",
+    )
 
 
 def _stored_frames(skinning: Skinning) -> NDArray[np.bool_]:

@@ -11,6 +11,7 @@ import math
 from ..problem.problem import Effort
 
 __all__ = [
+    "LARGE",
     "MANY_BONES",
     "NUMBERS",
     "REBUILDS",
@@ -105,6 +106,7 @@ REBUILDS = (  # size below which the numbers hold, and the numbers
     (math.inf, Rebuilds(trials=6, before=0, after=3, trees=1, tree_searches=3)),
 )
 TRIALS_OF_A_REBUILD = 6
+LARGE = 2e8  # size from which on "balanced" makes no trials: each would take many seconds
 # Least vertices for each bone of a sample on which influences are relaxed; 60 are overfitted.
 RELAXED_VERTICES = 128
 # From this number of bones on there are several starts with few trials each, because alternations

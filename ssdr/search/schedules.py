@@ -15,6 +15,7 @@ from ..problem.problem import Effort, RigKind
 from .bone_steps import add_and_merge, move_bones, search
 from .descent import Descent
 from .efforts import (
+    LARGE,
     MANY_BONES,
     NUMBERS,
     RELAXED_VERTICES,
@@ -117,19 +118,20 @@ def free_bones(d: Descent, effort: Effort, size: float, *, stretching: bool) -> 
         relax_bones(d)
         relax_from_rigid(d)
         return
-    on_sample(d, relax_and_try, least=RELAXED_VERTICES, most=2 * RELAXED_VERTICES, free=False)
+    relax_few = partial(relax_and_try, trials=0 if size > LARGE else TRIALS_OF_A_START)
+    on_sample(d, relax_few, least=RELAXED_VERTICES, most=2 * RELAXED_VERTICES, free=False)
     # smooth motion, such as a cloth's, takes many steps
     last_polish(d, steps=200, gain=0.008)
 
 
-def relax_and_try(d: Descent) -> None:
+def relax_and_try(d: Descent, trials: int) -> None:
     """Polish, relax, and try a few changes; with bones that stretch, this leads to worse minima."""
     polish(d, steps=60, gain=0.01)
     # five polish steps in place of two end 1 % lower to 2 % higher on six sequences
     relax(d, polish_steps=2)
     polish(d, steps=20, gain=0.01)
     # four trials lower the error by 1 to 15 %, on a sample in little time
-    search(d, steps=TRIALS_OF_A_START)
+    search(d, steps=trials)
     return_to_best(d)
 
 

@@ -135,7 +135,8 @@ def coarse_rig(
         If the numbers that a file can hold are too coarse for the tolerance.
     """
     rig = build_rig(model, **options)
-    arm = np.linalg.norm(rig.rest[:, None] - rig.centers[rig.indices], axis=2)
+    at = rig.centers if rig.moving is None else rig.centers[rig.moving]
+    arm = np.linalg.norm(rig.rest[:, None] - at[rig.indices], axis=2)
     reach = float(arm[rig.weights > 0].max(initial=0.0))
     grid = Grid.of([rig.rest, *(level.rest for level in levels)], reach, tolerance)
     whole = grid.round(rig)

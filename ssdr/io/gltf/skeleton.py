@@ -19,7 +19,8 @@ def add_weights(builder: Builder, rig: Rig, vertex: NDArray[np.integer]) -> dict
 
     Each pair of attributes, ``JOINTS_k`` and ``WEIGHTS_k``, holds four influences of a vertex.
     """
-    narrow = np.uint8 if rig.n_bones <= 256 else np.uint16
+    count = rig.n_bones if rig.moving is None else len(rig.moving)
+    narrow = np.uint8 if count <= 256 else np.uint16
     pad = ((0, 0), (0, -rig.weights.shape[1] % 4))
     joints = np.pad(rig.indices[vertex].astype(narrow), pad)
     weights = np.pad(rig.weights[vertex], pad)
@@ -53,16 +54,17 @@ def add_skin(builder: Builder, rig: Rig, title: str, first: int) -> dict[str, An
 
     The skeleton's root is node `first` of the file, and its joints are the nodes that follow.
     """
-    inverse = np.tile(np.eye(4, dtype=np.float32), (rig.n_bones, 1, 1))
-    axes = np.tile(np.eye(3), (rig.n_bones, 1, 1)) if rig.axes is None else rig.axes
+    moving = np.arange(rig.n_bones) if rig.moving is None else rig.moving
+    inverse = np.tile(np.eye(4, dtype=np.float32), (len(moving), 1, 1))
+    axes = np.tile(np.eye(3), (len(moving), 1, 1)) if rig.axes is None else rig.axes
     # glTF stores matrices column by column, so that rows here are the columns of the matrix.
     inverse[:, :3, :3] = axes
-    inverse[:, 3, :3] = -np.einsum("bji,bj->bi", axes, rig.centers.astype(np.float64))
+    inverse[:, 3, :3] = -np.einsum("bji,bj->bi", axes, rig.centers[moving].astype(np.float64))
     return {
         "name": title,
         "inverseBindMatrices": builder.accessor(inverse.reshape(-1, 16), "MAT4", use="inverse"),
         "skeleton": first,
-        "joints": list(range(first + 1, first + 1 + rig.n_bones)),
+        "joints": (first + 1 + moving).tolist(),
     }
 
 
@@ -84,8 +86,8 @@ def add_animation(
         tracks = [("rotation", rig.rotations[keys, bone], "VEC4")]
         if rig.translating[bone]:
             tracks.insert(0, ("translation", rig.translations[keys, bone], "VEC3"))
-        if rig.scales is not None:
-            tracks.append(("scale", np.repeat(rig.scales[keys, bone][:, None], 3, axis=1), "VEC3"))
+        if rig.scales is not None and (rig.scales[:, bone] != 1).any():
+            tracks.append(("scale", rig.scales[keys, bone], "VEC3"))
         for path, values, kind in tracks:
             target = {"node": first + 1 + bone, "path": path}
             channels.append({"sampler": len(samplers), "target": target})

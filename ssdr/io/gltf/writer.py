@@ -52,7 +52,8 @@ def write_skinning(
     Parameters
     ----------
     skinning : Skinning
-        Rigid or similarity bones, in metres with y up.  Its shapes become morph targets, whose
+        In metres with y up.  A bone that stretches becomes two nodes, of which the outer one turns
+        and scales and the inner one, the joint, turns.  Its shapes become morph targets, whose
         normals are fitted; not with a template or levels.
     path : Path
     influences : int, optional
@@ -104,7 +105,7 @@ def write_skinning(
     ----------
     Khronos, "glTF 2.0 specification", sections 3.7.3 (skins) and 3.11 (animations).
     """
-    rounding: dict[str, Any] = {"influences": influences, "most": 8, "storage": weights}
+    rounding = _rounding(influences, weights)
     title = name or skinning.name or path.stem
     rig, builder = _rounded(skinning, compression, tolerance, levels, rounding)
     if template is not None or levels:
@@ -137,7 +138,7 @@ def compact_size(
     skinning, influences, weights, name, compression, tolerance
         As for :func:`write_skinning`.
     """
-    rounding: dict[str, Any] = {"influences": influences, "most": 8, "storage": weights}
+    rounding = _rounding(influences, weights)
     rig, builder = _rounded(skinning, compression, tolerance, (), rounding)
     _fill(builder, skinning, rig, name or skinning.name)
     with tempfile.TemporaryDirectory(prefix="ssdr-") as folder:
@@ -151,7 +152,7 @@ def compact_size(
         rest=rig.rest.astype(np.float64),
         indices=rig.indices,
         weights=weight_values(rig.weights),
-        transforms=rig.matrices(np.arange(rig.n_frames, dtype=np.float64)),
+        transforms=rig.bone_matrices(np.arange(rig.n_frames, dtype=np.float64)),
         surface=surface,
         shapes=rig.shapes,
         parents=None,
@@ -159,6 +160,11 @@ def compact_size(
         keyframes=None,
     )
     return size, decoded
+
+
+def _rounding(influences: int | None, weights: WeightStorage) -> dict[str, Any]:
+    """Options of :func:`~ssdr.io.rig.build_rig`."""
+    return {"influences": influences, "most": 8, "storage": weights, "stretch": True}
 
 
 def _rounded(

@@ -41,8 +41,9 @@ def put_skeleton(
     Returns
     -------
     list of str or None
-        The joints' paths in the order of the rig's bones; None if the skeleton has its joints in
-        that order. It has them in another if a bone comes before its parent, which USD forbids.
+        The paths of the joints that move vertices, in the order of the model's bones; None if the
+        skeleton has these joints, in that order. It has them in another if a bone comes before its
+        parent, which USD forbids.
     """
     plain = unique_names([identifier(bone) for bone in rig.names])
     order = np.arange(rig.n_bones)
@@ -81,6 +82,8 @@ def put_skeleton(
         animation.GetPrim().SetCustomDataByKey("ssdr", stated)
     binding = UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
     binding.CreateAnimationSourceRel().SetTargets([places[0]])
+    if rig.moving is not None:
+        return [paths[bone] for bone in rig.moving]
     return paths if (order != np.arange(rig.n_bones)).any() else None
 
 
@@ -102,8 +105,7 @@ def _put_keys(
         translations.Set(Vt.Vec3fArray.FromNumpy(rig.translations[frame, order]), code)
         rotations.Set(Vt.QuatfArray.FromNumpy(rig.rotations[frame, order]), code)
         if rig.scales is not None:
-            sizes = rig.scales[frame, order][:, None].astype(np.float16)
-            scales.Set(Vt.Vec3hArray.FromNumpy(ones * sizes), code)
+            scales.Set(Vt.Vec3hArray.FromNumpy(rig.scales[frame, order].astype(np.float16)), code)
     if rig.shapes is not None:
         animation.CreateBlendShapesAttr(_shape_tokens(rig.shapes))
         weights = animation.CreateBlendShapeWeightsAttr()

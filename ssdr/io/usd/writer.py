@@ -47,7 +47,8 @@ def write_skinning(
     Parameters
     ----------
     skinning : Skinning
-        Rigid or similarity bones.  Its shapes become blend shapes without normals of their own.
+        A bone that stretches becomes two joints.  Its shapes become blend shapes without normals of
+        their own.
     path : Path
         ``.usda`` (text), ``.usdc`` or ``.usd`` (binary).
     influences : int, optional
@@ -78,14 +79,13 @@ def write_skinning(
     Raises
     ------
     InputError
-        If a bone is neither rigid nor a similarity, an option is not usable, or the model does not
-        fit the template.
+        If a bone mirrors, an option is not usable, or the model does not fit the template.
 
     References
     ----------
     Pixar, "UsdSkel schemas", https://openusd.org/release/api/usd_skel_page_front.html
     """
-    rig = build_rig(skinning, influences=influences)
+    rig = build_rig(skinning, influences=influences, stretch=True)
     # A SkelAnimation stores all joints at each time code, so a key of one joint is a key of all.
     together = np.broadcast_to(rig.keys.any(axis=1, keepdims=True), rig.keys.shape)
     rig = dataclasses.replace(

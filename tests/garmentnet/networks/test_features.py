@@ -41,6 +41,50 @@ def test_pieces_give_the_same(moved, options):
         assert np.array_equal(np.concatenate(frames), frame)
 
 
+def naive(skeleton, options, joints):
+    """Features and moving frame of a motion, frame by frame, with SciPy's rotations."""
+    rows, frames, past = [], [], None
+    for m in joints:
+        world = [Rotation.from_matrix(x[:, :3]) for x in m]
+        root, place = world[0], m[0, :, :3] @ skeleton.rest[0] + m[0, :, 3]
+        _, y, _, w = root.as_quat()
+        heading = Rotation.from_quat([0, y, 0, w])  # the twist of swing and twist
+        local = [
+            world[p].inv() * r if p >= 0 else heading.inv() * r if options.heading_free else r
+            for p, r in zip(skeleton.parents, world, strict=True)
+        ]
+        if options.rotation == "vector":
+            pose = np.concatenate([r.as_rotvec() for r in local])
+        else:
+            pose = np.concatenate([r.as_matrix()[:, :2].T.ravel() for r in local])
+        first, *before = past or (place, place, np.zeros(3), root, pose)
+        speed = (place - before[0]) * toy.FPS
+        turn = (root * before[2].inv()).as_rotvec() * toy.FPS
+        row = [place - first] if options.translation else []
+        row += [pose, (pose - before[3]) * toy.FPS] if options.velocities else [pose]
+        if options.root_motion:
+            moves = [heading.inv().apply(v) for v in (speed, (speed - before[1]) * toy.FPS, turn)]
+            row += [*moves, moves[2] ** 2]
+        past = first, place, speed, root, pose
+        rows.append(np.concatenate(row))
+        of = {"root": root, "heading": heading, "world": Rotation.identity()}[options.frame]
+        at = 0 * place if options.frame == "world" else place
+        frames.append(np.column_stack([of.as_matrix(), at]))
+    return np.array(rows), np.array(frames)
+
+
+@pytest.mark.parametrize(
+    "options", [FAITHFUL, ROOTED, dataclasses.replace(ROOTED, frame="world", translation=True)]
+)
+def test_features_are_those_of_a_naive_twin(moved, options):
+    skeleton, joints, _ = moved
+    x, frame, _ = PoseFeatures(skeleton, options, toy.FPS)(joints)
+    expected, frames = naive(skeleton, options, joints)
+    # Speeds and accelerations divide rounding by 1/30 s and by its square.
+    assert np.abs(x - expected).max() < 1e-9
+    assert np.abs(frame - frames).max() < 1e-12
+
+
 def world(joints, angle, shift):
     """The same motion elsewhere on the floor and facing elsewhere."""
     turn = Rotation.from_euler("y", angle).as_matrix()

@@ -10,7 +10,8 @@ import trimesh
 
 pytest.importorskip("zarr")
 
-from garmentnet.scenes.body import default_body, load_body, make_body, save_body
+from benchmarks.garment.make_body import make_body
+from garmentnet.scenes.body import default_body, load_body, save_body
 from ssdr.errors import FormatError
 
 BODY = default_body()

@@ -8,15 +8,14 @@ torch = pytest.importorskip("torch")
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.garment.rules import inverse_distance, nearest
 from garmentnet.training.pivots import (
     Mixed,
     convex_fit,
     extremes,
     fit_kernel,
     gram,
-    inverse_distance,
     left_out,
-    nearest,
     select_pivots,
 )
 from ssdr.errors import InputError

@@ -234,57 +234,6 @@ def test_smoothness_ends_at_the_solution_of_the_dense_system() -> None:
     np.testing.assert_allclose(fit.skinning.dense_weights(), expected, atol=1e-4)
 
 
-MASK = np.ones((120, 5), bool)
-
-
-@pytest.mark.parametrize(
-    ("function", "argument", "change"),
-    [
-        ("weights", "transforms", {"transforms": None}),
-        ("weights", "transforms", {"transforms": CHAIN.transforms[:-1]}),
-        ("weights", "transforms", {"rest": CHAIN.skinning}),
-        ("weights", "rest", {"rest": CHAIN.rest[:-1]}),
-        ("weights", "rest", {"rest": "rest"}),
-        ("weights", "allowed", {"allowed": MASK.astype(int)}),
-        ("weights", "allowed", {"allowed": MASK[:, :4]}),
-        ("weights", "allowed", {"allowed": MASK.T}),
-        ("weights", "allowed", {"allowed": np.arange(120)[:, None] != 7 * np.ones(5)}),
-        ("weights", "prior", {"prior": DENSE[:-1], "prior_length": 1.0}),
-        ("weights", "prior", {"prior": 2 * DENSE, "prior_length": 1.0}),
-        ("weights", "prior", {"prior": "paint", "prior_length": 1.0}),
-        ("weights", "prior_length", {"prior": DENSE}),
-        ("weights", "prior_length", {"prior": DENSE, "prior_length": -1.0}),
-        ("weights", "prior_length", {"prior_length": 1.0}),
-        ("weights", "vertex_importance", {"vertex_importance": np.zeros(120)}),
-        ("weights", "frame_importance", {"frame_importance": np.ones(19)}),
-        ("weights", "frame_importance", {"frame_importance": np.arange(20)}),
-        ("weights", "bone_model", {"bone_model": "soft"}),
-        ("bones", "weights", {"weights": None}),
-        ("bones", "indices", {"indices": np.zeros((120, 2), int)}),
-        ("bones", "indices", {"indices": -np.ones(CHAIN.indices.shape, int)}),
-        ("bones", "indices", {"rest": CHAIN.skinning}),
-        ("bones", "weights", {"indices": None, "weights": DENSE[:-1]}),
-        ("bones", "weights", {"indices": None, "weights": 2 * DENSE}),
-        ("bones", "from_transforms", {"from_transforms": True}),
-        ("bones", "locked_bones", {"locked_bones": [1]}),
-        ("rest_pose", "transforms", {"transforms": None}),
-        ("rest_pose", "weights", {"weights": None}),
-        ("rest_pose", "weights", {"indices": None, "weights": DENSE[:, :4]}),
-        ("rest_pose", "indices", {"indices": 5 + CHAIN.indices}),
-    ],
-)
-def test_refuses(function: str, argument: str, change: dict[str, Any]) -> None:
-    needs = {
-        "weights": ("rest", "transforms"),
-        "bones": ("rest", "indices", "weights"),
-        "rest_pose": ("rest", "indices", "weights", "transforms"),
-    }[function]
-    parts = {name: getattr(CHAIN, name) for name in needs}
-    with pytest.raises(ssdr.InputError) as caught:
-        getattr(ssdr, f"fit_{function}")(FRAMES, **(parts | change))
-    assert caught.value.argument == argument
-
-
 class Tensor:
     """What frameworks hand over: their own dtype, an array on request, not with a gradient."""
 

@@ -50,19 +50,3 @@ def test_the_callback_ends_it() -> None:
     seen = []
     ssdr.ssdr2012(_frames(), bones=3, callback=lambda p: seen.append(p) or len(seen) == 4)
     assert len(seen) == 4
-
-
-@pytest.mark.parametrize(
-    ("options", "name"),
-    [
-        ({"bones": 0}, "bones"),
-        ({"bones": 3, "influences": 0}, "influences"),
-        ({"bones": 3, "iterations": -1}, "iterations"),
-        ({"bones": 3, "callback": 5}, "callback"),
-        ({"bones": 3, "rest": np.zeros((4, 3))}, "rest"),
-        ({"bones": 3, "bone_model": "affine"}, "bone_model"),
-    ],
-)
-def test_refusals(options: dict, name: str) -> None:
-    with pytest.raises(ssdr.InputError, match=f"^{name}: "):
-        ssdr.ssdr2012(_frames(), **options)

@@ -166,11 +166,11 @@ def test_points_without_faces_and_one_frame(path):
     assert largest_distance(back.vertices, bare.skin()) < 1e-6
 
 
-def test_shear_and_odd_options_are_refused_before_anything_is_written(path):
+def test_reflections_and_odd_options_are_refused_before_anything_is_written(path):
     model = tube(frames=4)
-    sheared = model.transforms.copy()
-    sheared[3, 2, 0, 1] += 0.5
-    affine = dataclasses.replace(model, transforms=sheared, bone_model="affine")
+    mirrored = model.transforms.copy()
+    mirrored[3, 2, :, 0] *= -1
+    affine = dataclasses.replace(model, transforms=mirrored, bone_model="affine")
     with pytest.raises(ssdr.InputError, match=r"bone 2, frame 3"):
         ssdr.save(affine, path)
     for options in ({"up": "x"}, {"influences": 0}, {"influences": 1.5}):

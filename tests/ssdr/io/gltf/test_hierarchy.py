@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import ssdr
+from helpers.rig_model import largest_distance
 from helpers.rig_tree import NAMES, PARENTS, creature, differences, tree_of
 from ssdr.io.gltf.writer import write_along_bones
 
@@ -113,15 +114,17 @@ def test_animals_are_read_and_written_again(tmp_path, data_dir, name):
     assert max(differences(model, back).values()) < 1e-6
 
 
-def test_joints_scaled_unevenly_are_read_and_refused_where_no_node_holds_them(edited, tmp_path):
+def test_joints_scaled_unevenly_are_read_and_written_as_two_nodes_each(edited, tmp_path):
     edited["leg"]["scale"] = [1, 2, 1]
     back = edited.read()
     assert back.bone_model == "affine"
     assert tree_of(back) == tree_of(creature())
     assert np.isfinite(back.local_transforms()).all()
     ssdr.save(back, tmp_path / "b.npz")
-    with pytest.raises(ssdr.InputError, match="scaled rotations"):
-        ssdr.save(back, tmp_path / "b.glb")
+    ssdr.save(back, tmp_path / "b.glb")
+    again = ssdr.load_skinning(tmp_path / "b.glb")
+    assert tree_of(again) == tree_of(back)
+    assert largest_distance(again.skin(), back.skin()) < 1e-5
 
 
 def test_joints_without_bind_matrices_and_without_size(edited):

@@ -19,20 +19,19 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 import ssdr
-
-from ..configs.config import Config, load_config, override
-from ..data.clip import MIRRORED, Clip
-from ..data.virtual_bones import VirtualBones
-from ..networks.features import PoseReader, transforms_in_frame
-from ..networks.gru import GRULinear
-from ..networks.skinning import apply_frame, remove_frame
-from ..training.batches import Track, load_tracks
-from ..training.coefficients import CoefficientObjective
-from ..training.loop import Progress, fit
-from ..training.run import pose_reader
-from ..training.shapes import ShapeBasis
-from .baselines import body_skinning
-from .methods import Array, Method
+from garmentnet.configs.config import Config, load_config, override
+from garmentnet.data.clip import MIRRORED, Clip
+from garmentnet.data.virtual_bones import VirtualBones
+from garmentnet.evaluation.baselines import body_skinning
+from garmentnet.evaluation.methods import Array, Method
+from garmentnet.networks.features import PoseReader, transforms_in_frame
+from garmentnet.networks.gru import GRULinear
+from garmentnet.networks.skinning import apply_frame, remove_frame
+from garmentnet.training.batches import Track, load_tracks
+from garmentnet.training.coefficients import CoefficientObjective
+from garmentnet.training.loop import Progress, fit
+from garmentnet.training.run import pose_reader
+from garmentnet.training.shapes import ShapeBasis
 
 __all__ = [
     "FrameMLP",
@@ -175,7 +174,7 @@ class Regression(Method):
     @torch.no_grad()
     def _parts(self, clip: Clip) -> dict[Part, Array]:
         features, frame, _ = self.reader.features(clip.joints)
-        x = self.reader.inputs(features, None)[None]
+        x = torch.from_numpy(self.reader.inputs(features, None))[None]
         joints = transforms_in_frame(clip.joints, frame)
         out: dict[Part, Array] = {}
         for part, (net, basis) in self.nets.items():

@@ -1,44 +1,53 @@
 """The paper's tables (Pan et al. 2022, section 6) on simulated data sets.
 
+Data sets that are missing are simulated, networks and baselines trained, and the tables printed::
+
+    python benchmarks/garment/reproduce.py --only table2
+
 Every training has a folder of its own and every table a file.  Those that exist are not made again,
 so that a run that was stopped continues.
 """
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import json
 import math
 import os
+import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+
+from benchmarks.garment.intervals import interval_cell, intervals
+from benchmarks.garment.matching import MotionMatching
+from benchmarks.garment.published import BASELINES, SANTESTEBAN, train_chen
+from benchmarks.garment.regression import Variant, train_regression
+from benchmarks.garment.rules import Rule, Ruled, inverse_distance, nearest
+from garmentnet.cli.progress import progress_bar
+from garmentnet.configs.config import Config, load_config, override
+from garmentnet.data.store import ClipStore
+from garmentnet.data.virtual_bones import VirtualBones, parameter_roles, virtual_bones
+from garmentnet.evaluation.baselines import BodySkinned, MeanShape
+from garmentnet.evaluation.methods import BonesThemselves, MeanDetail, Method, Network
+from garmentnet.evaluation.reporting import RECORDED, group_of
+from garmentnet.evaluation.scores import evaluate
+from garmentnet.evaluation.tables import markdown
+from garmentnet.io.files import write_file
+from garmentnet.networks.checkpoint import Checkpoint, load_checkpoint
+from garmentnet.scenes.dataset import make_data_set, recorded_motions
+from garmentnet.scenes.scene_file import load_data_set
+from garmentnet.training.batches import load_tracks
+from garmentnet.training.ensemble import train_ensemble
+from garmentnet.training.run import choose_clips, train, with_mirrored
 from ssdr.errors import InputError
-
-from ..configs.config import Config, load_config, override
-from ..data.store import ClipStore
-from ..data.virtual_bones import VirtualBones, parameter_roles, virtual_bones
-from ..io.files import write_file
-from ..networks.checkpoint import Checkpoint, load_checkpoint
-from ..networks.ensemble import Kernel
-from ..training.batches import load_tracks
-from ..training.ensemble import Rule, train_ensemble
-from ..training.pivots import inverse_distance, nearest
-from ..training.run import choose_clips, train, with_mirrored
-from .baselines import BodySkinned, MeanShape
-from .methods import BonesThemselves, MeanDetail, Method, Network
-from .published import BASELINES, SANTESTEBAN, train_chen
-from .regression import Variant, train_regression
-from .reporting import RECORDED, group_of
-from .scores import evaluate
-from .tables import interval_cell, intervals, markdown
-
-__all__ = ["TABLES", "Reproduction"]
 
 Progress = Callable[[str, float], None]
 # A few dances are enough to find the bones, so that these stay the same while a data set grows.
@@ -267,6 +276,7 @@ def _dress(run: Reproduction, store: str) -> str:
         ),
         run.method(store, "body motion", override(rooted, ["high.source=body"])),
         run.method(store, "no local stream", override(paper, ["high.local=false"])),
+        lambda: MotionMatching(run.bones(store, rooted), learned, rooted.features),
         lambda: MeanShape(run.bones(store, rooted), learned),
         run.bound(store, rooted),
     ]
@@ -303,7 +313,7 @@ def _table4(run: Reproduction) -> str:
                     lambda: train_ensemble(store, config, folder, progress=run.progress),
                 )
             found = load_checkpoint(folder / "ensemble.safetensors")
-            kernel = _Ruled(rule) if rule else found.kernel
+            kernel = Ruled(rule) if rule else found.kernel
             return Network(name, dataclasses.replace(found, kernel=kernel))
 
         return made
@@ -320,17 +330,6 @@ def _table4(run: Reproduction) -> str:
     record = run.scores("parameters", "table4", config, methods, unseen)
     parts = (_text(record, part) for part in ("low", "high", "overall"))
     return "## unseen parameters\n\n" + "\n\n".join(parts) + "\n"
-
-
-class _Ruled(Kernel):
-    """A kernel whose weights come from a formula of the parameters."""
-
-    def __init__(self, rule: Rule) -> None:
-        super().__init__()
-        self.rule = rule
-
-    def weights(self, pivots: Any, theta: Any) -> NDArray[np.float64]:
-        return self.rule(pivots, theta)
 
 
 def _curve(run: Reproduction) -> str:
@@ -418,3 +417,29 @@ TABLES: dict[str, Callable[[Reproduction], str]] = {
     "bones": _bones,
     "capture": _capture,
 }
+
+
+def main() -> None:
+    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    options.add_argument("--output", "-o", type=Path, default=Path("out/reproduction"))
+    options.add_argument("--data", type=Path, default=Path("out"), help="folder of the data sets")
+    options.add_argument("--only", action="append", choices=TABLES, help="repeatable")
+    options.add_argument("--motion", type=Path, help="BVH files, which the dress dances, too")
+    options.add_argument("--set", action="append", default=[], help="a setting of every network")
+    given = options.parse_args()
+
+    def simulate(name: str, path: Path) -> None:
+        data_set = load_data_set(name)
+        some = given.motion if name == "dress" else None
+        make_data_set(data_set, path, recorded=recorded_motions(some, data_set) if some else ())
+
+    with progress_bar() as show:
+        run = Reproduction(
+            given.data, given.output, simulate=simulate, settings=given.set, progress=show
+        )
+        found = [f"# {name}\n\n{run.table(name)}" for name in given.only or TABLES]
+    print("\n\n".join(found))
+
+
+if __name__ == "__main__":
+    main()

@@ -6,17 +6,25 @@ clips, and a hard clip is hard for both: their ratio is known better than either
 
 from __future__ import annotations
 
+import itertools
 import math
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import norm
 from scipy.stats import t as student
 
-__all__ = ["Interval", "paired_ratio"]
+from garmentnet.evaluation.scores import PARTS, VERTICES, Scores
+
+__all__ = ["Interval", "interval_cell", "intervals", "paired_ratio"]
 
 _LEVEL = 0.95
+# Power with which each figure of a score is pooled over clips: 2 for RMSE, 1 for means.
+_POWERS = {"rmse": 2.0, "hausdorff": 1.0, "sted": 1.0}
+# An error below this many mm or units of STED counts as 0, and no ratio to it is given.
+_NOTHING = 1e-6
 
 
 class Interval(NamedTuple):
@@ -82,3 +90,48 @@ def paired_ratio(
     tail = norm.cdf(-wide)
     low, high = np.quantile(found, [tail, 1 - tail])
     return Interval(value, float(low), float(high))
+
+
+def intervals(rows: Sequence[Scores], reference: str) -> dict[str, Any]:
+    """Errors of each part and their ratios to those of a reference, with intervals.
+
+    Parameters
+    ----------
+    rows : sequence of Scores
+        Scores of the methods on the same clips.
+    reference : str
+        Name of one of the methods.
+
+    Returns
+    -------
+    dict
+        The ``reference``, and ``methods[name][vertices][part]`` with `vertices` "all" or "free".
+        Each entry holds the value, lower and upper end of ``error`` (RMSE, mm) and of the ratios
+        ``rmse``, ``hausdorff`` and ``sted``.  None stands for the interval of a single clip and for
+        ratios to a method without error.
+    """
+    (against,) = (r for r in rows if r.name == reference)
+    frames = [c.frames for c in against.clips]
+
+    def figures(row: Scores, vertices: str, part: str, figure: str) -> list[float]:
+        return [getattr(getattr(getattr(c, vertices), part), figure) for c in row.clips]
+
+    methods: dict[str, Any] = {}
+    for row in rows:
+        for vertices, part in itertools.product(VERTICES, PARTS):
+            errors = figures(row, vertices, part, "rmse")
+            error = paired_ratio(errors, [1.0] * len(errors), frames=frames)
+            found: dict[str, Any] = {"error": list(error)}
+            for figure, power in _POWERS.items():
+                own, other = (figures(r, vertices, part, figure) for r in (row, against))
+                found[figure] = [None] * 3
+                if min(other) > _NOTHING:
+                    found[figure] = list(paired_ratio(own, other, frames=frames, power=power))
+            methods.setdefault(row.name, {}).setdefault(vertices, {})[part] = found
+    return {"reference": reference, "methods": methods}
+
+
+def interval_cell(found: list[float | None], digits: int) -> str:
+    """A value and its interval, as ``0.97 [0.95, 0.99]``; "-" for what is None."""
+    value, low, high = ("-" if x is None else f"{x:.{digits}f}" for x in found)
+    return value if low == "-" else f"{value} [{low}, {high}]"

@@ -7,16 +7,16 @@ import pytest
 torch = pytest.importorskip("torch")
 
 import ssdr
-from garmentnet.configs.config import override
-from garmentnet.evaluation.baselines import BodySkinned, body_skinning
-from garmentnet.evaluation.methods import Network
-from garmentnet.evaluation.published import BASELINES, SANTESTEBAN, train_chen
-from garmentnet.evaluation.regression import (
+from benchmarks.garment.published import BASELINES, SANTESTEBAN, train_chen
+from benchmarks.garment.regression import (
     FrameMLP,
     Unposed,
     WindowMLP,
     train_regression,
 )
+from garmentnet.configs.config import override
+from garmentnet.evaluation.baselines import BodySkinned, body_skinning
+from garmentnet.evaluation.methods import Network
 from garmentnet.networks.detail_basis import DetailBasis
 from garmentnet.training.batches import load_tracks
 from helpers.measures import pooled

@@ -13,13 +13,13 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from ..networks.checkpoint import Checkpoint
-from ..networks.detail_basis import DetailBasis
-from ..training.batches import Track
-from ..training.high_frequency import DetailObjective
-from ..training.loop import Progress, fit
-from .methods import Network
-from .regression import FrameMLP, Variant, WindowMLP
+from benchmarks.garment.regression import FrameMLP, Variant, WindowMLP
+from garmentnet.evaluation.methods import Network
+from garmentnet.networks.checkpoint import Checkpoint
+from garmentnet.networks.detail_basis import DetailBasis
+from garmentnet.training.batches import Track
+from garmentnet.training.high_frequency import DetailObjective
+from garmentnet.training.loop import Progress, fit
 
 __all__ = ["BASELINES", "SANTESTEBAN", "TransformerDetail", "train_chen"]
 

@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from garmentnet.evaluation.statistics import paired_ratio
+from benchmarks.garment.intervals import interval_cell, intervals, paired_ratio
+from garmentnet.evaluation.scores import Parts, Score, Scores
 
 
 def clips(rng, n, *, hardness=0.5, scatter=0.05):
@@ -69,3 +70,32 @@ def test_the_interval_of_an_error_is_that_of_a_mean():
 
 def test_one_clip_has_no_interval():
     assert paired_ratio([2.0], [4.0]) == (0.5, None, None)
+
+
+def scores(name, errors, frames=100):
+    """A method's scores of clips with given RMSE, all other figures twice the RMSE."""
+
+    def one(label, clips, rmse):
+        part = Score(rmse, 2 * rmse, 2 * rmse)
+        parts = Parts(part, part, part, 1.0)
+        return Scores(label, frames, parts, parts, {}, 0.0, 0.0, clips)
+
+    clips = tuple(one(f"clip-{k}", (), e) for k, e in enumerate(errors))
+    return one(name, clips, float(np.sqrt(np.mean(np.square(errors)))))
+
+
+def test_the_same_method_twice_has_the_ratio_1_on_every_draw():
+    errors = [20.0, 30.0, 25.0]
+    found = intervals([scores("a", errors), scores("b", errors)], "a")
+    assert found["reference"] == "a"
+    assert found["methods"]["b"]["free"]["low"]["sted"] == [1.0, 1.0, 1.0]
+    value, low, high = found["methods"]["a"]["free"]["overall"]["error"]
+    assert low <= value <= high
+    assert math.isclose(value, scores("a", errors).free.overall.rmse)
+    assert interval_cell([0.971, 0.95, None], 2) == "0.97 [0.95, -]"
+
+
+def test_no_ratio_to_a_method_without_error():
+    found = intervals([scores("a", [1.0, 2.0]), scores("exact", [0.0, 0.0])], "exact")
+    assert found["methods"]["a"]["all"]["high"]["rmse"] == [None, None, None]
+    assert interval_cell([None, None, None], 2) == "-"

@@ -1,0 +1,96 @@
+"""Bones that stretch play as two nodes of rotations and scales."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import ssdr
+from helpers import drawn
+from helpers.rig_model import largest_distance, tube
+from helpers.rig_tree import creature
+from ssdr.io.rig import build_rig
+from ssdr.io.stretch import steady_axes
+
+
+def stretched(model, seed=0):
+    """A model whose bones stretch along axes that turn slowly."""
+    rng = np.random.default_rng(seed)
+    axes = Rotation.from_rotvec(rng.normal(size=(model.n_bones, 3)))
+    matrices = np.empty((model.n_frames, model.n_bones, 3, 3))
+    for t in range(model.n_frames):
+        slow = Rotation.from_rotvec(0.02 * t * np.ones((model.n_bones, 3)))
+        v = (slow * axes).as_matrix()
+        size = 1 + 0.3 * np.sin(0.2 * t + np.arange(3))
+        matrices[t] = (v * size) @ v.swapaxes(1, 2)
+    moves = model.transforms.copy()
+    centers = model.centroids() if model.parents is None else model.joint_positions
+    local = np.einsum("fbij,bj->fbi", moves[..., :3], centers) + moves[..., 3]
+    moves[..., :3] = moves[..., :3] @ matrices
+    moves[..., 3] = local - np.einsum("fbij,bj->fbi", moves[..., :3], centers)
+    return dataclasses.replace(model, transforms=moves, bone_model="affine")
+
+
+def test_axes_are_exact_and_steady():
+    matrices = stretched(tube(frames=60)).transforms[..., :3]
+    u, s, vt = steady_axes(matrices)
+    np.testing.assert_allclose((u * s[..., None, :]) @ vt, matrices, atol=1e-12)
+    for turn in (u, vt):
+        np.testing.assert_allclose(np.linalg.det(turn), 1, atol=1e-12)
+    # where axes turn by 2° a frame and sizes cross each other, no axis takes another's place
+    step = np.degrees(
+        Rotation.from_matrix((vt[1:] @ vt[:-1].swapaxes(2, 3)).reshape(-1, 3, 3)).magnitude()
+    )
+    assert np.quantile(step, 0.95) < 5
+
+
+def test_a_bone_that_turns_and_stretches_is_right_between_frames():
+    """Along one axis: the mean of the matrices but for the arc of the turn."""
+    angle, size = np.linspace(0, 0.5, 11), np.linspace(1, 2, 11)
+    turn = Rotation.from_rotvec(angle[:, None] * [0, 0, 1]).as_matrix()
+    axis = Rotation.from_euler("xyz", [0.3, 0.5, 0.2]).as_matrix()
+    matrices = turn @ (axis * np.stack([size, np.ones(11), np.ones(11)], axis=1)[:, None]) @ axis.T
+    moves = np.concatenate([matrices, np.zeros((11, 3, 1))], axis=2)[:, None]
+    rest = np.random.default_rng(0).normal(size=(9, 3))
+    model = ssdr.Skinning.from_dense(rest, np.ones((9, 1)), moves, bone_model="affine")
+    rig = build_rig(model, stretch=True)
+    half = build_rig(model, stretch=True).bone_matrices(np.array([4.5]))[0, 0, :, :3]
+    middle = Rotation.from_rotvec([0, 0, 0.225]).as_matrix()
+    expected = middle @ (axis * np.array([1.45, 1, 1])) @ axis.T
+    np.testing.assert_allclose(half, expected, atol=1e-6)
+    assert rig.error(model)[1] < 1e-6
+
+
+@pytest.mark.parametrize("model", [tube(), creature()], ids=["flat", "tree"])
+@pytest.mark.parametrize("suffix", ["glb", "usda"])
+def test_round_trip(tmp_path, model, suffix):
+    if suffix == "usda":
+        pytest.importorskip("pxr")
+    model = stretched(model)
+    path = tmp_path / f"a.{suffix}"
+    report = ssdr.save(model, path)
+    back = ssdr.load_skinning(path)
+    near = 1e-5 if suffix == "glb" else 0.02  # scales of half precision
+    assert report.max_error < near
+    assert back.bone_model == "affine"
+    assert back.names() == model.names()
+    if model.parents is not None:
+        np.testing.assert_array_equal(back.parents, model.parents)
+    assert largest_distance(back.skin(), model.skin()) < near
+    if suffix == "glb":  # as a program of its own plays the two nodes
+        ((positions, _, _, vertex),) = drawn.from_gltf(path)
+        assert largest_distance(positions, model.skin()[:, vertex]) < 1e-5
+
+
+@pytest.mark.parametrize("compression", ["quantized", "meshopt"])
+def test_small_files(tmp_path, compression):
+    if compression == "meshopt":
+        pytest.importorskip("meshoptimizer")
+    model = stretched(tube(frames=60))
+    options = {"compression": compression, "tolerance": 0.02}
+    report = ssdr.save(model, tmp_path / "a.glb", **options)
+    assert report.max_error <= 0.02
+    assert report.bytes < ssdr.save(model, tmp_path / "b.glb", compression=compression).bytes
