@@ -69,7 +69,8 @@ def solve(problem: Problem, schedule: Schedule | None = None) -> Decomposition:
     d = _begin(problem, data, initial, normals=more is None)
     del data  # frees the frames once they have been compressed
     part = (0.0, 1.0) if few is None else (SCANNED, _REPRESENTED)
-    reason = _follow(problem, d, schedule or _schedule_of(problem), sequences, part)
+    with monitor.part(*part):
+        reason = d.follow(schedule or _schedule_of(problem), _report(problem, d, sequences))
     later = problem
     if d.initial.transforms is None:  # those of a start may turn out to be of other frames
         initial = dataclasses.replace(problem.initial, transforms=None)
@@ -78,7 +79,9 @@ def solve(problem: Problem, schedule: Schedule | None = None) -> Decomposition:
         chosen = more
         d, sequences = _carried(later, d, few, more)
         part = _REPRESENTED, _SETTLED
-        reason = _follow(problem, d, partial(settle, effort=problem.effort), sequences, part)
+        with monitor.part(*part):
+            last = partial(settle, effort=problem.effort)
+            reason = d.follow(last, _report(problem, d, sequences))
     removable, records = d.removable_bones, list(d.records)
 
     def report(model: Model) -> None:
@@ -183,24 +186,18 @@ def _schedule_of(problem: Problem) -> Schedule:
     )
 
 
-def _follow(
-    problem: Problem,
-    d: Descent,
-    schedule: Schedule,
-    sequences: list[MeshSequence],
-    part: tuple[float, float],
-) -> str:
-    """Follow a schedule on the frames `sequences`, which is a `part` of the work."""
+def _report(problem: Problem, d: Descent, sequences: list[MeshSequence]) -> Callable[[str], None]:
+    """Function that reports each step on the frames `sequences`, and offers the best model."""
     monitor = problem.monitor
 
     def report(phase: str) -> None:
-        if d.best is not None:
+        ready = d.best is not None
+        if ready:
             monitor.offer(lambda: skinning_of(problem, d.data, d.best_of_all(), sequences))
-        rmse, ready = d.data.rmse(d.best_error), d.best is not None
+        rmse = d.data.rmse(d.best_error)
         monitor.report(phase, iteration=d.iteration, rmse=rmse, fraction=d.fraction, ready=ready)
 
-    with monitor.part(*part):
-        return d.follow(schedule, report)
+    return report
 
 
 def _carried(
