@@ -56,6 +56,7 @@ POLISH_PARTS = [
     ("tangents", RigidTangent, "image"),
     ("tangents", RigidTangent, "pullback"),
     ("vertex step", gauss_newton, "optimise_vertices"),
+    ("vertices: kernel", vertex_newton, "choose_influences"),
     ("vertices: kernel", vertex_newton, "polish_vertices"),
 ]
 

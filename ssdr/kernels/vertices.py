@@ -16,7 +16,6 @@ from .weights import (
     gradient_of_all,
     hessian_row,
     monomials,
-    pulled,
     take_columns,
 )
 
@@ -124,34 +123,6 @@ def point_error(x2, y, form, ids, w, n, p):
     e += form[0] * x * x + form[1] * y_ * y_ + form[2] * z * z
     e += form[3] * x * y_ + form[4] * x * z + form[5] * y_ * z
     return e + last * (form[6] * x + form[7] * y_ + form[8] * z + form[9] * last)
-
-
-@inline
-def vertex_error(x2, gram4, y, pull, indices, w, n, p):
-    """Squared error Σ x2 − 2 fᵀw + wᵀHw of a vertex with the points p, with the pull."""
-    e = pull_error(pull, p)
-    for t in range(p.shape[0]):
-        e += x2[t]
-    for q in range(n):
-        j = indices[q]
-        e -= 2.0 * w[q] * pulled(y, j, p)
-        for s in range(q + 1):
-            g = gram4[j, indices[s]]
-            h = 0.0
-            for t in range(p.shape[0]):
-                for c in range(4):
-                    h += p[t, c] * against(g, c, p[t])
-            e += w[q] * w[s] * (h if s == q else 2.0 * h)
-    return e
-
-
-@inline
-def against(block, d, p):
-    """Product of row d of a 4×4 block and a point p (4,)."""
-    value = block[d, 3] * p[3]
-    for e in range(3):
-        value += block[d, e] * p[e]
-    return value
 
 
 @kernel

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ..kernels.polish import polish_vertices
+from ..kernels.newton import polish_vertices
+from ..kernels.polish import choose_influences
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..solver.alternation import bone_costs, repeat_alternation, vertex_step
 from ..solver.gauge import free_gauge
@@ -216,10 +217,10 @@ def drop_influence(data: Trajectories, model: Model, locked: Locked) -> None:
             some = rows[i:j]
             n = len(some)
             squares = data.squares(some, length)
-            sums = data.products(some, reduced, length), squares, gram, gram4
+            sums = data.products(some, reduced, length), squares
             given = {name: getattr(model, name)[some] for name in SOLVED}
             least = np.full(n, np.inf)
-            flags = hold[some], length, keep[some], not locked.rest, 0, _ROUNDS
+            flags = length, keep[some]
             size = k - 1 + 3 * squares.shape[1]
             unread = np.empty((n, size, size)), np.empty((n, size))
             for q in range(k):
@@ -227,7 +228,11 @@ def drop_influence(data: Trajectories, model: Model, locked: Locked) -> None:
                 weights = trial["weights"]
                 weights[:, q] = 0.0
                 weights /= weights.sum(axis=1, keepdims=True)
-                arrays: Any = *sums, *trial.values(), *flags, *unread
+                rest, indices, _, _, normals, _ = trial.values()
+                chosen: Any = *sums, gram, rest, indices, weights, normals, *flags, 0
+                choose_influences(*chosen)
+                found = *trial.values(), hold[some]
+                arrays: Any = *sums, gram4, *found, *flags, not locked.rest, _ROUNDS, *unread
                 polish_vertices(*arrays)
                 off = hold[some, 0] * ((trial["rest"] - hold[some, 1:]) ** 2).sum(axis=1)
                 error = trial["error"] + length**2 * trial["normal_error"] + off

@@ -168,6 +168,7 @@ def _group(
     bones = np.where(model.weights > 0, model.indices, n_bones)
     slot = bones.argsort(axis=1, kind="stable")
     bones = np.take_along_axis(bones, slot, axis=1)
+    weights = np.take_along_axis(model.weights, slot, axis=1)
     # two sets with the same code may alternate in the order, which makes more groups but no error
     code = np.zeros(len(bones), dtype=np.uint64)
     for column in bones.T:
@@ -175,20 +176,23 @@ def _group(
     order = code.argsort(kind="stable")
     bones, slot = bones[order], slot[order]
     first = np.flatnonzero(np.append(True, (bones[1:] != bones[:-1]).any(axis=1)))
-    largest = np.finfo(precision).max
+    largest, parts = np.finfo(precision).max, chunk_bounds(len(order), CHUNK)
 
     def real(x: Array) -> Array:
-        return x if x.dtype == precision else np.clip(x, -largest, largest).astype(precision)
+        out: Array = np.empty(x.shape, dtype=precision)
+        # part by part, so that nothing of the size of the whole array is made in between
+        run_chunks(lambda _, i, k: np.clip(x[order[i:k]], -largest, largest, out=out[i:k]), parts)
+        return out
 
     return order, _Groups(
         start=np.append(first, len(bones)),
         bones=bones[first],
         sizes=(bones[first] < n_bones).sum(axis=1),
         slot=slot,
-        points=real(model.points(vertices.length)[order]),
-        weights=real(np.take_along_axis(model.weights[order], slot, axis=1)),
-        importance=real(data.importance[order]),
+        points=real(model.points(vertices.length)),
+        weights=real(weights),
+        importance=real(data.importance),
         free=~keep[order],
-        inverse=real(vertices.inverse[order]),
-        gradient=real(vertices.gradient[order]),
+        inverse=real(vertices.inverse),
+        gradient=real(vertices.gradient),
     )

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..kernels.polish import polish_vertices
+from ..kernels.newton import polish_vertices
+from ..kernels.polish import choose_influences
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from .model import CHUNK, FREE, SOLVED, Locked, Model
 from .moments import transform_sums
@@ -168,14 +169,19 @@ def newton_vertices(
         `inverse` and `gradient` of :class:`VertexSystem`.
     """
     n, size = len(model.rest), model.n_influences - 1 + 3 * x2.shape[1]
-    keep, flags = locked.vertex_mask(n), (not locked.rest, entering, rounds)
+    keep, (gram, gram4) = locked.vertex_mask(n), tables
     inverse, gradient = np.empty((n, size, size)), np.empty((n, size))
 
     def work(_: int, i: int, k: int) -> None:
-        y = products(i, k)
+        sums = products(i, k), x2[i:k]
         rows = [getattr(model, name)[i:k] for name in SOLVED]
-        held = hold[i:k], length, keep[i:k]
-        arrays: Any = y, x2[i:k], *tables, *rows, *held, *flags, inverse[i:k], gradient[i:k]
+        rest, indices, weights, _, normals, _ = rows
+        flags: Any = length, keep[i:k]
+        chosen: Any = *sums, gram, rest, indices, weights, normals, *flags, entering
+        if entering >= 0:
+            choose_influences(*chosen)
+        flags = *flags, not locked.rest, rounds
+        arrays: Any = *sums, gram4, *rows, hold[i:k], *flags, inverse[i:k], gradient[i:k]
         polish_vertices(*arrays)
 
     run_chunks(work, chunk_bounds(n, CHUNK))

@@ -13,8 +13,8 @@ import numpy as np
 
 from ..frames.error import squared_error
 from ..frames.normals import drawn_angles, with_fitted_normals
+from ..kernels.newton import polish_vertices
 from ..kernels.policy import SHIPPED, is_cached
-from ..kernels.polish import polish_vertices
 from ..parallel import get_threads
 from ..sequence import MeshSequence
 from ..skinning import Skinning

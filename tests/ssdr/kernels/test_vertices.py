@@ -10,7 +10,9 @@ from scipy.optimize import minimize
 
 import ssdr
 from helpers import motions, naive, terms
-from ssdr.kernels.polish import polish_vertices
+from ssdr.kernels.lanes import LANES
+from ssdr.kernels.newton import polish_vertices
+from ssdr.kernels.polish import choose_influences
 from ssdr.kernels.rounding import move_units
 from ssdr.kernels.vertices import solve_vertices
 from ssdr.solver.model import Model
@@ -133,12 +135,12 @@ def test_the_alternation_solves_weights_then_places(problem: Problem, move_rest:
 @pytest.mark.parametrize("move_rest", [True, False])
 def test_gradient_and_inverse_of_a_vertex(problem: Problem, move_rest: bool) -> None:
     model = problem.model
-    y, x2, gram, gram4 = problem.sums()
+    y, x2, _, gram4 = problem.sums()
     size = BONES - 1 + 6
     inverse, gradient = np.empty((N, size, size)), np.empty((N, size))
     rows = model.rest, model.indices, model.weights, model.error, model.normals, model.normal_error
-    flags = problem.hold, LENGTH, LOCKED, move_rest, -1, 0
-    polish_vertices(y, x2, gram, gram4, *rows, *flags, inverse, gradient)
+    flags = problem.hold, LENGTH, LOCKED, move_rest, 0
+    polish_vertices(y, x2, gram4, *rows, *flags, inverse, gradient)
     _errors_are_those_of_loops(problem)
     for i in range(N):
         used = np.count_nonzero(model.weights[i])
@@ -165,6 +167,27 @@ def test_gradient_and_inverse_of_a_vertex(problem: Problem, move_rest: bool) -> 
         assert (inverse[i, :, n:] == 0).all()
 
 
+def test_a_vertex_is_polished_alike_beside_any_others(problem: Problem) -> None:
+    """More vertices than work together have the bits of those that are polished one by one."""
+    model, (y, x2, _, gram4) = problem.model, problem.sums()
+    names = ("rest", "indices", "weights", "error", "normals", "normal_error")
+    size, found = BONES - 1 + 6, []
+    assert 5 * N < LANES < 6 * N
+    for rows in ([np.arange(6 * N) % N], np.arange(N)[:, None]):
+        parts: list[list[np.ndarray]] = []
+        for some in rows:
+            own = [getattr(model, name)[some] for name in names]
+            held = problem.hold[some], LENGTH, LOCKED[some], True, 3
+            left = np.empty((len(some), size, size)), np.empty((len(some), size))
+            polish_vertices(y[some], x2[some], gram4, *own, *held, *left)
+            parts.append([*own, *left])
+        found.append([np.concatenate(each)[:N] for each in zip(*parts, strict=True)])
+        found.append([np.concatenate(each)[-N:] for each in zip(*parts, strict=True)])
+    for arrays in zip(*found, strict=True):
+        for other in arrays[1:]:
+            np.testing.assert_array_equal(other, arrays[0])
+
+
 def test_the_polish_ends_at_a_minimum(problem: Problem) -> None:
     """No step of a general solver from there lowers the error of a vertex."""
     model = problem.model
@@ -177,8 +200,9 @@ def test_the_polish_ends_at_a_minimum(problem: Problem) -> None:
         for i, w in enumerate(model.dense_weights())
     ]
     for _ in range(60):
-        flags = problem.hold, LENGTH, LOCKED, True, 0, 3
-        polish_vertices(y, x2, gram, gram4, *rows, *flags, *unread)
+        choose_influences(y, x2, gram, *rows[:3], model.normals, LENGTH, LOCKED, 0)
+        flags = problem.hold, LENGTH, LOCKED, True, 3
+        polish_vertices(y, x2, gram4, *rows, *flags, *unread)
     _errors_are_those_of_loops(problem)
     for i, w in enumerate(model.dense_weights()):
         x = np.concatenate([w, model.rest[i], model.normals[i, 0]])
