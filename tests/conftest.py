@@ -8,9 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 import ssdr
 
+# a machine that is busy with other things is no fault of a test
+settings.register_profile("suite", deadline=None, max_examples=40)
+settings.load_profile("suite")
 pytest.register_assert_rewrite("helpers.measures", "helpers.stretches", "helpers.surfaces")
 
 

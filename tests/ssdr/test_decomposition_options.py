@@ -157,15 +157,15 @@ def test_a_frame_that_hardly_counts_is_skinned_all_the_same(
     shots, _ = make()
     counts = np.ones(len(shots))
     counts[3] = importance
-    for seed in (0, 1):
-        result = ssdr.decompose(shots, bones=4, frame_importance=counts, rng=seed)
-        error = ((result.reconstruct() - shots) ** 2).sum(axis=-1).mean(axis=1)
-        assert error[3] <= 4 * np.delete(error, 3).max()
+    result = ssdr.decompose(shots, bones=4, frame_importance=counts)
+    error = ((result.reconstruct() - shots) ** 2).sum(axis=-1).mean(axis=1)
+    assert error[3] <= 4 * np.delete(error, 3).max()
 
 
 # what smoothness is for
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [motions.wings, motions.cloth])
 @pytest.mark.parametrize("share", [3e-3, 1e-2])
 def test_smoothness_finds_what_is_better_with_it(make: Callable[[], Any], share: float) -> None:

@@ -37,7 +37,7 @@ def twin(rest: Any, indices: Any, weights: Any, moves: Any, g: Any) -> dict[str,
     }
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     seed=st.integers(0, 10**6),
     n=st.integers(1, 12),

@@ -35,7 +35,6 @@ def is_rotation(matrix):
 
 
 @given(seed=seeds, count=st.integers(4, 12), noise=st.sampled_from([0.0, 0.3]))
-@settings(max_examples=40, deadline=None)
 def test_kabsch_equals_scipy(seed, count, noise):
     rng = np.random.default_rng(seed)
     source = rng.normal(size=(count, 3))
@@ -121,7 +120,6 @@ def test_zero_weights_ignore_points_and_all_zero_is_the_identity():
 
 
 @given(seed=seeds, slack=st.sampled_from([0.0, 1e-15, 1e-12, 1e-8, 1e-4, 1.0]))
-@settings(max_examples=40, deadline=None)
 def test_quaternions_round_trip_also_next_to_half_a_turn(seed, slack):
     rng = np.random.default_rng(seed)
     axis = rng.normal(size=(20, 3))
@@ -147,7 +145,7 @@ def test_quaternions_are_xyzw_and_any_length_will_do():
 
 
 @given(seed=seeds)
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_sixd_round_trip(seed):
     matrix = Rotation.random(9, rng=np.random.default_rng(seed)).as_matrix()
     np.testing.assert_allclose(matrix_from_sixd(sixd_from_matrix(matrix)), matrix, atol=1e-14)

@@ -201,7 +201,7 @@ def test_diagonal_is_that_of_the_largest_frame():
     assert MeshSequence(array).diagonal() == MeshSequence(array + 7).diagonal()
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.data())
 def test_weld_agrees_with_a_naive_twin(data):
     n_frames = data.draw(st.integers(1, 3))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
@@ -34,7 +34,6 @@ def make(seed=0, *, V=30, B=5, K=3, F=4, dtype=np.float64):
     F=st.integers(1, 4),
     dtype=st.sampled_from([np.float32, np.float64]),
 )
-@settings(max_examples=40, deadline=None)
 def test_equals_naive_loops(seed, V, K, F, dtype):
     arrays = make(seed, V=V, K=K, F=F, dtype=dtype)
     expected = naive.skin(**arrays)
@@ -127,7 +126,6 @@ def test_centroids_are_weighted_means():
 
 
 @given(seed=st.integers(0, 10**6), keep=st.integers(1, 6), minimum=st.floats(0, 0.6))
-@settings(max_examples=40, deadline=None)
 def test_prune_keeps_the_largest(seed, keep, minimum):
     arrays = make(seed, K=4)
     rng = np.random.default_rng(seed)
@@ -154,7 +152,6 @@ def test_prune_of_nothing_changes_no_bit(dtype):
 
 
 @given(seed=st.integers(0, 10**6), bones=st.integers(1, 7), used=st.integers(1, 7))
-@settings(max_examples=40, deadline=None)
 def test_dense_weights_come_back_to_the_bit(seed, bones, used):
     rng = np.random.default_rng(seed)
     dense = rng.random((11, bones))

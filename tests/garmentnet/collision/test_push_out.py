@@ -132,7 +132,7 @@ def test_pinned_vertices_stay():
     assert (out.distance[0, ~pinned] > 0).all()
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(
     points=arrays(np.float64, (25, 3), elements=st.floats(-1.6, 2.6)),
     distance=st.floats(0.3, 2.3),

@@ -22,7 +22,7 @@ TREE = BODY.skeleton
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_between_frames_limbs_keep_their_length(seed: int) -> None:
     rng = np.random.default_rng(seed)
     small = Skeleton(("a", "b", "c"), [-1, 0, 1], rng.normal(size=(3, 3)))

@@ -32,7 +32,7 @@ def test_neighbour_table():
         assert set(table[i]) == (expected[i] or {i})
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(0, 10**6), st.sampled_from([1.0, 0.02]))
 def test_edge_conv_against_a_loop(seed, scale):
     torch.manual_seed(seed)

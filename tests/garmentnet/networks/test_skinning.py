@@ -28,7 +28,7 @@ def random_model(rng, frames=4, vertices=13, bones=5, influences=3):
     return rest, indices, weights, np.concatenate([r, rng.normal(size=(frames, bones, 3, 1))], -1)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(0, 10**6))
 def test_same_as_ssdr(seed):
     # Joints may repeat within a vertex: their weights add up.
@@ -55,7 +55,7 @@ def test_wrong_number_of_bones():
         TorchSkinning(rest, indices, weights, 5)(torch.from_numpy(transforms[:, :4]).float())
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 10**6))
 def test_rotations(seed):
     degrees = np.random.default_rng(seed).uniform(-180, 180, size=(3, 3))

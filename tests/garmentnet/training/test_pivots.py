@@ -32,7 +32,7 @@ def test_gram_is_the_error_of_a_mixture():
     assert np.isclose(found.error(lambda pivots, theta: w), expected)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 10**6))
 def test_convex_fit_beats_a_grid(seed):
     rng = np.random.default_rng(seed)

@@ -102,7 +102,7 @@ def per_vertex(frames: np.ndarray) -> np.ndarray:
     return frames.transpose(1, 0, 2).reshape(frames.shape[1], -1)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 10**6), influences=st.integers(1, 5), alike=st.booleans())
 def test_a_mask_of_bones(seed: int, influences: int, alike: bool) -> None:
     rng, frames, rest, moves, images, targets = problem(seed)
@@ -145,7 +145,7 @@ def test_bones_are_exchanged_within_the_mask() -> None:
     assert best * (1 - 1e-9) <= fit.squared_error.sum() <= 1.01 * best
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(
     seed=st.integers(0, 10**6),
     length=st.sampled_from([0.01, 0.3, 3.0]),

@@ -17,7 +17,7 @@ from helpers.stretches import KINDS, MODELS, check_kind, rig, stretched
 from ssdr.fit import bones
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(
     seed=st.integers(0, 10**6),
     turn=st.sampled_from([0.1, 1.0, 3.0]),
@@ -186,7 +186,7 @@ def test_bones_without_vertices() -> None:
     check_kind(fit.skinning.transforms, "rigid")
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 10**6))
 def test_affine_bones_are_the_least_squares_of_the_design_matrix(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -220,7 +220,7 @@ def test_fit_bones_finds_the_bones_that_made_the_data(kind: str) -> None:
     assert fit.rmse < 1e-6
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 10**6), noise=st.sampled_from([0.0, 0.05, 1.0]))
 def test_warm_started_from_the_smaller_model_is_never_worse(seed: int, noise: float) -> None:
     rng = np.random.default_rng(seed)

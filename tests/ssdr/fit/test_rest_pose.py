@@ -14,7 +14,7 @@ from helpers import motions, naive
 from helpers.stretches import KINDS, rig
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(
     seed=st.integers(0, 10**6),
     influences=st.integers(1, 4),

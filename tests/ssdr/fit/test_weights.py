@@ -44,7 +44,7 @@ def images_and_targets(
     return naive.bone_images(rest, transforms), targets
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     seed=st.integers(0, 10**6),
     bones=st.integers(1, 5),

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from ssdr.io.corners import split_corners
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1))
 def test_split_corners_is_the_inverse_of_its_map(seed):
     rng = np.random.default_rng(seed)

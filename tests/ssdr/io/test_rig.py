@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
@@ -20,7 +20,6 @@ from ssdr.io.sampling import off_frames
 from ssdr.quantisation import quantise, weight_values
 
 
-@settings(deadline=None, max_examples=40)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(["float32", "uint16", "uint8"]))
 def test_quantise_keeps_the_sum(seed, storage):
     rng = np.random.default_rng(seed)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from helpers import naive
@@ -15,7 +15,6 @@ def buffers(height, width):
     return np.full((height, width), -np.inf), np.full((height, width), -1, dtype=np.int32)
 
 
-@settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 12))
 def test_triangles_agree_with_a_naive_twin(seed, count):
     rng = np.random.default_rng(seed)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import ssdr
@@ -38,7 +38,6 @@ def test_one_triangle_by_hand():
 
 
 @given(soups())
-@settings(max_examples=40, deadline=None)
 def test_matrices_equal_naive_loops(soup):
     vertices, faces = soup
     n = len(vertices)

@@ -66,7 +66,7 @@ def test_shapes_dtypes_and_batches(monkeypatch):
 
 
 @given(length=st.floats(0, 1e3), kind=st.sampled_from(["cotangent", "uniform"]))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_translations_and_rotations_commute_and_the_range_shrinks(length, kind):
     vertices, faces = sphere(1)
     smoother = LaplacianSmoother(vertices, faces, length, kind=kind)

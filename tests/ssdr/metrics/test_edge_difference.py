@@ -26,7 +26,7 @@ seeds = st.integers(0, 10**6)
     dt=st.floats(0.05, 3),
     signed=st.booleans(),
 )
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_sted_equals_naive_loops(seed, F, neighbourhood, window, dt, signed):
     rng = np.random.default_rng(seed)
     vertices, faces = sphere(0)

@@ -19,7 +19,7 @@ seeds = st.integers(0, 10**6)
 
 
 @given(seed=seeds, n=st.integers(1, 80), m=st.integers(1, 80))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_vertex_hausdorff_equals_loops_and_scipy(seed, n, m):
     rng = np.random.default_rng(seed)
     a, b = rng.normal(size=(n, 3)), rng.normal(size=(m, 3))
@@ -29,7 +29,7 @@ def test_vertex_hausdorff_equals_loops_and_scipy(seed, n, m):
 
 
 @given(seed=seeds, size=st.sampled_from([1e-3, 0.1, 3.0]))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_vertex_hausdorff_with_correspondence(seed, size):
     rng = np.random.default_rng(seed)
     a = rng.normal(size=(150, 3))
@@ -38,7 +38,6 @@ def test_vertex_hausdorff_with_correspondence(seed, size):
 
 
 @given(seed=seeds, T=st.integers(1, 30), broken=st.booleans())
-@settings(max_examples=40, deadline=None)
 def test_surface_hausdorff_equals_loops(seed, T, broken):
     rng = np.random.default_rng(seed)
     a, b = rng.normal(size=(2, 12, 3))

@@ -23,7 +23,7 @@ DATA = Path(
 
 
 @given(seed=seeds, F=st.integers(1, 4), V=st.integers(1, 6))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_distances_equal_naive_loops(seed, F, V):
     a, b = np.random.default_rng(seed).normal(size=(2, F, V, 3))
     table = [[math.dist(a[t, i], b[t, i]) for i in range(V)] for t in range(F)]

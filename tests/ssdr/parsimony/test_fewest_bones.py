@@ -77,7 +77,7 @@ class _Models:
             self.fewest = bones
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(data=st.data(), least=st.integers(1, 4), held=st.integers(5, 30))
 def test_merging_down_ends_one_above_what_was_given_up(data: Any, least: int, held: int) -> None:
     """Whatever fails or holds, also where what failed once holds later."""

@@ -14,7 +14,7 @@ from ssdr.parsimony.rank import rank_bound, reduced
 from ssdr.solver.trajectories import gather
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 1000), bones=st.integers(1, 4))
 def test_no_model_is_below_the_rank_bound(seed: int, bones: int) -> None:
     rng = np.random.default_rng(seed)

@@ -72,7 +72,7 @@ def test_exact_skinning_gets_no_more_bones_than_it_was_made_with(tolerance: str)
         assert found.skinning.n_influences == 2  # as it was made
 
 
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=5)
 @given(seed=st.integers(0, 1000), bones=st.integers(1, 4))
 def test_random_exact_skinning(seed: int, bones: int) -> None:
     rng = np.random.default_rng(seed)

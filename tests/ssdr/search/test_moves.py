@@ -29,7 +29,7 @@ from ssdr.solver.model import FREE, Locked, Model
 from ssdr.solver.trajectories import Trajectories, gather
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 1000), bones=st.integers(1, 5), influences=st.integers(1, 4))
 def test_one_bone_more_never_fits_worse(seed: int, bones: int, influences: int) -> None:
     rng = np.random.default_rng(seed)

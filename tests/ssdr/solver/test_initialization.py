@@ -17,7 +17,7 @@ from ssdr.solver.initialization import (
 from ssdr.solver.trajectories import gather
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 10**6), count=st.integers(1, 12))
 def test_farthest_points_against_loops(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
@@ -76,7 +76,7 @@ def test_single_bone_errors_against_loops(rng: np.random.Generator) -> None:
         np.testing.assert_allclose(best[:, j], want[rows], rtol=1e-9)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 10**6), count=st.integers(1, 5), held=st.booleans())
 def test_choice_is_greedy(seed: int, count: int, held: bool) -> None:
     rng = np.random.default_rng(seed)

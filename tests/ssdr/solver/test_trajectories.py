@@ -59,7 +59,7 @@ def test_common_motion_is_taken_out(rng: np.random.Generator) -> None:
     assert np.sqrt((first**2).sum(axis=1).mean()) == pytest.approx(1.0)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     seed=st.integers(0, 10**6),
     size=st.sampled_from([(30, 40), (80, 12), (25, 25)]),

@@ -30,7 +30,7 @@ def yaw_rate(motion: Motion) -> np.ndarray:
 
 
 @given(seed=st.integers(0, 10**6))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_any_seed_gives_a_plausible_dance(seed: int) -> None:
     motion = dance(TREE, seed=seed, frames=150)
     h = heads(motion)
