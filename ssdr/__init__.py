@@ -18,6 +18,7 @@ _PUBLIC = {
         *("Cancelled", "FormatError", "InputError", "MissingDependencyError"),
         *("SsdrError", "SsdrWarning"),
     ),
+    "expressions": ("Expressions", "decompose_expressions", "drive"),
     "fit.bones": ("fit_bones",),
     "fit.descent": ("ssdr2012",),
     "fit.initialization": ("initialize",),
@@ -47,6 +48,7 @@ __all__ = [
     "Cancelled",
     "Clip",
     "Decomposition",
+    "Expressions",
     "FormatError",
     "InputError",
     "LevelsOfDetail",
@@ -66,6 +68,8 @@ __all__ = [
     "WeldReport",
     "__version__",
     "decompose",
+    "decompose_expressions",
+    "drive",
     "errors",
     "find_mirror",
     "fit_bones",
@@ -110,6 +114,7 @@ if TYPE_CHECKING:
         SsdrError,
         SsdrWarning,
     )
+    from .expressions import Expressions, decompose_expressions, drive
     from .fit.bones import fit_bones
     from .fit.descent import ssdr2012
     from .fit.initialization import initialize
