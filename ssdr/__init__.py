@@ -18,7 +18,8 @@ _PUBLIC = {
         *("Cancelled", "FormatError", "InputError", "MissingDependencyError"),
         *("SsdrError", "SsdrWarning"),
     ),
-    "expressions": ("Expressions", "decompose_expressions", "drive"),
+    "driving": ("drive",),
+    "expressions": ("Expressions", "decompose_expressions"),
     "fit.bones": ("fit_bones",),
     "fit.descent": ("ssdr2012",),
     "fit.initialization": ("initialize",),
@@ -106,6 +107,7 @@ if TYPE_CHECKING:
     from . import errors, io, metrics, parallel, rigid, samples, sequence, skinning
     from .clips import Clip
     from .decomposition import decompose
+    from .driving import drive
     from .errors import (
         Cancelled,
         FormatError,
@@ -114,7 +116,7 @@ if TYPE_CHECKING:
         SsdrError,
         SsdrWarning,
     )
-    from .expressions import Expressions, decompose_expressions, drive
+    from .expressions import Expressions, decompose_expressions
     from .fit.bones import fit_bones
     from .fit.descent import ssdr2012
     from .fit.initialization import initialize

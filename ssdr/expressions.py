@@ -19,16 +19,15 @@ from .hierarchy.transforms import rest_diagonal
 from .representation import short_repr
 from .sequence import MeshSequence
 from .shapes import Shapes
-from .skinning import Skinning, check_skinning
+from .skinning import Skinning
 from .start import Start
 
-__all__ = ["Expressions", "decompose_expressions", "drive"]
+__all__ = ["Expressions", "decompose_expressions"]
 
 Array = NDArray[np.float64]
 
 _MOST = 9.0  # importance of a vertex whose error is far beyond the tolerance
 _STILL = 0.2  # share of the tolerance up to which a bone's part in an expression is left out
-_AT_REST = 1e-5  # entries of a transform that is that of the rest pose
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -158,62 +157,6 @@ def decompose_expressions(
         max_error=float(gap.max()),
         displaced=0 if model.shapes is None else int(model.shapes.moved.sum()),
     )
-
-
-def drive(skinning: Skinning | Expressions, weights: Any) -> Skinning:
-    """Model posed by weights of its expressions: bones are I + Σ_k c_k N_kj, and shapes add.
-
-    Parameters
-    ----------
-    skinning : Skinning or Expressions
-        A model with a clip of two frames for each expression, the first of them at rest.
-    weights : (F, S) array
-        Weight of each of the S expressions, in the order of the clips, in every frame.
-
-    Returns
-    -------
-    Skinning
-        One clip of F frames, whose bones are affine.
-
-    Raises
-    ------
-    InputError
-        If the model has no such clips, or the weights do not match.
-
-    Examples
-    --------
-    >>> rest = ssdr.samples.load("dancer_small").vertices[0]
-    >>> face = ssdr.decompose_expressions(rest, [rest + 1, rest - 1], bones=1)
-    >>> still = ssdr.drive(face, [[1, 1], [0, 0]]).skin()
-    >>> np.allclose(still[0], rest, atol=1e-5), np.array_equal(still[1], rest)
-    (True, True)
-    """
-    model = check_skinning(skinning)
-    check_expressions(model)
-    factors = check_floats(weights, "weights", ("F", len(model.clips)))
-    moves = np.asarray(model.transforms, dtype=np.float64)
-    identity = np.eye(3, 4)
-    moves = identity + np.tensordot(factors, moves[1::2] - identity, 1)
-    shapes = model.shapes
-    if shapes is not None:
-        shapes = dataclasses.replace(shapes, amounts=factors @ shapes.amounts[1::2])
-    return dataclasses.replace(
-        model,
-        transforms=moves,
-        shapes=shapes,
-        keyframes=None,
-        bone_model="affine",
-        clips=(Clip("driven", 0, len(moves), model.fps),),
-    )
-
-
-def check_expressions(model: Skinning) -> None:
-    """Raise an InputError unless each clip has two frames, of which the first is at rest."""
-    pairs = all(clip.n_frames == 2 for clip in model.clips)
-    still = pairs and np.abs(model.transforms[::2] - np.eye(3, 4)).max() <= _AT_REST
-    if not still or (model.shapes is not None and model.shapes.amounts[::2].any()):
-        wanted = "a clip of two frames for each expression, the first of them the rest pose"
-        raise InputError("skinning", wanted, f"{len(model.clips)} clips of {model.n_frames} frames")
 
 
 def _frames(

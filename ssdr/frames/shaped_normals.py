@@ -74,7 +74,7 @@ def shaped_normals(model: Skinning) -> ShapedNormals:
         known=np.any(targets, axis=2),
     )
     size = np.linalg.norm(solved[0], axis=1)
-    fitted = reached.any(axis=0) & (size > _LEAST)
+    fitted = np.flatnonzero(reached.any(axis=0) & (size > _LEAST))
     found[:, fitted] = solved[:, fitted] / size[fitted, None]
     return ShapedNormals(holders.corner, found[0], found[1:])
 

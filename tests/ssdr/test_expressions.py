@@ -62,7 +62,7 @@ def test_names_clips_and_error(made):
 
 
 def test_expressions_add(made):
-    """Bones add exactly; displacements turn with the bones of other expressions, which is little."""
+    """Bones add exactly; displacements also turn with the bones of other expressions."""
     rest, moved, _ = ball()
     weights = np.array([[1, 0, 0], [1, 1, 0], [0.5, 0.2, 1], [0, 0, 0]])
     driven = ssdr.drive(made, weights)

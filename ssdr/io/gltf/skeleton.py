@@ -73,7 +73,7 @@ def _moved(rig: Rig, clip: Clip) -> list[int]:
     if rig.axes is not None:
         return list(range(rig.n_bones))
     some = clip.frames
-    moved = (rig.rotations[some] != np.float32([0, 0, 0, 1])).any(axis=(0, 2))
+    moved = (rig.rotations[some] != np.array([0, 0, 0, 1])).any(axis=(0, 2))
     moved |= ((rig.translations[some] != rig.offsets).any(axis=2) & rig.translating).any(axis=0)
     if rig.scales is not None:
         moved |= (rig.scales[some] != 1).any(axis=(0, 2))
