@@ -68,7 +68,7 @@ def shaped_normals(model: Skinning) -> ShapedNormals:
         frames,
         targets,
         vertex=holders.vertex,
-        used=np.concatenate([reached.any(axis=0)[None], reached]),
+        used=np.concatenate([np.any(reached, axis=0, keepdims=True), reached]),
         start=start,
         pull=_PULL,
         known=np.any(targets, axis=2),
