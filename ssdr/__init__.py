@@ -18,6 +18,8 @@ _PUBLIC = {
         *("Cancelled", "FormatError", "InputError", "MissingDependencyError"),
         *("SsdrError", "SsdrWarning"),
     ),
+    "driving": ("drive",),
+    "expressions": ("Expressions", "decompose_expressions"),
     "fit.bones": ("fit_bones",),
     "fit.ssdr2012": ("ssdr2012",),
     "fit.start": ("initialize",),
@@ -47,6 +49,7 @@ __all__ = [
     "Cancelled",
     "Clip",
     "Decomposition",
+    "Expressions",
     "FormatError",
     "InputError",
     "LevelsOfDetail",
@@ -66,6 +69,8 @@ __all__ = [
     "WeldReport",
     "__version__",
     "decompose",
+    "decompose_expressions",
+    "drive",
     "errors",
     "find_mirror",
     "fit_bones",
@@ -102,6 +107,7 @@ if TYPE_CHECKING:
     from . import errors, io, metrics, parallel, rigid, samples, sequence, skinning
     from .clips import Clip
     from .decomposition import decompose
+    from .driving import drive
     from .errors import (
         Cancelled,
         FormatError,
@@ -110,6 +116,7 @@ if TYPE_CHECKING:
         SsdrError,
         SsdrWarning,
     )
+    from .expressions import Expressions, decompose_expressions
     from .fit.bones import fit_bones
     from .fit.rest_pose import fit_rest_pose
     from .fit.shapes import fit_shapes

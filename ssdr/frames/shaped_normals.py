@@ -68,13 +68,13 @@ def shaped_normals(model: Skinning) -> ShapedNormals:
         frames,
         targets,
         vertex=holders.vertex,
-        used=np.concatenate([np.any(reached, axis=0)[None], reached]),
+        used=np.concatenate([np.any(reached, axis=0, keepdims=True), reached]),
         start=start,
         pull=_PULL,
         known=np.any(targets, axis=2),
     )
     size = np.linalg.norm(solved[0], axis=1)
-    fitted = reached.any(axis=0) & (size > _LEAST)
+    fitted = np.flatnonzero(reached.any(axis=0) & (size > _LEAST))
     found[:, fitted] = solved[:, fitted] / size[fitted, None]
     return ShapedNormals(holders.corner, found[0], found[1:])
 

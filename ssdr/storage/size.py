@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ..errors import check_choice
 from ..hierarchy.transforms import rest_diagonal, translating
 from ..quantisation import WeightStorage
+from ..shapes import Shapes
 from ..skinning import Skinning, check_skinning
 
 __all__ = ["Size", "influence_bytes", "key_bytes", "size", "time_bytes"]
@@ -40,6 +41,10 @@ class Size:
         not translate relative to its parent or, for a root, does not translate at all.  It has 2
         more (4 if there are more than 65,536 frames) for its frame number, unless the bone has a
         key at every frame.
+    shapes : int
+        Bytes of shapes: 12 per displaced vertex (three float32), and 2 for its number (4 if there
+        are more than 65,536 vertices) in a shape that does not displace all; 4 per amount, and 2
+        (4) for its frame where others of the shape are 0.
 
     Examples
     --------
@@ -51,10 +56,11 @@ class Size:
     weights: int
     joints: int
     keys: int
+    shapes: int = 0
 
     @property
     def total(self) -> int:
-        return self.rest + self.weights + self.joints + self.keys
+        return self.rest + self.weights + self.joints + self.keys + self.shapes
 
 
 def size(skinning: Skinning, *, storage: WeightStorage = "uint16") -> Size:
@@ -97,7 +103,18 @@ def size(skinning: Skinning, *, storage: WeightStorage = "uint16") -> Size:
         weights=skinning.n_vertices + influence * int(np.count_nonzero(skinning.weights)),
         joints=(12 + parent) * bones,
         keys=int((keys * key_bytes(skinning) + times).sum()),
+        shapes=0 if skinning.shapes is None else _shape_bytes(skinning.shapes),
     )
+
+
+def _shape_bytes(shapes: Shapes) -> int:
+    """Bytes of displacements and amounts, each dense or sparse, whichever is fewer."""
+    total = 0
+    for values, each in ((shapes.moved.T, 12), (shapes.amounts != 0, 4)):
+        used = values.sum(axis=0)
+        sparse = used * (each + time_bytes(len(values)))
+        total += int(np.minimum(sparse, each * len(values)).sum())
+    return total
 
 
 def influence_bytes(bones: int, storage: WeightStorage) -> int:

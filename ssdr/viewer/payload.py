@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from .. import metrics
 from ..clips import Clip
+from ..driving import is_driven
 from ..errors import InputError
 from ..frames.normals import holders_of
 from ..hierarchy.bone_ends import limb_ends
@@ -129,6 +130,7 @@ def payload(
             turned=skinned,
             holders=None if truth is None else holders_of(truth.on(model), model),
         ),
+        **_shape_entries(model, scale, blocks),
         "rig": _rig(model, rest_center, scale, blocks) if skinned else None,
     }
     held = truth is not None and keep_input
@@ -143,7 +145,10 @@ def payload(
     transforms = model.transforms[frames].astype(np.float64)
     moved = transforms[..., 3] + transforms[..., :3] @ rest_center - motion.center
     transforms[..., 3] = moved / scale
+    if model.shapes is not None:
+        document["amounts"] = blocks.array(model.shapes.amounts[frames].astype(np.float32))
     document |= {
+        "expressions": [c.name for c in model.clips] if step == 1 and is_driven(model) else None,
         "step": step,
         "frames": len(frames),
         "clips": _clips(model.clips, step),
@@ -218,6 +223,19 @@ def _rig(model: Skinning, center: Float, scale: float, blocks: Blocks) -> dict[s
         "colors": (255 * srgb_from_linear(colors)).round().astype(int).tolist(),
         "share": share.round(6).tolist(),
         "shade": blocks.array((255 * srgb_from_linear(shade)).round().astype(np.uint8)),
+    }
+
+
+def _shape_entries(model: Skinning, scale: float, blocks: Blocks) -> dict[str, Any]:
+    """Entries of what shapes add to the vertices that they move; normals stay those without."""
+    if model.shapes is None:
+        return {"shapes": None}
+    shape, vertex = np.nonzero(model.shapes.moved)
+    moves = model.shapes.displacements[shape, vertex] / scale
+    return {
+        "shapes": np.searchsorted(shape, np.arange(len(model.shapes) + 1)).tolist(),
+        "shapeVertices": blocks.array(vertex.astype(np.uint32), delta=True),
+        "shapeMoves": blocks.array(moves.astype(np.float32)),
     }
 
 

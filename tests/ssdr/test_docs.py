@@ -224,6 +224,12 @@ def _shapes(_: contextlib.ExitStack) -> tuple[dict[str, object], dict[str, str]]
     return {"skinning": model, "displacements": moves, "amounts": amounts}, {}
 
 
+def _expressions(_: contextlib.ExitStack) -> tuple[dict[str, object], dict[str, str]]:
+    rest = SAMPLE.vertices[0]
+    ssdr.save(ssdr.decompose_expressions(rest, [rest + 1, 2 * rest], bones=2), "face.npz")
+    return {}, {}
+
+
 def _meshopt(_: contextlib.ExitStack) -> tuple[dict[str, object], dict[str, str]]:
     pytest.importorskip("meshoptimizer", reason='meshopt is missing: pip install ".[meshopt]"')
     return {"result": ssdr.initialize(SAMPLE, bones=4)}, {}
@@ -241,6 +247,7 @@ NEEDS = {
     "a mask of your own": _mask,
     "the file in.glb that the result was made from": _template,
     "a skinning, displacements (M, V, 3) of its rest pose and amounts (F, M)": _shapes,
+    "a face as face.npz": _expressions,
     'the package meshoptimizer, pip install ".[meshopt]"': _meshopt,
     "torch": _torch,
 }

@@ -90,13 +90,14 @@ class Grid:
             before, turns = turns, decoded_quaternions(encoded_quaternions(turns, self.bits))
             if np.array_equal(before, turns):
                 break
-        moved = np.rint(rig.translations / unit) * unit
+        moved, at = (np.rint(x / unit) * unit for x in (rig.translations, rig.offsets))
         sign = np.where((turns * rig.rotations).sum(axis=-1, keepdims=True) < 0, -1, 1)
         return dataclasses.replace(
             rig,
             rest=(self.low + self.step * self.counts(rig.rest)).astype(np.float32),
             rotations=(sign * turns).astype(np.float32),
             # a joint that does not translate has no keys of it: its node holds the float32
+            offsets=np.where(rig.translating[:, None], at, rig.offsets).astype(np.float32),
             translations=np.where(rig.translating[:, None], moved, rig.translations).astype(
                 np.float32
             ),

@@ -68,6 +68,18 @@ def add_skin(builder: Builder, rig: Rig, title: str, first: int) -> dict[str, An
     }
 
 
+def _moved(rig: Rig, clip: Clip) -> list[int]:
+    """Bones that leave their place of rest in a clip, as which their nodes stand; at least one."""
+    if rig.axes is not None:
+        return list(range(rig.n_bones))
+    some = clip.frames
+    moved = (rig.rotations[some] != np.array([0, 0, 0, 1])).any(axis=(0, 2))
+    moved |= ((rig.translations[some] != rig.offsets).any(axis=2) & rig.translating).any(axis=0)
+    if rig.scales is not None:
+        moved |= (rig.scales[some] != 1).any(axis=(0, 2))
+    return np.flatnonzero(moved).tolist() or [0]
+
+
 def add_animation(
     builder: Builder, rig: Rig, clip: Clip, name: str, first: int, start: float = 0.0
 ) -> dict[str, Any]:
@@ -78,7 +90,7 @@ def add_animation(
     samplers: list[dict[str, Any]] = []
     channels: list[dict[str, Any]] = []
     inputs: dict[bytes, int] = {}
-    for bone in range(rig.n_bones):
+    for bone in _moved(rig, clip):
         keys = clip.start + np.flatnonzero(rig.keys[clip.frames, bone])
         if keys.tobytes() not in inputs:
             times = (start + seconds(keys - clip.start, clip.fps)).astype(np.float32)

@@ -39,10 +39,11 @@ async function unpacked(entry) {
 // The mesh, the weights and the motion: all but the input, which comes in spans.
 async function loaded() {
   const optional = (entry) => (entry ? unpacked(entry) : null);
-  const entries = ["rest", "indices", "weights", "transforms", "path", "faces", "copies", "uv", "groups", "normals"];
+  const entries = ["rest", "indices", "weights", "transforms", "path", "faces", "copies", "uv", "groups", "normals", "shapeVertices", "shapeMoves", "amounts"];
   const arrays = await Promise.all(entries.map((name) => optional(doc[name])));
   const mesh = Object.fromEntries(entries.map((name, k) => [name, arrays[k]]));
   mesh.shade = await optional(doc.rig?.shade);
+  mesh.plain = mesh.rest; // without shapes
   mesh.bones = doc.bones;
   mesh.influences = doc.indices.shape[1];
   const { vertices } = doc;

@@ -86,6 +86,37 @@ function pose(mesh, frame, turns) {
   return posed;
 }
 
+// Transforms of the bones for weights of the expressions, each a clip of two frames, the first at rest.
+function driven(mesh, weights) {
+  const size = 12 * doc.bones;
+  const out = Float32Array.from(mesh.transforms.subarray(0, size));
+  weights.forEach((weight, k) => {
+    if (!weight) return;
+    const from = 2 * k * size;
+    for (let i = 0; i < size; i++) out[i] += weight * (mesh.transforms[from + size + i] - mesh.transforms[from + i]);
+  });
+  return out;
+}
+
+// The rest pose with the shapes of a frame, or those of the expressions that are weighted.
+function shaped(mesh, frame, weights = null) {
+  const { plain, shapeVertices, shapeMoves, amounts } = mesh;
+  if (!doc.shapes) return plain;
+  const out = Float32Array.from(plain);
+  const count = doc.shapes.length - 1;
+  for (let s = 0; s < count; s++) {
+    const amount = weights
+      ? weights.reduce((sum, weight, k) => sum + weight * amounts[(2 * k + 1) * count + s], 0)
+      : amounts[frame * count + s];
+    if (!amount) continue;
+    for (let i = doc.shapes[s]; i < doc.shapes[s + 1]; i++) {
+      const v = 3 * shapeVertices[i];
+      for (let c = 0; c < 3; c++) out[v + c] += amount * shapeMoves[3 * i + c];
+    }
+  }
+  return out;
+}
+
 // Linear blend skinning as the shader does it; differences of the input are added if there are any.
 function skinned(mesh, matrices, off = null) {
   const { rest, indices, weights, influences } = mesh;

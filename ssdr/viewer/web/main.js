@@ -2,7 +2,7 @@
 
 const state = {
   frame: 0, playing: false, speed: 1, clip: doc.clips.length > 1 ? -1 : 0,
-  view: doc.rig ? "result" : "input", color: "plain", bone: -1, vertex: -1, turns: new Map(),
+  view: doc.rig ? "result" : "input", color: "plain", bone: -1, vertex: -1, turns: new Map(), weights: null,
   joints: false, names: false, worst: true, fixed: true, surface: false, follow: doc.follow, divider: 0.5,
 };
 const camera = new Camera();
@@ -17,6 +17,8 @@ const compared = () => state.color === "error" || state.color === "normals";
 const needsInput = () => input && (state.view !== "result" || compared());
 // The turns that are drawn: a pose by hand has no input to be compared with, and waits for Result.
 const turned = () => (state.view === "result" && !compared() ? state.turns : NO_TURNS);
+// Weights of expressions that are set by hand, where they are drawn; the next frame takes them back.
+const weighted = () => (state.view === "result" && !compared() ? state.weights : null);
 const heading = () => $("stage").querySelector("header").offsetHeight + 14;
 const errorTop = () => (state.fixed ? doc.error.top : doc.error.largest[state.frame] || doc.error.top);
 const NO_TURNS = new Map();
@@ -28,6 +30,11 @@ function set(changes) {
   Object.assign(state, changes);
   if ("clip" in changes && changes.clip !== before.clip) state.frame = range()[0];
   if (changes.turns?.size) Object.assign(state, { view: "result", color: compared() ? "bones" : state.color });
+  if (changes.weights) Object.assign(state, { view: "result", color: compared() ? "bones" : state.color, playing: false });
+  else if (state.weights && (state.playing || state.frame !== before.frame)) {
+    state.weights = null;
+    resetExpressions();
+  }
   if (state.color === "weight" && state.bone < 0) state.bone = doc.rig.share.indexOf(Math.max(...doc.rig.share));
   if (state.color !== before.color || state.bone !== before.bone) paint();
   const moves = resting && (state.playing || state.frame !== before.frame);
@@ -51,7 +58,7 @@ function sync() {
 function showFrame() {
   if (document.activeElement !== $("frame")) $("frame").value = numberOf(state.frame);
   $("now").textContent = errorText(state.frame).slice(2);
-  $("now").classList.toggle("stale", turned().size > 0);
+  $("now").classList.toggle("stale", turned().size > 0 || !!weighted());
   if (!state.fixed) showLegend(state, doc.error && errorTop());
 }
 
@@ -156,10 +163,12 @@ function skin() {
     return false;
   }
   const turns = turned();
-  if (shown.frame !== state.frame || shown.turns !== turns || shown.off !== !!off) {
-    const matrices = pose(mesh, state.frame, turns);
-    renderer.setFrame(matrices, off);
-    shown = { frame: state.frame, turns, off: !!off, matrices, points: null };
+  const weights = weighted();
+  if (shown.frame !== state.frame || shown.turns !== turns || shown.weights !== weights || shown.off !== !!off) {
+    const matrices = weights ? driven(mesh, weights) : pose(mesh, state.frame, turns);
+    mesh.rest = shaped(mesh, state.frame, weights);
+    renderer.setFrame(matrices, off, mesh.rest);
+    shown = { frame: state.frame, turns, weights, off: !!off, matrices, points: null };
   }
   return true;
 }
@@ -318,11 +327,13 @@ async function start() {
 
 const ready = start().catch(failed);
 
+const inFrame = (frame) => ({ ...mesh, rest: shaped(mesh, frame) });
+
 // For tests and the curious.  Frames are counted from 0 in the page; vertices are in the mesh's units.
 window.ssdr = {
   ready, state, set, seek, camera,
-  vertices: (frame) => inUnits(skinned(mesh, pose(mesh, frame, new Map()))),
-  input: async (frame) => inUnits(skinned(mesh, pose(mesh, frame, new Map()), await input.wait(frame))),
+  vertices: (frame) => inUnits(skinned(inFrame(frame), pose(mesh, frame, new Map()))),
+  input: async (frame) => inUnits(skinned(inFrame(frame), pose(mesh, frame, new Map()), await input.wait(frame))),
   read: (which) => inUnits(renderer.read(which), 4),
   normals: () => renderer.read(2),
   place: (bone) => projectorOf(ports().at(-1).port)(moved(shown.matrices, bone, doc.rig.heads[bone])),

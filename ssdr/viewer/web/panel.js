@@ -13,6 +13,20 @@ function boneButton(bone, much, choose) {
   return button;
 }
 
+const expressionRanges = () => [...$("expression-sliders").querySelectorAll("input")];
+
+function expressionWeights() {
+  return expressionRanges().map((range) => {
+    range.nextSibling.textContent = range.value;
+    return range.value / 100;
+  });
+}
+
+function resetExpressions() {
+  for (const range of expressionRanges()) range.value = 0;
+  expressionWeights();
+}
+
 const percent = (part) => (part < 0.001 ? "< 0.1 %" : `${(100 * part).toFixed(1)} %`);
 
 const CHECKS = ["joints", "names", "worst", "follow", "fixed", "surface"];
@@ -42,6 +56,14 @@ function buildPanel(set, choose, showWorst) {
   }
   for (const id of CHECKS) {
     $(id).addEventListener("change", () => set({ [id]: $(id).checked }));
+  }
+  for (const [k, name] of (doc.expressions || []).entries()) {
+    const range = element("input", "", { type: "range", max: 100, value: 0 });
+    range.setAttribute("aria-label", `Weight of ${name}`);
+    range.addEventListener("input", () => set({ weights: expressionWeights() }));
+    const label = element("label");
+    label.append(element("span", name.slice(0, 300), { title: name.slice(0, 300) }), range, element("output", "0"));
+    $("expression-sliders").append(label);
   }
   if (rig) {
     $("joints-word").textContent = rig.parents ? "Skeleton" : "Axes of bones";

@@ -77,7 +77,8 @@ class Renderer {
       map.forEach((v, n) => out.set(values.subarray(v * size, (v + 1) * size), wide * n));
       return out;
     };
-    this.buffer(copied(mesh.rest, 3, 3));
+    this.restOf = (rest) => copied(rest, 3, 3);
+    this.rest = this.buffer(this.restOf(mesh.rest), doc.shapes ? gl.DYNAMIC_DRAW : gl.STATIC_DRAW);
     this.attribute(0, 3, gl.FLOAT);
     this.buffer(copied(mesh.indices, influences, 8));
     this.attribute(1, 4, gl.UNSIGNED_INT, 32, 0);
@@ -176,9 +177,14 @@ class Renderer {
     this.gl.bufferSubData(this.gl.ARRAY_BUFFER, 0, out);
   }
 
-  // Skins the vertices; `off` are the input's differences, if it is to be seen.
-  setFrame(matrices, off) {
+  // Skins the vertices of a rest pose; `off` are the input's differences, if it is to be seen.
+  setFrame(matrices, off, rest) {
     const { gl } = this;
+    if (doc.shapes) {
+      gl.bindBuffer(gl.ARRAY_BUFFER, this.rest);
+      gl.bufferSubData(gl.ARRAY_BUFFER, 0, this.restOf(rest));
+      gl.bindBuffer(gl.ARRAY_BUFFER, null);
+    }
     this.boneData.set(matrices);
     gl.activeTexture(gl.TEXTURE0);
     gl.bindTexture(gl.TEXTURE_2D, this.transforms);

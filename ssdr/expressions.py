@@ -1,0 +1,242 @@
+"""``ssdr.decompose_expressions``: the expressions of a face as bones that their weights drive."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .checks import BoneModel, check_floats, names_arguments, parse_tolerance
+from .clips import Clip, unique_names
+from .decomposition import decompose
+from .search.efforts import Effort
+from .errors import InputError
+from .fit.shapes import fit_shapes
+from .hierarchy.transforms import rest_diagonal
+from .representation import short_repr
+from .sequence import MeshSequence
+from .shapes import Shapes
+from .skinning import Skinning
+from .start import Start
+
+__all__ = ["Expressions", "decompose_expressions"]
+
+Array = NDArray[np.float64]
+
+_MOST = 9.0  # importance of a vertex whose error is far beyond the tolerance
+_STILL = 0.2  # share of the tolerance up to which a bone's part in an expression is left out
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Expressions:
+    """A face as a skinned model whose expressions are clips, and its error.
+
+    Attributes
+    ----------
+    skinning : Skinning
+        A clip of two frames for each expression: the neutral face, and the expression.
+    rmse : float
+        Root mean square distance of the vertices from those of the expressions.
+    max_error : float
+        Largest distance.
+    displaced : int
+        Number of displacements that the shapes of the model have.
+
+    Examples
+    --------
+    >>> neutral = ssdr.samples.load("dancer_small").vertices[0]
+    >>> faces = ssdr.decompose_expressions(neutral, [neutral + 1], bones=1, names=["shift"])
+    >>> faces.names, faces.rmse < 1e-5
+    (('shift',), True)
+    """
+
+    skinning: Skinning
+    rmse: float
+    max_error: float
+    displaced: int
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the expressions."""
+        return tuple(clip.name for clip in self.skinning.clips)
+
+    __repr__ = short_repr
+
+
+@names_arguments
+def decompose_expressions(
+    neutral: Any,
+    expressions: Any = None,
+    *,
+    bones: int,
+    influences: int = 8,
+    tolerance: float | str | None = None,
+    names: Sequence[str] | None = None,
+    faces: Any = None,
+    effort: Effort = "fast",
+    bone_model: BoneModel = "rigid",
+    rng: int | np.random.Generator = 0,
+    time_limit: float | None = None,
+) -> Expressions:
+    """Bones that the weights of a face's expressions drive, and displacements where they are off.
+
+    The neutral face is the rest pose, and the transform of bone j in expression k is I + N_kj.
+    With weights c it is I + Σ_k c_k N_kj (:func:`drive`), so that expressions add as those of
+    blend shapes do.  Vertices that are farther than the tolerance from their place get
+    displacements, with the expression's own weight; they turn with the bones.
+
+    Parameters
+    ----------
+    neutral : (V, 3) array, MeshSequence or Skinning
+        The neutral face.  The shapes of a skinning, as :func:`load_skinning` reads them from the
+        morph targets of a file, are the expressions.
+    expressions : (S, V, 3) array, MeshSequence, or mapping of names to (V, 3) arrays
+        Vertices of the face in each expression.
+    bones : int
+    influences : int
+        Largest number of bones that move a vertex.
+    tolerance : float or str, optional
+        Largest distance of a vertex from its place, as a length or a share of the diagonal such as
+        ``"0.2%"``; by default there are no displacements.
+    names : sequence of str, optional
+        Names of the expressions.
+    faces : (T, 3) int array, optional
+        Triangles, if `neutral` has none.
+    effort, bone_model, rng, time_limit
+        As of :func:`decompose`.
+
+    Returns
+    -------
+    Expressions
+
+    Raises
+    ------
+    InputError
+        If an argument is not usable.
+
+    References
+    ----------
+    Kavan et al., "Compressed skinning for facial blendshapes", 2024, for bones that are linear in
+    the weights of the shapes.
+
+    Examples
+    --------
+    >>> rest = ssdr.samples.load("dancer_small").vertices[0]
+    >>> bent = {"lean": rest + 0.1 * rest[:, 1:2] * [1, 0, 0], "grow": 1.1 * rest}
+    >>> face = ssdr.decompose_expressions(rest, bent, bones=4, tolerance="1%")
+    >>> both = ssdr.drive(face, [[0.5, 1.0]]).skin()[0]
+    >>> bool(abs(both - rest - 0.5 * (bent["lean"] - rest) - 0.1 * rest).max() < 0.03)
+    True
+    """
+    frames, names = _frames(neutral, expressions, names, faces)
+    count, rest = len(frames) - 1, np.asarray(frames.frames(0), dtype=np.float64)
+    limit = None
+    if tolerance is not None:
+        limit = parse_tolerance(tolerance, rest_diagonal(rest))
+    options: dict[str, Any] = {"bones": bones, "influences": influences, "effort": effort}
+    options |= {"bone_model": bone_model, "rng": rng, "time_limit": time_limit, "normals": False}
+    model = decompose(frames, start=_start(rest), **options).skinning
+    if limit is not None:
+        off = np.linalg.norm(model.skin(dtype=np.float64) - frames.vertices, axis=2).max(axis=0)
+        if off.max() > limit:
+            # once more, with the vertices that need displacements more important
+            options["vertex_importance"] = np.minimum(1 + (off / limit) ** 2, _MOST)
+            model = decompose(frames, start=_start(rest, model), **options).skinning
+    # the solver's way back from its own space rounds the rest pose
+    model = _at_rest(dataclasses.replace(model, rest=rest), _STILL * (limit or 0.0))
+    if limit is not None:
+        amounts = np.eye(count + 1)[:, 1:]
+        model = fit_shapes(frames, model, tolerance=limit, amounts=amounts, names=names).skinning
+    gap = np.linalg.norm(model.skin(dtype=np.float64) - frames.vertices, axis=2)
+    return Expressions(
+        skinning=_as_clips(model, names),
+        rmse=float(np.sqrt((gap[1:] ** 2).mean())),
+        max_error=float(gap.max()),
+        displaced=0 if model.shapes is None else int(model.shapes.moved.sum()),
+    )
+
+
+def _frames(
+    neutral: Any, expressions: Any, names: Any, faces: Any
+) -> tuple[MeshSequence, tuple[str, ...]]:
+    """Sequence of the neutral face and its expressions, and the names of these."""
+    surface, rest = None, neutral
+    if isinstance(neutral, Skinning):
+        surface, rest = neutral.surface, neutral.rest
+        faces = neutral.faces if faces is None else faces
+        if expressions is None and neutral.shapes is not None:
+            names = neutral.shapes.names if names is None else names
+            expressions = rest + neutral.shapes.displacements
+    elif isinstance(neutral, MeshSequence):
+        surface, rest = neutral.surface, neutral.frames(0)
+        faces = neutral.faces if faces is None else faces
+    if isinstance(expressions, Mapping):
+        names = list(expressions) if names is None else names
+        expressions = list(expressions.values())
+    if isinstance(expressions, MeshSequence):
+        expressions = expressions.vertices
+    if expressions is None:
+        raise InputError("expressions", "vertices (S, V, 3), or a neutral face with shapes", "None")
+    rest = check_floats(rest, "neutral", ("V", 3))
+    moved = check_floats(expressions, "expressions", ("S", len(rest), 3))
+    names = [f"expression_{k}" for k in range(len(moved))] if names is None else names
+    if isinstance(names, str) or len(names) != len(moved):
+        raise InputError("names", f"{len(moved)} names", repr(names)[:80])
+    both = np.concatenate([rest[None], moved])
+    return MeshSequence(both, faces, surface=surface), unique_names([str(n) for n in names], "face")
+
+
+def _start(rest: Array, model: Skinning | None = None) -> Start:
+    """Start that keeps the rest pose, and begins with the weights and bones of a model."""
+    if model is None:
+        return Start(rest=rest)
+    return Start(
+        rest=rest,
+        indices=model.indices,
+        weights=model.weights,
+        locked_vertices=np.zeros(len(rest), dtype=bool),
+        transforms=model.transforms,
+        locked_bones=np.zeros(model.n_bones, dtype=bool),
+    )
+
+
+def _at_rest(model: Skinning, least: float) -> Skinning:
+    """Model whose bones stand still in the neutral frame, and where they move no vertex farther."""
+    rest = np.asarray(model.rest, dtype=np.float64)
+    moves = np.array(model.transforms, dtype=np.float64)
+    moves[0] = np.eye(3, 4)
+    weights = model.sparse_weights().astype(np.float64).tocsc()
+    for bone in range(model.n_bones):
+        part = slice(*weights.indptr[bone : bone + 2])
+        points, share = rest[weights.indices[part]], weights.data[part]
+        change = moves[:, bone] - np.eye(3, 4)
+        moved = points @ change[..., :3].swapaxes(1, 2) + change[:, None, :, 3]
+        reach = (np.linalg.norm(moved, axis=2) * share).max(axis=1, initial=0.0)
+        moves[reach <= least, bone] = np.eye(3, 4)
+    return dataclasses.replace(model, transforms=moves)
+
+
+def _as_clips(model: Skinning, names: tuple[str, ...]) -> Skinning:
+    """Model with a clip of two frames for each frame but the first; shapes that move nothing go."""
+    index = np.stack([np.zeros(len(names), dtype=int), 1 + np.arange(len(names))], axis=1).ravel()
+    shapes = model.shapes
+    if shapes is not None:
+        used = np.flatnonzero(shapes.moved.any(axis=1))
+        shapes = (
+            Shapes(
+                shapes.displacements[used],
+                shapes.amounts[np.ix_(index, used)],
+                names=[shapes.names[k] for k in used],
+            )
+            if len(used)
+            else None
+        )
+    return dataclasses.replace(
+        model,
+        transforms=model.transforms[index],
+        shapes=shapes,
+        clips=tuple(Clip(name, 2 * k, 2 * k + 2, model.fps) for k, name in enumerate(names)),
+    )

@@ -1,0 +1,141 @@
+"""Expressions of a face as clips whose bones are linear in their weights."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import ssdr
+from helpers.glb import opened
+from helpers.rig_model import largest_distance, tube
+from helpers.surfaces import sphere
+
+BALL = sphere(3)
+
+
+def ball():
+    """A ball, what three expressions add to it, and its triangles."""
+    rest, faces = BALL
+
+    def spot(x, y):
+        far = np.linalg.norm(rest - np.array([x, y, 0.8]), axis=1)
+        return np.exp(-((far / 0.4) ** 2))[:, None]
+
+    moved = {
+        "jaw": 0.3 * spot(0, -0.6) * [0, -1, 0.2],
+        "smile": 0.2 * (spot(0.5, 0) + spot(-0.5, 0)) * [0, 1, 0],
+        "blink": 0.1 * spot(0.3, 0.5) * [0, -1, 0],
+    }
+    return rest, moved, faces
+
+
+@pytest.fixture(scope="module")
+def made():
+    rest, moved, faces = ball()
+    shapes = {name: rest + d for name, d in moved.items()}
+    return ssdr.decompose_expressions(
+        rest, shapes, faces=faces, bones=4, influences=2, tolerance=0.01
+    )
+
+
+def test_names_clips_and_error(made):
+    rest, moved, _ = ball()
+    model = made.skinning
+    assert made.names == ("jaw", "smile", "blink")
+    assert [c.name for c in model.clips] == ["jaw", "smile", "blink"]
+    truth = np.stack([rest + d for d in moved.values()])
+    np.testing.assert_array_equal(model.rest, rest)
+    np.testing.assert_allclose(model.skin()[::2], np.stack([rest] * 3), atol=1e-12)
+    gap = np.linalg.norm(model.skin()[1::2] - truth, axis=2)
+    assert gap.max() == pytest.approx(made.max_error, rel=1e-6)
+    assert gap.max() <= 0.01 * (1 + 1e-9)
+    assert made.rmse == pytest.approx(np.sqrt((gap**2).mean()), rel=1e-6)
+    assert made.displaced == model.shapes.moved.sum() > 0
+    # displaced is what bones alone leave beyond the tolerance
+    alone = dataclasses.replace(model, shapes=None).skin()[1::2]
+    assert made.displaced == (np.linalg.norm(alone - truth, axis=2) > 0.01).sum()
+    # a part that an expression does not need stands still, exactly
+    still = (model.transforms[1::2] == np.eye(3, 4)).all(axis=(2, 3))
+    assert still.any()
+
+
+def test_expressions_add(made):
+    """Bones add exactly; displacements also turn with the bones of other expressions."""
+    rest, moved, _ = ball()
+    weights = np.array([[1, 0, 0], [1, 1, 0], [0.5, 0.2, 1], [0, 0, 0]])
+    driven = ssdr.drive(made, weights)
+    exact = rest + np.tensordot(weights, np.stack(list(moved.values())), 1)
+    bones = dataclasses.replace(made.skinning, shapes=None)
+    each = bones.skin()[1::2] - rest
+    added = rest + np.tensordot(weights, each, 1)
+    np.testing.assert_allclose(ssdr.drive(bones, weights).skin(), added, atol=1e-12)
+    assert largest_distance(driven.skin(), exact) < 2 * made.max_error
+    np.testing.assert_allclose(driven.skin()[3], rest, atol=1e-12)
+    assert driven.n_frames == 4
+
+
+def test_files_play_the_expressions(made, tmp_path):
+    for name in ("a.npz", "a.glb"):
+        ssdr.save(made.skinning, tmp_path / name)
+        back = ssdr.load_skinning(tmp_path / name)
+        assert [c.name for c in back.clips] == list(made.names)
+        assert largest_distance(back.skin(), made.skinning.skin()) < 1e-5
+        weights = np.full((1, 3), 0.5)
+        both = (ssdr.drive(x, weights).skin() for x in (back, made))
+        assert largest_distance(*both) < 1e-5
+    document, _ = opened(tmp_path / "a.glb")
+    moved = [len(one["channels"]) for one in document["animations"]]
+    still = (made.skinning.transforms[1::2] == np.eye(3, 4)).all(axis=(2, 3)).sum(axis=1)
+    assert moved == [2 * (4 - n) + 1 for n in still]  # bones at rest have no keys
+
+
+def test_from_the_shapes_of_a_file(made, tmp_path):
+    rest, moved, faces = ball()
+    amounts = np.zeros((1, 3))
+    shapes = ssdr.Shapes(np.stack(list(moved.values())), amounts, names=list(moved))
+    one = np.ones((len(rest), 1)), np.eye(3, 4)[None, None]
+    rig = ssdr.Skinning.from_dense(rest, *one, faces=faces, shapes=shapes)
+    ssdr.save(rig, tmp_path / "rig.glb")
+    read = ssdr.load_skinning(tmp_path / "rig.glb")
+    again = ssdr.decompose_expressions(read, bones=4, influences=2, tolerance=0.01)
+    assert again.names == made.names
+    assert again.max_error <= 0.01 * (1 + 1e-6)
+
+
+def test_without_a_tolerance():
+    rest, moved, faces = ball()
+    face = ssdr.MeshSequence(rest[None], faces)
+    found = ssdr.decompose_expressions(face, rest + np.stack(list(moved.values())), bones=3)
+    assert found.skinning.shapes is None
+    assert found.names == ("expression_0", "expression_1", "expression_2")
+
+
+@pytest.mark.parametrize(
+    ("neutral", "options", "match"),
+    [
+        (np.eye(3), {}, "expressions: expected"),
+        (
+            np.eye(3),
+            {"expressions": np.ones((2, 4, 3))},
+            r"expressions: expected shape \(S, 3, 3\)",
+        ),
+        (np.eye(3), {"expressions": np.full((2, 3, 3), np.nan)}, "expressions: expected finite"),
+        (np.eye(3), {"expressions": np.ones((2, 3, 3)), "names": ["a"]}, "names: expected 2"),
+        (np.eye(3), {"expressions": np.ones((2, 3, 3)), "tolerance": 0}, "tolerance"),
+        (np.ones((3, 2)), {"expressions": np.ones((2, 3, 3))}, "neutral: expected shape"),
+    ],
+)
+def test_refusals(neutral, options, match):
+    with pytest.raises(ssdr.InputError, match=match):
+        ssdr.decompose_expressions(neutral, bones=1, **options)
+
+
+def test_only_expressions_are_driven(made):
+    with pytest.raises(ssdr.InputError, match="skinning: expected a clip of two frames"):
+        ssdr.drive(tube(), np.ones((1, 1)))
+    with pytest.raises(ssdr.InputError, match=r"weights: expected shape \(F, 3\)"):
+        ssdr.drive(made, np.ones((1, 4)))
+    with pytest.raises(ssdr.InputError, match="weights: expected finite"):
+        ssdr.drive(made, np.full((1, 3), np.inf))
