@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from .checks import BoneModel, check_floats, names_arguments, parse_tolerance
 from .clips import Clip, unique_names
 from .decomposition import decompose
-from .search.efforts import Effort
 from .errors import InputError
 from .fit.shapes import fit_shapes
 from .hierarchy.transforms import rest_diagonal
+from .problem.problem import Effort
 from .representation import short_repr
 from .sequence import MeshSequence
 from .shapes import Shapes

@@ -15,15 +15,19 @@ __all__ = ["import_clips"]
 
 
 def import_clips(
-    cloth: Annotated[
-        list[str],
-        typer.Option("--cloth", "-c", help="Animated mesh, as .abc, .usd or .glb; repeatable."),
-    ],
-    rig: Annotated[
-        list[str],
-        typer.Option("--rig", "-r", help="Its skeleton, as .fbx, .glb or .usd; one per cloth."),
-    ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Store of clips, new or not.")],
+    cloth: Annotated[
+        list[str] | None,
+        typer.Option("--cloth", "-c", help="Animated mesh, as .abc, .usd or .glb; repeatable."),
+    ] = None,
+    rig: Annotated[
+        list[str] | None,
+        typer.Option("--rig", "-r", help="Its skeleton, as .fbx, .glb or .usd; one per cloth."),
+    ] = None,
+    data: Annotated[
+        Path | None,
+        typer.Option(help="Folder of the paper's VirtualBonesDataset; no cloth and no rig then."),
+    ] = None,
     fps: Annotated[float | None, typer.Option(help="Frames a second of the store.")] = None,
     parameters: Annotated[
         str, typer.Option(help="Of the simulation: bending=0.5,density=0.2,time_scale=1.")
@@ -57,7 +61,21 @@ def import_clips(
     from ..importing.scene_files import Source
     from ..io.tables import from_table, parse_toml
 
-    cloths, rigs = _files("--cloth", cloth), _files("--rig", rig)
+    def say(text: str) -> None:
+        typer.echo(text, err=True)
+
+    if data is not None:
+        if cloth or rig:
+            raise InputError("--data", "no --cloth and no --rig beside it", "some")
+        from ..importing.published import import_published
+
+        named = {"test": test or (), "validation": validation or ()}
+        made = import_published(data, output, fps=fps or 30.0, **named, say=say)
+        typer.echo(str(made.path))
+        return
+    cloths, rigs = _files("--cloth", cloth or []), _files("--rig", rig or [])
+    if not cloths:
+        raise InputError("--cloth", "an animated mesh (or --data, a folder)", "none")
     if len(rigs) == 1:  # one file with a clip for every cloth
         rigs *= len(cloths)
     if len(cloths) != len(rigs):
@@ -77,7 +95,7 @@ def import_clips(
         output,
         options,
         rest=rest,
-        say=lambda text: typer.echo(text, err=True),
+        say=say,
     )
     typer.echo(str(store.path))
 

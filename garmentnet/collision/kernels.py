@@ -32,7 +32,7 @@ _LOOK = 0.06
 
 
 @inline
-def _closest(px, py, pz, corners, i):
+def closest(px, py, pz, corners, i):
     """Squared distance to a triangle and its closest point (Ericson 2005, section 5.1.5)."""
     ax, ay, az = corners[i, 0], corners[i, 1], corners[i, 2]
     ux, uy, uz = corners[i, 3] - ax, corners[i, 4] - ay, corners[i, 5] - az
@@ -69,7 +69,7 @@ def _closest(px, py, pz, corners, i):
 
 
 @inline
-def _gap(px, py, pz, boxes, i):
+def gap(px, py, pz, boxes, i):
     """Squared distance to a box."""
     x = max(0.0, max(boxes[i, 0] - px, px - boxes[i, 3]))
     y = max(0.0, max(boxes[i, 1] - py, py - boxes[i, 4]))
@@ -121,7 +121,7 @@ def _side(px, py, pz, corners, i):
 
 
 @inline
-def _winding(px, py, pz, scene):
+def winding(px, py, pz, scene):
     """The winding number of the mesh about a point."""
     corners, depth, boxes = scene
     count, base = len(corners), (1 << depth) - 1
@@ -158,10 +158,10 @@ def _nearest(px, py, pz, limit, hint, free, scene, nodes, gaps):
     count, base = len(corners), (1 << depth) - 1
     best, which, cx, cy, cz = limit, -1, px, py, pz
     if hint >= 0 and not free:
-        d, x, y, z = _closest(px, py, pz, corners, hint)
+        d, x, y, z = closest(px, py, pz, corners, hint)
         if d < best:
             best, which, cx, cy, cz = d, hint, x, y, z
-    nodes[0], gaps[0], top = 0, _gap(px, py, pz, boxes, 0), 1
+    nodes[0], gaps[0], top = 0, gap(px, py, pz, boxes, 0), 1
     while top > 0:
         top -= 1
         if gaps[top] >= best:
@@ -170,17 +170,17 @@ def _nearest(px, py, pz, limit, hint, free, scene, nodes, gaps):
         if node >= base:
             j = node - base
             for t in range((count * j) >> depth, (count * (j + 1)) >> depth):
-                d, x, y, z = _closest(px, py, pz, corners, t)
+                d, x, y, z = closest(px, py, pz, corners, t)
                 if d < best:
                     if free and d > 0.0:
                         f = 1.0 + _ABOVE / np.sqrt(d)
                         qx, qy, qz = px + f * (x - px), py + f * (y - py), pz + f * (z - pz)
-                        if _winding(qx, qy, qz, scene) > 0:
+                        if winding(qx, qy, qz, scene) > 0:
                             continue
                     best, which, cx, cy, cz = d, t, x, y, z
             continue
         left, right = 2 * node + 1, 2 * node + 2
-        near, far = _gap(px, py, pz, boxes, left), _gap(px, py, pz, boxes, right)
+        near, far = gap(px, py, pz, boxes, left), gap(px, py, pz, boxes, right)
         if near > far:
             left, right, near, far = right, left, far, near
         if far < best:
@@ -198,7 +198,7 @@ def _signed(px, py, pz, margin, hint, scene, nodes, gaps):
 
     The distance is inf if the point is outside and farther away than the margin.
     """
-    inside = _winding(px, py, pz, scene) > 0
+    inside = winding(px, py, pz, scene) > 0
     limit = np.inf if inside else margin * margin
     d, which, x, y, z = _nearest(px, py, pz, limit, hint, False, scene, nodes, gaps)
     if which < 0:
@@ -229,7 +229,7 @@ def _move_out(px, py, pz, margin, farthest, hint, scene, nodes, gaps):
         inside, d = s < 0.0, abs(s)
         if inside:
             ux, uy, uz = (x - px) / d, (y - py) / d, (z - pz) / d
-            covered = _winding(x + _ABOVE * ux, y + _ABOVE * uy, z + _ABOVE * uz, scene) > 0
+            covered = winding(x + _ABOVE * ux, y + _ABOVE * uy, z + _ABOVE * uz, scene) > 0
             if covered:
                 square, other, x, y, z = _nearest(
                     px, py, pz, farthest * farthest, -1, True, scene, nodes, gaps

@@ -8,6 +8,8 @@ inside than it was.
 
 Where two parts of the body overlap, the shortest way out is to skin that no other part covers; if
 there is none within reach, the vertex stays.
+
+The shortest way may lead behind a limb.  :mod:`garmentnet.collision.outward` chooses the side.
 """
 
 from __future__ import annotations
@@ -37,7 +39,6 @@ MARGIN = 4e-3
 # Farthest that a vertex is moved, metres, if the skin nearest to it is covered by another limb.
 _FARTHEST = 0.02
 _FRAMES = 8  # frames of a chunk; its searches start from the triangles of the frame before
-_LEAF = 4  # approximate number of triangles in a leaf of the tree
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -110,6 +111,8 @@ class PushOut:
     ([-0.01, 0.2, 0.2], 0.03)
     """
 
+    _leaf = 4  # approximate number of triangles in a leaf of the tree
+
     def __init__(
         self,
         body: Skinning,
@@ -133,7 +136,7 @@ class PushOut:
         self.sweeps = check_whole(sweeps, "sweeps", 0)
         self._starts, self._neighbours = _neighbours(triangles, self.n_vertices)
         rest = np.asarray(body.rest, np.float64)
-        self._depth = max(0, math.ceil(math.log2(max(1, len(body.faces)) / _LEAF)))
+        self._depth = max(0, math.ceil(math.log2(max(1, len(body.faces)) / self._leaf)))
         self._triangles = np.ascontiguousarray(
             body.faces[tree_order(rest, body.faces, self._depth)], dtype=np.int32
         )
@@ -165,26 +168,31 @@ class PushOut:
         def push(_: int, start: int, stop: int) -> None:
             bodies = self._posed(m[start:stop])
             hints = np.full(count, -1, np.int32)
-            moved = np.empty((count, 3))
             for t in range(start, stop):
                 points = np.ascontiguousarray(v[t], dtype=np.float64)
-                push_frame(
-                    points,
-                    self.fixed,
-                    self._starts,
-                    self._neighbours,
-                    self.sweeps,
-                    self.margin,
-                    _FARTHEST,
-                    self._scene(bodies[t - start]),
-                    hints,
-                    moved,
-                )
-                out[t] = moved
+                out[t] = moved = self._pushed(points, self._scene(bodies[t - start]), hints)
                 distance[t] = np.sqrt(((moved - points) ** 2).sum(axis=1))
 
         run_chunks(push, chunk_bounds(frames, _FRAMES))
         return PushedOut(out, distance)
+
+    def _pushed(
+        self, points: NDArray[np.float64], scene: tuple[Any, ...], hints: NDArray[np.int32]
+    ) -> NDArray[np.float64]:
+        moved = np.empty_like(points)
+        push_frame(
+            points,
+            self.fixed,
+            self._starts,
+            self._neighbours,
+            self.sweeps,
+            self.margin,
+            _FARTHEST,
+            scene,
+            hints,
+            moved,
+        )
+        return moved
 
     def signed_distance(
         self, vertices: ArrayLike, joints: ArrayLike, *, limit: float = math.inf

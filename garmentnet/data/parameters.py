@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+import warnings
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ssdr.errors import InputError, is_real
+from ssdr.errors import InputError, SsdrWarning, is_real
 
-__all__ = ["RANGES", "SimulationParameters"]
+__all__ = ["RANGES", "SimulationParameters", "warn_beyond"]
 
 # Ranges that the data sets cover, which normalisation maps to [-1, 1]; units as in
 # SimulationParameters.
@@ -19,6 +20,8 @@ RANGES: Mapping[str, tuple[float, float]] = {
     "density": (0.1, 0.3),
     "time_scale": (0.7, 1.3),
 }
+# Relative tolerance of parameters, since those read from a file may be rounded.
+_ROUNDING = 1e-9
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,3 +87,31 @@ class SimulationParameters:
         """
         beyond = np.abs(self.normalised()) > 1 + 1e-9  # rounded ends of the range are inside
         return tuple(n for n, far in zip(RANGES, beyond, strict=True) if far)
+
+
+def warn_beyond(
+    parameters: SimulationParameters, trained_on: Sequence[SimulationParameters | None]
+) -> None:
+    """Warn if a prediction extrapolates, with the values and the ranges.
+
+    Parameters
+    ----------
+    parameters : SimulationParameters
+    trained_on : sequence of SimulationParameters or None
+        Of each network; None for one that reads the parameters, which is meant for `RANGES`.
+
+    Warns
+    -----
+    SsdrWarning
+        If a parameter lies outside the range of those that the networks were trained on.
+    """
+    known = [dataclasses.asdict(p) for p in trained_on if p is not None]
+    messages = []
+    for key, value in dataclasses.asdict(parameters).items():
+        seen = [p[key] for p in known] or RANGES[key]
+        low, high = min(seen), max(seen)
+        if not low * (1 - _ROUNDING) <= value <= high * (1 + _ROUNDING):
+            range_ = "trained from" if known else "meant for"
+            messages.append(f"{key} {value:g}, {range_} {low:g} to {high:g}")
+    if messages:
+        warnings.warn(f"extrapolated: {'; '.join(messages)}", SsdrWarning, stacklevel=3)

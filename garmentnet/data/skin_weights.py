@@ -24,6 +24,9 @@ __all__ = ["BodyBound", "find_body_bound", "strongest"]
 
 # Largest error, metres, of skinning by the body at which a vertex counts as bound, in all frames.
 _CLOSE = 1e-4
+# Largest error, metres, of a vertex whose place at rest is solved for, and how often it is.
+_NEAR = 0.05
+_SOLVES = 20
 _INFLUENCES = 8  # joints per vertex, as many as engines support
 _FRAMES = 240  # number of frames compared, evenly spread over the clips
 
@@ -61,7 +64,8 @@ def find_body_bound(
 ) -> BodyBound | None:
     """Vertices that skinning by the body reproduces within 0.1 mm; None if there are none.
 
-    If stored vertices are rounded, the rounding error is added to the tolerance.
+    If stored vertices are rounded, the rounding error is added to the tolerance.  The place at rest
+    of a vertex that nearly follows the body is solved from its motion.
 
     Parameters
     ----------
@@ -78,10 +82,22 @@ def find_body_bound(
         vertices.append(clip.sequence.frames(here))
         joints.append(clip.joints[here])
     truth, moved = np.concatenate(vertices), np.concatenate(joints).astype(np.float64)
-    rest = np.asarray(store.rest, np.float64)
+    rest = np.array(store.rest, np.float64)
     influences = min(_INFLUENCES, moved.shape[1])
     fit = ssdr.fit_weights(truth, rest, moved, influences=influences).skinning
     gap = np.linalg.norm(ssdr.skin(rest, fit.indices, fit.weights, moved) - truth, axis=2)
+    joints_of, weights = np.array(fit.indices), np.array(fit.weights)
+    # Where the garment at rest is a frame of the simulation, a pin's place at rest is only near.
+    for _ in range(_SOLVES):
+        near = np.flatnonzero((gap.max(axis=0) >= close) & (gap.max(axis=0) < _NEAR))
+        if not len(near):
+            break
+        part = truth[:, near]
+        rest[near] = _rest_points(part, joints_of[near], weights[near], moved)
+        fit = ssdr.fit_weights(part, rest[near], moved, influences=influences).skinning
+        joints_of[near], weights[near] = fit.indices, fit.weights
+        skinned = ssdr.skin(rest[near], joints_of[near], weights[near], moved)
+        gap[:, near] = np.linalg.norm(skinned - part, axis=2)
     index = np.flatnonzero(gap.max(axis=0) < close).astype(np.int32)
     if not len(index):
         return None
@@ -90,9 +106,24 @@ def find_body_bound(
         index,
         rest[index],
         smooth[index],
-        np.asarray(fit.indices, np.int32)[index],
-        np.asarray(fit.weights, np.float64)[index],
+        joints_of[index].astype(np.int32),
+        weights[index].astype(np.float64),
     )
+
+
+def _rest_points(
+    truth: NDArray[Any],
+    joints: NDArray[np.integer],
+    weights: NDArray[np.floating],
+    moved: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Rest positions ``(n, 3)`` with which skinning comes nearest to the motion (F, n, 3)."""
+    found = np.empty((truth.shape[1], 3))
+    for v in range(len(found)):
+        blend = np.einsum("k,fkab->fab", weights[v], moved[:, joints[v]])
+        target = truth[:, v] - blend[..., 3]
+        found[v] = np.linalg.lstsq(blend[..., :3].reshape(-1, 3), target.ravel(), rcond=1e-6)[0]
+    return found
 
 
 def strongest(

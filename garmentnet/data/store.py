@@ -133,11 +133,7 @@ class ClipStore(Outfit):
             ),
         )
         if target.exists():
-            there = cls.open(target)
-            if not there.is_like(outfit):
-                expected = "a new folder or a store of this garment and body"
-                raise InputError("path", expected, there.path)
-            return there
+            return cls._same(target, outfit)
         metadata = {
             "format": _FORMAT,
             "version": _VERSION,
@@ -146,15 +142,28 @@ class ClipStore(Outfit):
             "joint_rest": skeleton.rest.tolist(),
             "classes": list(CLASSES),
         }
-        with atomic_path(target, flush=False) as temporary:
-            group = zarr().create_group(store=str(temporary), attributes=metadata)
-            for name in _ARRAYS:
-                values = getattr(outfit, name)
-                if values is not None:
-                    group.create_array(name, data=values, compressors=compressors())
-            (temporary / "clips").mkdir()
-            ssdr.save(body, temporary / "body.npz")
-        return cls.open(target)
+        try:
+            with atomic_path(target, flush=False) as temporary:
+                group = zarr().create_group(store=str(temporary), attributes=metadata)
+                for name in _ARRAYS:
+                    values = getattr(outfit, name)
+                    if values is not None:
+                        group.create_array(name, data=values, compressors=compressors())
+                (temporary / "clips").mkdir()
+                ssdr.save(body, temporary / "body.npz")
+        except OSError:
+            # Another process may have made the store in the meantime.
+            if not (target / "zarr.json").is_file():
+                raise
+        return cls._same(target, outfit)
+
+    @classmethod
+    def _same(cls, path: Path, outfit: Outfit) -> ClipStore:
+        there = cls.open(path)
+        if not there.is_like(outfit):
+            expected = "a new folder or a store of this garment and body"
+            raise InputError("path", expected, there.path)
+        return there
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> ClipStore:

@@ -23,6 +23,7 @@ from ..io.files import write_file, writing
 from ..networks.checkpoint import Checkpoint, load_checkpoint
 from ..training.run import choose_clips
 from .baselines import BodySkinned, MeanShape, Ridge
+from .limbs import count_limbs, limbs_table
 from .methods import BonesThemselves, MeanDetail, Method, Network
 from .scores import PARTS, VERTICES, Scores, chaos_floor, evaluate
 from .tables import class_table, markdown, score_table
@@ -99,6 +100,11 @@ def report(
         entered = methods if title.startswith(_MOTIONS) else [*bounds, *reading]
         rows = evaluate(bones, entered, names, progress=progress)
         lines += _section(title, rows, document)
+        limbs = count_limbs(bones, networks if entered is methods else reading, names)
+        if limbs:
+            found = document["groups"][title.removeprefix(_MOTIONS)]
+            found["limbs"] = [dataclasses.asdict(row) for row in limbs]
+            lines += [limbs_table(limbs), ""]
     lines += _chaos(bones, document)
     motions = [n for title in sections if title.startswith(_MOTIONS) for n in sections[title]]
     for network in networks:

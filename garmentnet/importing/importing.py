@@ -16,12 +16,14 @@ from numpy.typing import NDArray
 from ssdr import MeshSequence
 from ssdr.errors import InputError
 from ssdr.hierarchy.transforms import rest_diagonal
+from ssdr.io.atomic import check_writable
 
 from ..collision.push_out import is_closed
 from ..data.clip_files import Split
 from ..data.motion import CLASSES
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
+from ..io.files import writing
 from .rig import Rig, rig_of
 from .scene_files import Say, Source, read_cloth, read_rig
 
@@ -104,6 +106,11 @@ def import_clips(
         if name not in names:
             raise InputError("test, validation", f"some of {', '.join(names)}", name)
     store = ClipStore.open(target) if target.exists() else None
+    if store is None:
+        # Before anything is read, which may take long.
+        with writing(target):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            check_writable(target)
     if store is not None:
         store.sweep()
         if o.fps not in (None, store.fps):
@@ -116,9 +123,11 @@ def import_clips(
                 _check_faces(cloth, store.faces)
                 rig = rig.matched(store.skeleton, store.body)
             vertices = np.asarray(cloth.vertices, np.float32)
-            rig.check_cloth(vertices)
+            warning = rig.check_cloth(vertices, scales=(o.cloth.scale, o.rig.scale))
         except InputError as error:
             raise InputError(error.argument, error.expected, f"{error.got} ({name})") from error
+        if warning:
+            say(f"{name}: {warning}")
         if store is None:
             store = _create(target, cloth, rig, o, rest, say)
         _add(store, name, vertices, rig.joints, o, files, say)
@@ -175,8 +184,10 @@ def _create(
         mesh_of = "a mesh of the body that is not closed" if len(rig.body.faces) else "no body"
         say(f"the rig has {mesh_of}: nothing can be pushed out of it")
     size = rest_diagonal(rig.skeleton.rest)
-    if rig.is_lying() or not 0.2 < size < 20:
-        say(f"warning: the skeleton is {size:.3g} m large; it should be in metres, with y up")
+    if not 0.2 < size < 20:
+        say(f"warning: the skeleton is {size:.3g} m large; --rig-scale makes metres of its unit")
+    if rig.is_lying():
+        say("warning: the skeleton is longest along z; if it should stand, --rig-up z")
     return ClipStore.create(
         path,
         rest=rest,

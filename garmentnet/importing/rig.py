@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,10 @@ _SAME_PLACE = 2e-3
 _LOOKED_AT = 8  # number of frames in which the cloth must be at the body
 _FAR = 0.25  # largest median distance from the body, relative to the larger size of the two
 _SMALLEST, _LARGEST = 0.05, 5.0  # bounds of a cloth's size, relative to the body's
+# Factors of lengths that are tried, and the weight of a size other than the body's.
+_FACTORS = (1, 0.1, 10, 0.01, 100, 0.001, 1000)
+_OF_SIZE = 0.1
+_BETTER = 0.6  # share of the misfit below which another unit or axis is proposed
 _HUGE = 20.0  # size from which a skeleton's unit cannot be the metre
 
 
@@ -50,14 +55,22 @@ class Rig:
         x, y, z = np.ptp(self.skeleton.rest, axis=0)
         return bool(z > 1.2 * max(x, y))
 
-    def check_cloth(self, vertices: NDArray[np.float32]) -> None:
-        """Check that a cloth ``(F, V, 3)`` is on the body.
+    def check_cloth(
+        self, vertices: NDArray[np.float32], *, scales: tuple[float, float] = (1.0, 1.0)
+    ) -> str | None:
+        """A warning if another unit or axis fits a cloth ``(F, V, 3)`` much better, else None.
+
+        Parameters
+        ----------
+        vertices : (F, V, 3) array
+        scales : (float, float)
+            Factors of lengths with which cloth and rig were read; those in messages replace them.
 
         Raises
         ------
         InputError
             If the cloth is far away or of another size; the message says which unit or axis would
-            fit.
+            fit best.
         """
         body, size = self.body, rest_diagonal(self.body.rest)
         chosen = np.unique(np.linspace(0, len(self.joints) - 1, _LOOKED_AT).astype(int))
@@ -65,33 +78,43 @@ class Rig:
         posed = skin(body.rest, body.indices, body.weights, self.joints[chosen])
         trees = [cKDTree(v) for v in posed]
 
-        def measure(v: NDArray[np.float64]) -> tuple[float, float]:
+        def measure(v: NDArray[np.float64]) -> tuple[float, float, float]:
+            """Distance from the body, size, and how badly both fit."""
             far = np.median([tree.query(x)[0] for tree, x in zip(trees, v, strict=True)])
-            return float(far), rest_diagonal(v[0])
+            large = rest_diagonal(v[0])
+            misfit = math.inf
+            if far < _FAR * max(size, large) and _SMALLEST * size < large < _LARGEST * size:
+                # A garment far too small lies close to the body, too.
+                misfit = far / max(size, large) + _OF_SIZE * abs(math.log(large / size))
+            return float(far), large, misfit
 
-        def fits(v: NDArray[np.float64]) -> bool:
-            far, large = measure(v)
-            return far < _FAR * max(size, large) and _SMALLEST * size < large < _LARGEST * size
-
-        if fits(cloth):
-            return
+        far, large, own = measure(cloth)
         lying = self.is_lying()
         # A quarter turn about x, from y up to z up or back.
         turned = cloth[..., [0, 2, 1]] * ((1, -1, 1) if lying else (1, 1, -1))
         found = []
         for axis, v in (("", cloth), ("rig-up z" if lying else "cloth-up z", turned)):
-            for factor in (1, 0.01, 100, 0.001, 1000):
-                if fits(factor * v):
-                    which, by = ("rig", 1 / factor) if size > _HUGE else ("cloth", factor)
-                    scale = f"{which}-scale {by:g}" if factor != 1 else ""
-                    found.append(" and ".join(filter(None, (axis, scale))))
-        far, large = measure(cloth)
-        hint = f"; {found[0]} would fit" if found else ""
-        raise InputError(
-            "cloth",
-            f"a garment on the body, which is {size:.3g} m large, in its unit, axes and place",
-            f"one {large:.3g} m large, {far:.3g} m away from it{hint}",
-        )
+            for factor in _FACTORS:
+                misfit = measure(factor * v)[2]
+                if misfit < math.inf and (axis or factor != 1):
+                    of_rig = size > _HUGE
+                    which, by = ("rig", 1 / factor) if of_rig else ("cloth", factor)
+                    scale = f"{which}-scale {by * scales[of_rig]:g}" if factor != 1 else ""
+                    found.append((misfit, " and ".join(filter(None, (axis, scale)))))
+        best, hint = min(found, default=(math.inf, ""))
+        if own == math.inf:
+            raise InputError(
+                "cloth",
+                f"a garment on the body, which is {size:.3g} m large, in its unit, axes and place",
+                f"one {large:.3g} m large, {far:.3g} m away from it"
+                f"{f'; {hint} would fit' if hint else ''}",
+            )
+        if best < _BETTER * own:
+            return (
+                f"warning: the cloth is {large:.3g} m large, the body {size:.3g} m; "
+                f"{hint} would fit better"
+            )
+        return None
 
     def matched(self, skeleton: Skeleton, body: Skinning) -> Rig:
         """Rig with this motion for a skeleton with the same joints in any order, and its body.

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from ssdr.errors import FormatError, InputError
 from ssdr.io.optional import import_optional as require
 from ssdr.io.registry import reading
 
-__all__ = ["SHIPPED", "load_arrays"]
+__all__ = ["SHIPPED", "digest", "load_arrays"]
 
 # Checkpoints that ship with the package.
 SHIPPED = Path(__file__).parents[1] / "models"
@@ -30,7 +31,12 @@ def load_arrays(path: Path, wanted: Sequence[str]) -> tuple[dict[str, NDArray[An
     InputError
         If there is no such file.
     FormatError
-        If the file is of another format, lacks a document or holds NaN or Inf.
+        If the file is of another format, differs from its checksum, lacks a document or holds
+        numbers that are not finite in single precision.
+
+    Notes
+    -----
+    Files of earlier versions have no checksum.
     """
     safetensors = require("safetensors", "garmentnet", "a checkpoint")
     ships = SHIPPED / f"{path}.safetensors"
@@ -44,12 +50,37 @@ def load_arrays(path: Path, wanted: Sequence[str]) -> tuple[dict[str, NDArray[An
                 raise FormatError("safetensors, but not of garmentnet")
             arrays = {k: file.get_tensor(k) for k in file.keys()}  # noqa: SIM118
         documents = json.loads(text)
+        expected = documents.pop("sha256", None)
+        if expected is not None and expected != digest(arrays, documents):
+            raise FormatError("damaged: its checksum is another")
         missing = [k for k in wanted if k not in documents]
         if missing:
             raise FormatError(f"no document {missing[0]!r}")
         for key, value in arrays.items():
-            if value.dtype.kind == "f" and not np.isfinite(value).all():
-                raise FormatError(f"NaN or Inf in {key}")
+            if value.dtype.kind != "f":
+                continue
+            with np.errstate(over="ignore"):
+                single = value.astype(np.float32)
+            if not np.isfinite(single).all():
+                raise FormatError(f"numbers that are not finite in single precision in {key}")
             if value.dtype == np.float16:
-                arrays[key] = value.astype(np.float32)
+                arrays[key] = single
     return arrays, documents
+
+
+def digest(arrays: Mapping[str, NDArray[Any]], documents: Mapping[str, Any]) -> str:
+    """SHA-256 of arrays, with their names and types, and of JSON documents, in hexadecimal.
+
+    Examples
+    --------
+    >>> digest({"a": np.zeros(2)}, {}) == digest({"a": np.zeros(2)}, {})
+    True
+    >>> digest({"a": np.zeros(2)}, {}) == digest({"b": np.zeros(2)}, {})
+    False
+    """
+    found = hashlib.sha256(json.dumps(documents, sort_keys=True).encode())
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        found.update(f"{name} {array.dtype.str} {array.shape}".encode())
+        found.update(array.tobytes())
+    return found.hexdigest()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Any
 
 import numpy as np
@@ -82,6 +83,8 @@ def read_document(arrays: dict[str, Any], documents: dict[str, Any]) -> tuple[Do
     version = table.get("version")
     check(version == VERSION, f"version {version}, this reads {VERSION}")
     d = from_table(Document, table, file="document")
+    numbers = (d.fps, *(r.clamp for r in d.networks))
+    check(d.fps > 0 and all(map(math.isfinite, numbers)), f"frame rate or clamp {numbers}")
     count = len(d.networks)
     check(count == 1 or (d.kernel and count), f"{count} networks, kernel {d.kernel}")
     known = all(r.parameters is not None for r in d.networks)

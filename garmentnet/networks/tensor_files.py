@@ -14,18 +14,20 @@ from ssdr.io.atomic import atomic_path
 from ssdr.io.optional import import_optional as require
 
 from ..io.files import writing
-from ..io.tensors import load_arrays
+from ..io.tensors import digest, load_arrays
 
 __all__ = ["load_tensors", "part_of", "save_tensors"]
 
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], documents: dict[str, Any]) -> Path:
-    """Write tensors and JSON documents to one safetensors file, complete or not at all."""
+    """Write tensors, JSON documents and their checksum to one file, complete or not at all."""
     safetensors = require("safetensors.torch", "garmentnet", "a checkpoint")
-    # A single metadata entry, because several would be written in an order that varies.
-    text = json.dumps(documents, sort_keys=True)
     # Tensors may share memory, which the format cannot express.
     plain = {k: v.detach().cpu().contiguous().clone() for k, v in tensors.items()}
+    read = json.loads(json.dumps(documents))  # tuples become lists
+    checksum = digest({k: v.numpy() for k, v in plain.items()}, read)
+    # A single metadata entry, because several would be written in an order that varies.
+    text = json.dumps(documents | {"sha256": checksum}, sort_keys=True)
     with writing(path), atomic_path(path) as temporary:
         temporary.touch()
         mode = temporary.stat().st_mode

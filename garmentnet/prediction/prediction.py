@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,16 +11,14 @@ from numpy.typing import NDArray
 
 import ssdr
 from ssdr import MeshSequence, Skinning
-from ssdr.errors import InputError, SsdrWarning
+from ssdr.errors import InputError
 
-from ..collision.push_out import PushOut, is_closed
-from ..data.parameters import RANGES, SimulationParameters
+from ..collision.outward import OutwardPush
+from ..collision.push_out import is_closed
+from ..data.parameters import SimulationParameters, warn_beyond
 from ..networks.checkpoint import Checkpoint
 
 __all__ = ["Prediction", "chosen_parameters", "predict"]
-
-# Relative tolerance of parameters, since those read from a file may be rounded.
-_ROUNDING = 1e-9
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -93,8 +90,8 @@ def predict(
         Whether to run the high-frequency module.
     push_out : bool
         Whether to move vertices that lie inside the body out of it; see
-        :class:`~garmentnet.collision.push_out.PushOut`.  Without a closed mesh of the body none is
-        moved.
+        :class:`~garmentnet.collision.outward.OutwardPush`.  Without a closed mesh of the body
+        none is moved.
 
     Raises
     ------
@@ -113,9 +110,7 @@ def predict(
         expected = f"those of this single network, {trained_on} (an ensemble takes any)"
         raise InputError("parameters", expected, parameters)
     if several and parameters is not None:
-        beyond = _beyond(checkpoint, parameters)
-        if beyond:
-            warnings.warn(f"extrapolated: {beyond}", SsdrWarning, stacklevel=2)
+        warn_beyond(parameters, checkpoint.parameters)
     motions = checkpoint.motions(joints, parameters, detail=detail)
     cloth = np.concatenate([part.vertices() for part in motions])
     transforms = np.concatenate([part.world_transforms() for part in motions])
@@ -125,7 +120,7 @@ def predict(
     if push_out and is_closed(rig.faces):
         held = np.ones(garment.n_vertices, bool)
         held[subject.free] = False
-        push = PushOut(rig, garment.faces, pinned=held, n_vertices=garment.n_vertices)
+        push = OutwardPush(rig, garment.faces, garment.rest, pinned=held)
         pushed = push(cloth, m)
         cloth, moved, farthest = pushed.vertices, pushed.moved, pushed.farthest
     body = np.asarray(ssdr.skin(rig.rest, rig.indices, rig.weights, m), np.float32)
@@ -152,16 +147,3 @@ def predict(
         moved=moved,
         farthest=farthest,
     )
-
-
-def _beyond(checkpoint: Checkpoint, parameters: SimulationParameters) -> str:
-    # A network that reads parameters does not know its training sets.
-    known = [dataclasses.asdict(p) for p in checkpoint.parameters if p is not None]
-    messages = []
-    for key, value in dataclasses.asdict(parameters).items():
-        seen = [p[key] for p in known] or RANGES[key]
-        low, high = min(seen), max(seen)
-        if not low * (1 - _ROUNDING) <= value <= high * (1 + _ROUNDING):
-            range_ = "trained from" if known else "meant for"
-            messages.append(f"{key} {value:g}, {range_} {low:g} to {high:g}")
-    return "; ".join(messages)

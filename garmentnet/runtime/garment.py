@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,10 @@ from numpy.typing import NDArray
 from ssdr.errors import FormatError, InputError
 from ssdr.io.registry import check, reading
 
+from ..collision.outward import OutwardPush
+from ..collision.push_out import is_closed
 from ..configs.config import FeatureOptions
-from ..data.parameters import SimulationParameters
+from ..data.parameters import SimulationParameters, warn_beyond
 from ..data.skeleton import check_joints
 from ..data.subject import Subject
 from ..io.tensors import load_arrays
@@ -72,6 +75,12 @@ class LiveGarment:
         The single network, or those of an ensemble.
     mixture : Mixture or None
         Kernel that mixes the networks of an ensemble.
+    trained_on : sequence of SimulationParameters or None
+        Of each network; None for one that reads the parameters.
+    push_out : bool
+        Whether vertices are moved out of the body, as
+        :class:`~garmentnet.collision.outward.OutwardPush` does; without a closed mesh of the body
+        none is moved.
 
     Raises
     ------
@@ -85,10 +94,20 @@ class LiveGarment:
         features: FeatureOptions,
         pivots: tuple[Pivot, ...],
         mixture: Mixture | None = None,
+        trained_on: Sequence[SimulationParameters | None] = (),
+        *,
+        push_out: bool = False,
     ) -> None:
         self.subject, self.features, self.pivots, self.mixture = subject, features, pivots, mixture
         self._pose = PoseFeatures(subject.skeleton, features, subject.fps)
         self.read, self.n_features = self._pose.read, self._pose.size
+        self.trained_on = tuple(trained_on)
+        self._push = None
+        if push_out and is_closed(subject.body.faces):
+            held = np.ones(subject.garment.n_vertices, bool)
+            held[subject.free] = False
+            g = subject.garment
+            self._push = OutwardPush(subject.body, g.faces, g.rest, pinned=held)
         self._frame = FRAMES.index(features.frame)
         self._free, self._skin = subject.free, _skin_arrays(subject, pivots[0].high is not None)
         self._sizes = [tuple(map(len, p.start)) for p in pivots]
@@ -127,6 +146,11 @@ class LiveGarment:
         InputError
             If the pose does not fit the body, is not finite or not rigid, the state is that of
             another garment, or parameters are missing.
+
+        Warns
+        -----
+        SsdrWarning
+            If the parameters are new and lie outside the trained range.
         """
         m = self.checked(pose)
         state = self.advance(state, m, parameters)
@@ -187,13 +211,14 @@ class LiveGarment:
             added[:, self._free] = sum(detail[1:], detail[0]).reshape(3, -1)
         out = np.empty((s.garment.n_vertices, 3), np.float32)
         skin(transforms, frame, *self._skin, added, out)
-        return out
+        return out if self._push is None else self._push.frame(out, pose).astype(np.float32)
 
     def _weigh(self, parameters: SimulationParameters | None) -> tuple[Single, Single]:
         if not self.reads_parameters:
             return np.ones(1, np.float32), np.zeros(0, np.float32)
         if parameters is None:
             raise InputError("parameters", "bending, density and time scale", None)
+        warn_beyond(parameters, self.trained_on)  # once for each change: this result is kept
         theta = parameters.normalised()
         if self.mixture is None:
             return np.ones(1, np.float32), theta.astype(np.float32)
@@ -215,13 +240,15 @@ def _skin_arrays(subject: Subject, detailed: bool) -> tuple[Single, NDArray[np.i
     )
 
 
-def load_live(path: Path | str) -> LiveGarment:
+def load_live(path: Path | str, *, push_out: bool = False) -> LiveGarment:
     """Read a checkpoint: a single network, one that reads the parameters, or an ensemble.
 
     Parameters
     ----------
     path : path
-        ``.safetensors``, as ``garmentnet train`` writes it.
+        ``.safetensors``, as ``garmentnet train`` writes it, or the name of a garment that ships.
+    push_out : bool
+        Whether vertices are moved out of the body; see :class:`LiveGarment`.
 
     Raises
     ------
@@ -239,7 +266,8 @@ def load_live(path: Path | str) -> LiveGarment:
         check(all(kind == kinds[0] for kind in kinds), "pivots that differ in features or modules")
         mixture = Mixture.read(arrays, d)
         pivots = tuple(read_pivot(arrays, k, r, subject) for k, r in enumerate(d.networks))
-        garment = LiveGarment(subject, kinds[0][0], pivots, mixture)
+        trained_on = [r.parameters for r in d.networks]
+        garment = LiveGarment(subject, kinds[0][0], pivots, mixture, trained_on, push_out=push_out)
         for pivot in pivots:
             if len(pivot.mean) != garment.n_features:
                 raise FormatError(f"{len(pivot.mean)} features, not {garment.n_features}")

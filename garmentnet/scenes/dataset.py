@@ -208,15 +208,15 @@ def _writing(store: ClipStore) -> Iterator[None]:
     """Allow one writer at a time, by a lock file; the lock of an ended process is ignored."""
     path = store.path / _LOCK
     text = path.read_text(errors="replace").strip() if path.exists() else ""
-    if text.isdigit() and _alive(int(text)):
-        raise InputError(
-            "path",
-            "a store that nobody writes to",
-            f"process {text} does (if that is no garmentnet, remove {path})",
-        )
-    path.unlink(missing_ok=True)
-    with open(path, "x") as file:  # an error if another process is as fast
-        file.write(str(os.getpid()))
+    if not (text.isdigit() and _alive(int(text))):
+        path.unlink(missing_ok=True)
+    try:
+        with open(path, "x") as file:
+            file.write(str(os.getpid()))
+    except FileExistsError:
+        who = f"process {text} does" if text else "another process has just begun"
+        got = f"{who} (if that is no garmentnet, remove {path})"
+        raise InputError("path", "a store that nobody writes to", got) from None
     try:
         yield
     finally:

@@ -307,3 +307,25 @@ def test_create_again_opens_the_same_garment(store: ClipStore) -> None:
     assert ClipStore.create(store.path, rest=GARMENT, **given).names() == ()
     with pytest.raises(InputError, match="this garment"):
         ClipStore.create(store.path, rest=GARMENT * 2, **given)
+
+
+def test_two_processes_make_the_same_store_at_once(tmp_path, monkeypatch):
+    """The second to finish finds the store of the first, not a folder that is in its way."""
+    common = {"faces": FACES, "body": body(), "skeleton": SKELETON}
+    path, save = tmp_path / "new.clips", ssdr.save
+
+    def meanwhile(other: np.ndarray) -> None:
+        def last_step(*args: Any) -> None:
+            save(*args)
+            monkeypatch.setattr(ssdr, "save", save)
+            ClipStore.create(path, rest=other, **common)
+
+        monkeypatch.setattr(ssdr, "save", last_step)
+
+    meanwhile(GARMENT)
+    assert ClipStore.create(path, rest=GARMENT, **common).is_like(ClipStore.open(path))
+    shutil.rmtree(path)
+    meanwhile(2 * GARMENT)
+    with pytest.raises(InputError, match="this garment and body"):
+        ClipStore.create(path, rest=GARMENT, **common)
+    assert [p.name for p in tmp_path.iterdir()] == ["new.clips"]

@@ -90,16 +90,17 @@ def test_other_clips_of_the_same_name_have_other_bones(copy):
     assert again(copy).folder != copy.folder
 
 
-@pytest.mark.parametrize("step", [0.0, 2.3e-4])
-def test_what_the_body_carries_is_found_in_rounded_clips(toy_store, tmp_path, step):
-    """Two rings move with the root; the others do not."""
+@pytest.mark.parametrize(("step", "off"), [(0.0, 0.0), (2.3e-4, 0.0), (0.0, 0.01)])
+def test_what_the_body_carries_is_found_in_rounded_clips(toy_store, tmp_path, rng, step, off):
+    """Two rings move with the root, one from other places than those at rest; others do not."""
     outfit = {k: getattr(toy_store, k) for k in ("rest", "faces", "body", "skeleton", "fps")}
     store = ClipStore.create(tmp_path / "a.clips", **outfit)
     clip = toy_store.clip(NAME)
     vertices = clip.sequence.frames(slice(None)).copy()
     bound = np.arange(32)
     root = clip.joints[:, 0]
-    vertices[:, bound] = store.rest[bound] @ root[:, :, :3].swapaxes(1, 2) + root[:, None, :, 3]
+    places = store.rest[bound] + off * rng.normal(size=(32, 3)) * (bound < 16)[:, None]
+    vertices[:, bound] = places @ root[:, :, :3].swapaxes(1, 2) + root[:, None, :, 3]
     store.add(
         NAME,
         vertices=vertices,
@@ -115,6 +116,8 @@ def test_what_the_body_carries_is_found_in_rounded_clips(toy_store, tmp_path, st
     )
     found = find_body_bound(store, [NAME], LaplacianSmoother(store.rest, store.faces, 0.03))
     assert found.index.tolist() == bound.tolist()
+    placed = found.place(vertices, clip.joints)[:, bound]
+    assert np.abs(placed - vertices[:, bound]).max() < 2e-4 + step
 
 
 def test_bones_of_named_clips_alone(toy_store):

@@ -22,7 +22,7 @@ from garmentnet.data.store import ClipStore
 from garmentnet.importing.importing import ImportOptions, import_clips
 from garmentnet.importing.scene_files import Source
 from ssdr import MeshSequence, Skinning
-from ssdr.errors import FormatError, InputError
+from ssdr.errors import FormatError, InputError, SsdrError
 
 FRAMES, FPS = 60, 30.0
 NAMES, PARENTS = ("hips", "leg_l", "leg_r"), [-1, 0, 0]
@@ -195,6 +195,55 @@ def test_units_and_axes_are_applied_or_hinted_at(files, tmp_path):
         InputError, match=r"got one 0\.\d+ m large, \d\.\d+ m away from it \(far\)$"
     ):
         import_clips([(tmp_path / "far.npz", files[1])], tmp_path / "a.clips")
+
+
+def test_candidates_are_ranked_and_a_tiny_cloth_is_not_taken_in_silence(files, tmp_path):
+    """In centimetres with z up: a tenth of the right size lies close to the body, too."""
+    turned = cloth().vertices[..., [0, 2, 1]] * np.float32([100, -100, 100])
+    source = tmp_path / "cape.npz"
+    ssdr.save(MeshSequence(turned, cloth().faces, FPS), source)
+    with pytest.raises(InputError, match=r"; cloth-up z and cloth-scale 0\.01 would fit"):
+        import_clips([(source, files[1])], tmp_path / "a.clips")
+    for scale, up in ((0.0014, "z"), (0.0014, None)):
+        said: list[str] = []
+        options = ImportOptions(cloth=Source(scale=scale, up=up))
+        try:
+            import_clips([(source, files[1])], tmp_path / f"{up}.clips", options, say=said.append)
+        except InputError as error:
+            said.append(str(error))
+        assert any("cloth-scale 0.014 would fit" in text for text in said), said
+
+
+def test_the_output_is_checked_before_anything_is_read(files, tmp_path):
+    store = import_clips([files], tmp_path / "new" / "deeper" / "a.clips")
+    assert store.path.parent.name == "deeper"
+    (tmp_path / "file").write_text("in the way")
+    missing = tmp_path / "not there.usda", tmp_path / "nor there.glb"
+    with pytest.raises((InputError, SsdrError), match="file"):
+        import_clips([missing], tmp_path / "file" / "a.clips")
+
+
+def test_a_skeleton_of_another_size_and_one_that_lies_are_two_messages(tmp_path):
+    def said_of(scale, turn):
+        def put(x):
+            return (x[..., [0, 2, 1]] * [1, -1, 1] if turn else x) * scale
+
+        m = np.tile(np.eye(3, 4), (FRAMES, 3, 1, 1))
+        tall = JOINTS * [1, 1, 1] - [[0, 0, 0], [0, 0.6, 0], [0, 0.6, 0]]
+        body = rig(m, joint_positions=put(tall))
+        ssdr.save(dataclasses.replace(body, rest=put(body.rest)), tmp_path / "r.npz")
+        still = np.repeat(put(np.asarray(cloth().vertices[:1], float)), FRAMES, axis=0)
+        ssdr.save(MeshSequence(still.astype(np.float32), cloth().faces, FPS), tmp_path / "c.npz")
+        said: list[str] = []
+        path = tmp_path / f"{scale}-{turn}.clips"
+        import_clips([(tmp_path / "c.npz", tmp_path / "r.npz")], path, say=said.append)
+        return " ".join(text for text in said if "warning" in text)
+
+    assert said_of(1.0, False) == ""
+    assert "--rig-scale" in said_of(0.1, False)
+    assert "--rig-up" not in said_of(0.1, False)
+    assert "--rig-up z" in said_of(1.0, True)
+    assert "--rig-scale" not in said_of(1.0, True)
 
 
 def test_usd_in_centimetres_with_z_up_is_read_in_metres_with_y_up(files, tmp_path):

@@ -159,6 +159,44 @@ def test_hostile_bytes(file, tmp_path):
             load_checkpoint(bad)
 
 
+def test_damage_is_seen_by_the_checksum(file, tmp_path, rng):
+    """Bytes changed, blocks zeroed, moved or cut off: refused, or every number is what it was."""
+    good, bad = file.read_bytes(), tmp_path / "bad.safetensors"
+    known = load_tensors(file, ("checkpoint",))
+    header = int.from_bytes(good[:8], "little")
+    refused = 0
+    for k in range(60):
+        data = np.frombuffer(good, np.uint8).copy()
+        at = int(rng.integers(0, header if k % 3 else len(data)))
+        stop = at + int(rng.choice([1, 1, 16, 4096]))
+        kind = k % 4
+        if kind == 0:
+            data[at] ^= 1 << int(rng.integers(8))
+        elif kind == 1:
+            data[at:stop] = 0
+        elif kind == 2:
+            data[at:stop] = np.roll(data, 16)[at:stop]
+        else:
+            data[at:stop] = rng.integers(0, 256, len(data[at:stop]))
+        bad.write_bytes(data.tobytes())
+        try:
+            tensors, documents = load_tensors(bad, ("checkpoint",))
+        except FormatError:
+            refused += 1
+            continue
+        assert documents == known[1]
+        assert all(torch.equal(v, tensors[k]) for k, v in known[0].items())
+    assert refused > 40
+
+
+def test_a_file_without_a_checksum_is_read(file, toy_network, toy_store, tmp_path):
+    tensors, documents = load_tensors(file, ("checkpoint",))
+    old = tmp_path / "old.safetensors"
+    save_file(tensors, str(old), metadata={"garmentnet": json.dumps(documents)})
+    joints = toy_store.clip("base-test-1").joints[:5]
+    assert np.array_equal(load_checkpoint(old).predict(joints), toy_network.predict(joints))
+
+
 def test_other_safetensors(file, tmp_path):
 
     path = tmp_path / "other.safetensors"
@@ -192,6 +230,9 @@ def test_other_safetensors(file, tmp_path):
         lambda t, d: t.update({"body.rest": t["body.rest"] + 1}),
         lambda t, d: t.update({"skeleton.parents": t["skeleton.parents"] * 0}),
         lambda t, d: t["network.0.low.out.bias"].fill_(float("nan")),
+        lambda t, d: t["network.0.features.mean"].fill_(1e300),  # infinite in single precision
+        lambda t, d: d.update(fps=float("nan")),
+        lambda t, d: d["networks"][0].update(clamp=float("inf")),
         lambda t, d: t.update({"network.0.low.code.centres": torch.zeros(10**7, 3)}),
         lambda t, d: t.update({"network.0.features.mean": torch.zeros(3)}),
     ],

@@ -18,7 +18,7 @@ from garmentnet.networks.ensemble import Kernel
 from garmentnet.networks.tensor_files import load_tensors, save_tensors
 from garmentnet.runtime import load_live
 from helpers import live_garment as made
-from ssdr.errors import FormatError, InputError
+from ssdr.errors import FormatError, InputError, SsdrWarning
 
 CLOSE = 1e-5  # metres; a tenth of what is promised
 
@@ -65,6 +65,15 @@ def test_numbers_are_those_of_torch(change, tmp_path):
     got = play(live(network, tmp_path), joints, theta)
     assert np.abs(got - expected).max() < CLOSE
     assert np.ptp(got[..., 1].mean(axis=1)) > 0.01  # it moves
+
+
+def test_parameters_far_from_the_training_are_warned_of_once(tmp_path):
+    garment = live(made.network(condition=True), tmp_path)
+    pose, far = made.motion(0.1)[0], P(bending=1e300)
+    with pytest.warns(SsdrWarning, match=r"bending 1e\+300, meant for 0.2 to 2"):
+        state, _ = garment.step(None, pose, far)
+    garment.step(state, pose, far)  # a second warning would be an error here
+    garment.step(state, pose, P(bending=2.0))
 
 
 def test_no_drift_and_constant_memory_over_10000_frames(tmp_path):
@@ -142,7 +151,7 @@ def test_one_pivot_alone_is_run(pivots, tmp_path):
     garment = load_live(save_checkpoint(one, tmp_path / "one.safetensors"))
     joints = made.motion(0.5, seed=6)
     expected = pivots.networks[0].predict(joints)
-    assert np.abs(play(garment, joints, P(bending=0.7)) - expected).max() < CLOSE
+    assert np.abs(play(garment, joints, P(bending=0.2)) - expected).max() < CLOSE
 
 
 def test_pivots_without_weight_are_not_run(pivots, tmp_path):
@@ -204,7 +213,8 @@ def test_parameters_that_are_none_and_far_ones(tmp_path):
             P(bending=value)
     # Beyond what was learned: no promise, but no number that is none.
     for far in (P(bending=1e-9), P(density=1e9), P(1e300, 1e-300, 1e300)):
-        state, vertices = garment.step(None, pose, far)
+        with pytest.warns(SsdrWarning, match="extrapolated"):
+            state, vertices = garment.step(None, pose, far)
         for _ in range(100):
             state, vertices = garment.step(state, pose, far)
         assert np.isfinite(vertices).all()

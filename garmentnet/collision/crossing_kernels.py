@@ -1,0 +1,132 @@
+"""Triangles of two meshes that cross, by the trees of :mod:`ssdr.kernels.closest`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ssdr.kernels.policy import inline, kernel
+
+
+@inline
+def _meets(px, py, pz, qx, qy, qz, c, j):
+    """Heights of both ends of a segment above the plane of triangle c[j], times the length of its
+    normal, and the square of this length; 0 if the segment does not cross the triangle.
+    """
+    ax, ay, az = c[j, 0], c[j, 1], c[j, 2]
+    ux, uy, uz = c[j, 3] - ax, c[j, 4] - ay, c[j, 5] - az
+    vx, vy, vz = c[j, 6] - ax, c[j, 7] - ay, c[j, 8] - az
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    px, py, pz, qx, qy, qz = px - ax, py - ay, pz - az, qx - ax, qy - ay, qz - az
+    p, q = nx * px + ny * py + nz * pz, nx * qx + ny * qy + nz * qz
+    if (p > 0.0) == (q > 0.0):
+        return p, q, 0.0
+    s = p / (p - q)
+    x, y, z = px + s * (qx - px), py + s * (qy - py), pz + s * (qz - pz)
+    square = nx * nx + ny * ny + nz * nz
+    # Barycentric coordinates of the point in the plane, times the square.
+    second = nx * (y * vz - z * vy) + ny * (z * vx - x * vz) + nz * (x * vy - y * vx)
+    third = nx * (uy * z - uz * y) + ny * (uz * x - ux * z) + nz * (ux * y - uy * x)
+    if second < 0.0 or third < 0.0 or second + third > square:
+        return p, q, 0.0
+    return p, q, square
+
+
+@inline
+def edge_meets(a, i, k, b, j):
+    """As :func:`_meets`, of the edge k of triangle a[i] and triangle b[j]."""
+    m = 3 * ((k + 1) % 3)
+    k = 3 * k
+    return _meets(a[i, k], a[i, k + 1], a[i, k + 2], a[i, m], a[i, m + 1], a[i, m + 2], b, j)
+
+
+@inline
+def _depth(a, i, k, b, j):
+    """Distance from the plane of the nearer end of an edge that crosses; negative: none does."""
+    p, q, square = edge_meets(a, i, k, b, j)
+    return min(abs(p), abs(q)) / np.sqrt(square) if square > 0.0 else -1.0
+
+
+@kernel
+def count_crossings(cloth: Any, corners: Any, depth: int, boxes: Any) -> tuple[int, float]:
+    """Number of pairs of triangles that cross, and the depth of the deepest.
+
+    cloth    (S, 9)                   float64  corners of triangles, in
+    corners  (T, 9)                   float64  of the body's triangles, in the tree's order, in
+    depth                             int      levels of the tree of :mod:`ssdr.kernels.closest`
+    boxes    (2**(depth + 1) - 1, 6)  float64  of its nodes, in
+    """
+    count, base = len(corners), (1 << depth) - 1
+    pairs, deepest = 0, 0.0
+    low, high = np.empty(3), np.empty(3)
+    for i in range(len(cloth)):
+        for c in range(3):
+            low[c] = min(cloth[i, c], cloth[i, 3 + c], cloth[i, 6 + c])
+            high[c] = max(cloth[i, c], cloth[i, 3 + c], cloth[i, 6 + c])
+        node = 0
+        while True:
+            beside = False
+            for c in range(3):
+                beside = beside or low[c] > boxes[node, 3 + c] or high[c] < boxes[node, c]
+            if not beside:
+                if node < base:
+                    node = 2 * node + 1
+                    continue
+                leaf = node - base
+                for j in range((count * leaf) >> depth, (count * (leaf + 1)) >> depth):
+                    most = -1.0
+                    for k in range(3):
+                        most = max(most, _depth(cloth, i, k, corners, j))
+                        most = max(most, _depth(corners, j, k, cloth, i))
+                    if most >= 0.0:
+                        pairs += 1
+                        deepest = max(deepest, most)
+            # A right child has an even index: the subtrees that end with it are done.
+            while node > 0 and node & 1 == 0:
+                node = (node - 1) >> 1
+            if node == 0:
+                break
+            node += 1
+    return pairs, deepest
+
+
+@inline
+def apart(a, i, b, j):
+    """Whether the boxes around triangles a[i] and b[j] are apart."""
+    for c in range(3):
+        if max(a[i, c], a[i, 3 + c], a[i, 6 + c]) < min(b[j, c], b[j, 3 + c], b[j, 6 + c]):
+            return True
+        if min(a[i, c], a[i, 3 + c], a[i, 6 + c]) > max(b[j, c], b[j, 3 + c], b[j, 6 + c]):
+            return True
+    return False
+
+
+@inline
+def meeting_leaves(cloth_boxes, cloth_depth, boxes, depth, stack, pairs):
+    """Number of pairs of leaves whose boxes meet, which are written to `pairs`."""
+    n, top = 0, 1
+    own, other = (1 << cloth_depth) - 1, (1 << depth) - 1
+    stack[0, 0], stack[0, 1] = 0, 0
+    while top > 0:
+        top -= 1
+        a, b = stack[top, 0], stack[top, 1]
+        beside = False
+        for c in range(3):
+            beside = beside or cloth_boxes[a, c] > boxes[b, 3 + c]
+            beside = beside or cloth_boxes[a, 3 + c] < boxes[b, c]
+        if beside:
+            continue
+        if a >= own and b >= other:
+            if n < len(pairs):
+                pairs[n, 0], pairs[n, 1] = a - own, b - other
+                n += 1
+            continue
+        if b >= other or (a < own and a <= b):
+            stack[top, 0], stack[top, 1] = 2 * a + 1, b
+            stack[top + 1, 0], stack[top + 1, 1] = 2 * a + 2, b
+        else:
+            stack[top, 0], stack[top, 1] = a, 2 * b + 1
+            stack[top + 1, 0], stack[top + 1, 1] = a, 2 * b + 2
+        top += 2
+    return n

@@ -1,0 +1,303 @@
+"""Cloth moved out of a body on the side that faces outwards.
+
+Both meshes have a tree of :mod:`ssdr.kernels.closest`.  A pose of the body is passed as one tuple,
+`scene`, as :mod:`garmentnet.collision.kernels` describes it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ssdr.kernels.closest import fit_boxes
+from ssdr.kernels.policy import inline, kernel
+
+from .crossing_kernels import apart, edge_meets, meeting_leaves
+from .kernels import closest, gap, winding
+
+# Cosine of the angle to the cloth's normal from which skin faces the way out.
+_FACING = 0.4
+# Cosine from which a limb that an edge passes through lies before the edge's end.
+_BEFORE = 0.3
+# Skin that faces the other way is taken if it is so many times nearer: what presses on the cloth
+# from outside, as an arm.
+_NEARER = 5.0
+_PAIRS = 8192  # pairs of leaves that are looked at in a round; more than any garment had
+
+
+@inline
+def _skin_that_faces(px, py, pz, limit, gx, gy, gz, scene, nodes, gaps):
+    """Nearest point of the skin that faces (gx, gy, gz), with its normal and squared distance.
+
+    The distance is `limit`, squared, if there is none nearer.
+    """
+    corners, depth, boxes = scene
+    count, base = len(corners), (1 << depth) - 1
+    best, cx, cy, cz, fx, fy, fz = limit, px, py, pz, 0.0, 0.0, 0.0
+    nodes[0], gaps[0], top = 0, gap(px, py, pz, boxes, 0), 1
+    while top > 0:
+        top -= 1
+        if gaps[top] >= best:
+            continue
+        node = nodes[top]
+        if node >= base:
+            j = node - base
+            for t in range((count * j) >> depth, (count * (j + 1)) >> depth):
+                ax, ay, az = corners[t, 0], corners[t, 1], corners[t, 2]
+                ux, uy, uz = corners[t, 3] - ax, corners[t, 4] - ay, corners[t, 5] - az
+                vx, vy, vz = corners[t, 6] - ax, corners[t, 7] - ay, corners[t, 8] - az
+                nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+                size = np.sqrt(nx * nx + ny * ny + nz * nz)
+                if nx * gx + ny * gy + nz * gz <= _FACING * size:
+                    continue
+                d, x, y, z = closest(px, py, pz, corners, t)
+                if d < best:
+                    best, cx, cy, cz = d, x, y, z
+                    fx, fy, fz = nx / size, ny / size, nz / size
+            continue
+        left, right = 2 * node + 1, 2 * node + 2
+        near, far = gap(px, py, pz, boxes, left), gap(px, py, pz, boxes, right)
+        if near > far:
+            left, right, near, far = right, left, far, near
+        if far < best:
+            nodes[top], gaps[top] = right, far
+            top += 1
+        if near < best:
+            nodes[top], gaps[top] = left, near
+            top += 1
+    return best, cx, cy, cz, fx, fy, fz
+
+
+@inline
+def _outside(v, points, starts, neighbours, firsts, of_vertex, faces):
+    """Mean normal of the cloth around a vertex, of its own triangles and its neighbours'."""
+    x, y, z = 0.0, 0.0, 0.0
+    for k in range(starts[v] - 1, starts[v + 1]):
+        u = v if k < starts[v] else neighbours[k]
+        for f in range(firsts[u], firsts[u + 1]):
+            a, b, c = faces[of_vertex[f], 0], faces[of_vertex[f], 1], faces[of_vertex[f], 2]
+            ax, ay, az = points[a, 0], points[a, 1], points[a, 2]
+            ux, uy, uz = points[b, 0] - ax, points[b, 1] - ay, points[b, 2] - az
+            vx, vy, vz = points[c, 0] - ax, points[c, 1] - ay, points[c, 2] - az
+            x, y, z = x + uy * vz - uz * vy, y + uz * vx - ux * vz, z + ux * vy - uy * vx
+    size = np.sqrt(x * x + y * y + z * z)
+    return (x / size, y / size, z / size) if size > 0.0 else (0.0, 0.0, 0.0)
+
+
+@inline
+def _want(v, x, y, z, fixed, wanted, length):
+    size = np.sqrt(x * x + y * y + z * z)
+    if not fixed[v] and size > length[v]:
+        wanted[v, 0], wanted[v, 1], wanted[v, 2], length[v] = x, y, z, size
+
+
+@inline
+def _find(points, garment, scene, margin, work, crossed, inside, beyond, wanted, length):
+    """Number of crossings.  They mark edges and their ends, and lift cloth off corners of the body.
+
+    `beyond` is the other end of an edge that crosses, −1 without one.
+    """
+    cloth, depth, edges, fixed, _, _, _, _, _, _ = garment
+    corners, body_depth, body_boxes = scene
+    boxes, stack, pairs, own = work
+    fit_boxes(points, cloth, depth, boxes)
+    n = meeting_leaves(boxes, depth, body_boxes, body_depth, stack, pairs)
+    found, count, other = 0, len(cloth), len(corners)
+    crossed[:], inside[:], beyond[:], length[:] = False, False, -1, 0.0
+    for w in range(n):
+        for i in range((count * pairs[w, 0]) >> depth, (count * (pairs[w, 0] + 1)) >> depth):
+            for k in range(3):
+                for c in range(3):
+                    own[0, 3 * k + c] = points[cloth[i, k], c]
+            for j in range(
+                (other * pairs[w, 1]) >> body_depth, (other * (pairs[w, 1] + 1)) >> body_depth
+            ):
+                if apart(own, 0, corners, j):
+                    continue
+                for k in range(3):
+                    p, q, square = edge_meets(own, 0, k, corners, j)
+                    if square > 0.0:
+                        found += 1
+                        a, b = cloth[i, k], cloth[i, (k + 1) % 3]
+                        crossed[edges[i, k]] = inside[a] = inside[b] = True
+                        beyond[a], beyond[b] = b, a
+                    p, q, square = edge_meets(corners, j, k, own, 0)
+                    if square > 0.0:
+                        found += 1
+                        high, low = max(p, q), min(p, q)
+                        size = np.sqrt(square)
+                        rise = high / size + margin
+                        if high > -_NEARER * low:
+                            rise = low / size - margin
+                        ux, uy, uz = (
+                            own[0, 3] - own[0, 0],
+                            own[0, 4] - own[0, 1],
+                            own[0, 5] - own[0, 2],
+                        )
+                        vx, vy, vz = (
+                            own[0, 6] - own[0, 0],
+                            own[0, 7] - own[0, 1],
+                            own[0, 8] - own[0, 2],
+                        )
+                        rise /= size
+                        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+                        for e in range(3):
+                            _want(cloth[i, e], rise * x, rise * y, rise * z, fixed, wanted, length)
+    return found
+
+
+@kernel
+def push_outward(
+    points: Any, garment: Any, scene: Any, margin: float, reach: float, sweeps: int, rounds: int
+) -> int:
+    """Move one frame of cloth, in place, until it crosses the body nowhere or no round is left.
+
+    points   (V, 3)  float64  in and out
+    garment          tuple    of these arrays:
+        cloth       (S, 3)  int32  triangles that can move, in the order of their tree
+        depth               int    of that tree
+        edges       (S, 3)  int32  numbers of the edges 01, 12, 20 of these triangles
+        fixed       (V,)    bool   vertices that stay
+        starts      (V+1,)  int32  first neighbour of each vertex
+        neighbours  (m,)    int32  of all vertices
+        numbers     (m,)    int32  of the edges to these neighbours
+        firsts      (V+1,)  int32  first triangle of each vertex
+        of_vertex   (3T,)   int32  triangles of all vertices
+        faces       (T, 3)  int32  all triangles
+    scene            tuple    the body, see the module
+    margin           float    metres above the skin
+    reach            float    the farthest skin that is looked for, metres
+    sweeps           int      edges over which a displacement spreads
+    rounds           int      most repetitions
+
+    Returns the number of crossings found in the first round.
+    """
+    n = len(points)
+    _, depth, _, fixed, starts, neighbours, numbers, firsts, of_vertex, faces = garment
+    body_depth = scene[1]
+    work = (
+        np.empty((2 ** (depth + 1) - 1, 6)),
+        np.empty((2 * (depth + body_depth) + 8, 2), np.int64),
+        np.empty((_PAIRS, 2), np.int32),
+        np.empty((1, 9)),
+    )
+    nodes, gaps = np.empty(2 * body_depth + 2, np.int64), np.empty(2 * body_depth + 2)
+    crossed, inside = np.empty(numbers.max() + 1, np.bool_), np.empty(n, np.bool_)
+    beyond, queue, ring = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    wanted, length = np.empty((n, 3)), np.empty(n)
+    field, other = np.empty((n, 3)), np.empty((n, 3))
+    first = 0
+    for turn in range(rounds):
+        found = _find(points, garment, scene, margin, work, crossed, inside, beyond, wanted, length)
+        if turn == 0:
+            first = found
+        if found == 0:
+            break
+        # Vertices inside: ends of edges that cross, and what hangs on them by edges that do not.
+        head, tail = 0, 0
+        for v in range(n):
+            if inside[v]:
+                inside[v] = winding(points[v, 0], points[v, 1], points[v, 2], scene) > 0
+                if inside[v] and not fixed[v]:
+                    queue[tail] = v
+                    tail += 1
+        while head < tail:
+            v = queue[head]
+            head += 1
+            for k in range(starts[v], starts[v + 1]):
+                u = neighbours[k]
+                if inside[u] or fixed[u] or crossed[numbers[k]]:
+                    continue
+                if winding(points[u, 0], points[u, 1], points[u, 2], scene) > 0:
+                    inside[u] = True
+                    queue[tail] = u
+                    tail += 1
+        n_inside = tail
+        for v in range(n):
+            if beyond[v] >= 0 and not (inside[v] or inside[beyond[v]] or fixed[v]):
+                queue[tail] = v
+                tail += 1
+        for at in range(tail):
+            v = queue[at]
+            px, py, pz = points[v, 0], points[v, 1], points[v, 2]
+            gx, gy, gz = _outside(v, points, starts, neighbours, firsts, of_vertex, faces)
+            if at >= n_inside:
+                # A limb passes through the edge: of its ends the one before the limb is right.
+                u = beyond[v]
+                x, y, z = points[u, 0] - px, points[u, 1] - py, points[u, 2] - pz
+                if x * gx + y * gy + z * gz <= _BEFORE * np.sqrt(x * x + y * y + z * z):
+                    continue
+            d, x, y, z, nx, ny, nz = _skin_that_faces(
+                px, py, pz, reach * reach, gx, gy, gz, scene, nodes, gaps
+            )
+            limit = d / _NEARER**2
+            e, ex, ey, ez, mx, my, mz = _skin_that_faces(
+                px, py, pz, limit, -gx, -gy, -gz, scene, nodes, gaps
+            )
+            if e < limit:
+                d, x, y, z, nx, ny, nz = e, ex, ey, ez, mx, my, mz
+            if nx != 0.0 or ny != 0.0 or nz != 0.0:
+                length[v] = 0.0
+                x, y, z = x + margin * nx - px, y + margin * ny - py, z + margin * nz - pz
+                _want(v, x, y, z, fixed, wanted, length)
+        # Later rounds correct what is left, for which near neighbours are enough.
+        spread = sweeps if turn == 0 else min(2, sweeps)
+        tail = _rings(spread, fixed, starts, neighbours, length, ring, queue)
+        _spread(spread, tail, queue, starts, neighbours, wanted, length, field, other)
+        for at in range(tail):
+            v = queue[at]
+            for c in range(3):
+                points[v, c] += field[v, c]
+    return first
+
+
+@inline
+def _rings(width, fixed, starts, neighbours, length, ring, queue):
+    """Number of the vertices within `width` edges of those that move, which are queued."""
+    head, tail = 0, 0
+    for v in range(len(length)):
+        ring[v] = -1
+        if length[v] > 0.0:
+            ring[v], queue[tail] = 0, v
+            tail += 1
+    while head < tail:
+        v = queue[head]
+        head += 1
+        if ring[v] < width:
+            for k in range(starts[v], starts[v + 1]):
+                u = neighbours[k]
+                if ring[u] < 0 and not fixed[u]:
+                    ring[u], queue[tail] = ring[v] + 1, u
+                    tail += 1
+    return tail
+
+
+@inline
+def _spread(sweeps, count, queue, starts, neighbours, wanted, length, field, other):
+    """Jacobi sweeps of the displacements over the queued vertices; others do not move."""
+    field[:], other[:] = 0.0, 0.0
+    for at in range(count):
+        v = queue[at]
+        if length[v] > 0.0:
+            for c in range(3):
+                field[v, c] = wanted[v, c]
+    for _ in range(sweeps):
+        for at in range(count):
+            v = queue[at]
+            x, y, z = 0.0, 0.0, 0.0
+            for k in range(starts[v], starts[v + 1]):
+                u = neighbours[k]
+                x, y, z = x + field[u, 0], y + field[u, 1], z + field[u, 2]
+            share = 1.0 / (starts[v + 1] - starts[v])
+            x, y, z = x * share, y * share, z * share
+            if length[v] > 0.0:
+                wx, wy, wz = wanted[v, 0], wanted[v, 1], wanted[v, 2]
+                lack = 1.0 - (wx * x + wy * y + wz * z) / length[v] ** 2
+                if lack > 0.0:
+                    x, y, z = x + lack * wx, y + lack * wy, z + lack * wz
+            other[v, 0], other[v, 1], other[v, 2] = x, y, z
+        for at in range(count):
+            v = queue[at]
+            for c in range(3):
+                field[v, c] = other[v, c]

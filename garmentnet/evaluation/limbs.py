@@ -1,0 +1,90 @@
+"""Limbs through the cloth: in the simulation, in predictions, and after they are pushed out."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..collision.crossings import DEEP, find_crossings
+from ..collision.outward import OutwardPush
+from ..collision.push_out import is_closed
+from ..data.clip import Clip
+from ..data.virtual_bones import VirtualBones
+from .methods import Method
+from .tables import markdown
+
+__all__ = ["Limbs", "count_limbs", "limbs_table"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Limbs:
+    """How often a body comes through its garment.
+
+    Attributes
+    ----------
+    name : str
+    frames : int
+    crossed, deep : float
+        Fraction of the frames in which a triangle of the body crosses one of the cloth that can
+        move, and in which one does so by more than 5 mm.
+    deepest : float
+        Depth of the deepest crossing, mm; see :class:`~garmentnet.collision.crossings.Crossings`.
+    """
+
+    name: str
+    frames: int
+    crossed: float
+    deep: float
+    deepest: float
+
+
+def count_limbs(
+    bones: VirtualBones, methods: Sequence[Method], names: Sequence[str]
+) -> list[Limbs]:
+    """Crossings of body and garment in the named clips: one row of the simulation's own, then two
+    of each method, before and after its prediction is pushed out.
+
+    There are no rows for a body without triangles, and none of what is pushed out of a body that is
+    not closed.
+    """
+    store, pinned = bones.store, np.asarray(bones.store.pinned, bool)
+    if not len(store.body.faces):
+        return []
+    push = None
+    if is_closed(store.body.faces):
+        push = OutwardPush(store.body, store.faces, store.rest, pinned=pinned)
+    depths: dict[str, list[NDArray[np.float64]]] = {}
+
+    def count(name: str, clip: Clip, vertices: NDArray[np.floating]) -> None:
+        found = find_crossings(store.body, store.faces, vertices, clip.joints, pinned=pinned)
+        # Crossings of no depth count, too.
+        depth = np.where(found.pairs > 0, np.maximum(found.depth, 1e-12), 0.0)
+        depths.setdefault(name, []).append(depth)
+
+    for clip in map(store.clip, names):
+        count("simulation", clip, np.asarray(clip.sequence.frames(slice(None))))
+        for method in methods:
+            low, high = method.split(clip, bones)
+            count(method.name, clip, low + high)
+            if push is not None:
+                moved = push(low + high, clip.joints).vertices
+                count(f"{method.name}, pushed out", clip, moved)
+    rows = []
+    for name, parts in depths.items():
+        depth = np.concatenate(parts)
+        crossed, deep = float((depth > 0).mean()), float((depth > DEEP).mean())
+        rows.append(Limbs(name, len(depth), crossed, deep, 1e3 * float(depth.max())))
+    return rows
+
+
+def limbs_table(rows: Sequence[Limbs]) -> str:
+    """Table in Markdown, in per cent of the frames and mm."""
+    head = ["body through the cloth", "frames", "deeper than 5 mm", "deepest, mm"]
+    lines = [
+        [r.name, f"{100 * r.crossed:.2f} %", f"{100 * r.deep:.2f} %", f"{r.deepest:.0f}"]
+        for r in rows
+    ]
+    return markdown(head, lines)

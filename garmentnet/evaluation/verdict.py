@@ -1,0 +1,77 @@
+"""What a training was worth: its error on the validation clips beside those of plain methods."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from ..data.store import ClipStore
+from ..data.virtual_bones import virtual_bones
+from ..networks.checkpoint import Checkpoint, load_checkpoint
+from ..training.run import choose_clips
+from .baselines import BodySkinned, MeanShape, Ridge
+from .methods import Method, Network
+from .scores import evaluate
+
+__all__ = ["ADVICE", "verdict"]
+
+_CLIPS = 8  # validation clips that are scored
+# What to do where a plain method errs less than the network.
+ADVICE = {
+    BodySkinned.name: "the garment follows the body: skin it by the body, or give the network "
+    "more clips of cloth that swings",
+    Ridge.name: "the network has learned less than a linear rule of the pose: more clips or more "
+    "epochs (train.epochs)",
+    MeanShape.name: "the network has not learned the motion: more clips, and features.joints=[] "
+    "if the preset's joints leave out those that move the garment",
+}
+
+
+def verdict(
+    path: Path,
+    store: ClipStore,
+    *,
+    start: Checkpoint | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> str:
+    """Overall errors on validation clips, mm, of a network and of body skinning, ridge regression
+    and the mean shape; and what to do if one of these errs less.
+
+    Parameters
+    ----------
+    path : path
+        A checkpoint of one network.
+    store : ClipStore
+        What it was trained on.
+    start : Checkpoint, optional
+        Where the training started.
+    progress : callable, optional
+        Called with a method's name and the fraction that is done.
+
+    Returns
+    -------
+    str
+        One line, or two if the network loses; empty without validation clips.
+    """
+    checkpoint = load_checkpoint(path)
+    config = checkpoint.networks[0].config
+    held = choose_clips(store, config, "validation")[0]
+    names = choose_clips(store, config)[0]
+    if not held:
+        return ""
+    bones = virtual_bones(store, config.bones, subject=None if start is None else start.subject)
+    plain: list[Method] = [MeanShape(bones, names), Ridge(bones, names, held)]
+    if len(store.body.faces):
+        plain.insert(0, BodySkinned(store))
+    rows = evaluate(
+        bones, [Network("network", checkpoint), *plain], held[:_CLIPS], progress=progress
+    )
+    errors = {row.name: row.all.overall.rmse for row in rows}
+    own = errors["network"]
+    text = "validation, RMSE over all vertices: " + ", ".join(
+        f"{name} {error:.1f} mm" for name, error in errors.items()
+    )
+    best = min(errors, key=lambda name: errors[name])
+    if errors[best] < own:
+        text += f"\nthe network errs more than {best}: {ADVICE[best]}"
+    return text
