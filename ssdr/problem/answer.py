@@ -52,7 +52,8 @@ def skinning_of(
     `sequences` are the frames of the model; all frames by default.  Its normals are those of the
     rest pose, if the input has any: :func:`with_normals` fits better ones.
     """
-    padded = model.with_influences(problem.influences)
+    skin = dataclasses.replace(model, transforms=model.transforms[:0])
+    padded = skin.with_influences(problem.influences)
     if problem.locked.bone_model != "rigid":
         model = model.copy()
         importance = problem.vertex_importance

@@ -17,6 +17,7 @@ __all__ = ["Alignment", "centred", "rotations_onto", "scale_of"]
 
 Array = NDArray[np.float64]
 
+_AT_ONCE = 512  # frames whose transforms are mapped at a time
 _APART = f"distances of less than {LARGEST:g} times the mesh's size"
 
 
@@ -45,11 +46,15 @@ class Alignment:
 
     def to_world(self, rest: Array, transforms: Array) -> tuple[Array, Array]:
         """Map a rest pose (V, 3) and transforms (F, B, 3, 4) to the input's space."""
-        origin = self.centre[0]
-        r = np.einsum("tab,tjbc->tjac", self.rotation, transforms[..., :3])
-        shift = self.scale * np.einsum("tab,tjb->tja", self.rotation, transforms[..., 3])
-        t = shift + self.centre[:, None] - r @ origin
-        return self.points_to_world(rest), np.concatenate([r, t[..., None]], axis=-1)
+        origin, out = self.centre[0], np.empty(transforms.shape)
+        # by parts, since the transforms of all frames may be most of what memory holds
+        for i, k in chunk_bounds(len(out), _AT_ONCE):
+            m, turn = transforms[i:k], self.rotation[i:k]
+            r = np.einsum("tab,tjbc->tjac", turn, m[..., :3])
+            shift = self.scale * np.einsum("tab,tjb->tja", turn, m[..., 3])
+            out[i:k, ..., :3] = r
+            out[i:k, ..., 3] = shift + self.centre[i:k, None] - r @ origin
+        return self.points_to_world(rest), out
 
     def from_world(self, rest: Array, transforms: Array) -> tuple[Array, Array]:
         """Map a rest pose and transforms to the solver's space."""
