@@ -10,7 +10,7 @@ from helpers import motions
 from helpers.measures import diagonal, wavy
 from ssdr import parsimony, sequence
 from ssdr.parsimony.rate_distortion import knee
-from ssdr.problem import problem, scan
+from ssdr.problem import check, scan
 
 
 def test_curve_of_exact_skinning_has_its_knee_there() -> None:
@@ -49,7 +49,7 @@ def test_copies_are_looked_for_once(monkeypatch: pytest.MonkeyPatch) -> None:
         looked.append(len(sequences))
         return sequence.labels_of(sequences)
 
-    monkeypatch.setattr(problem, "labels_of", labels_of)
+    monkeypatch.setattr(check, "labels_of", labels_of)
     twice = np.repeat(wavy()[:, :3], 2, axis=1)
     assert parsimony.curve(twice).bones.tolist() == [1, 2, 3]
     assert ssdr.smallest(twice, tolerance="1%", effort="fast").copies == 3
