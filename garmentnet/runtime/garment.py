@@ -29,7 +29,7 @@ from ..networks.document import read_document
 from .kernels import add_bones, all_rigid, moving_frame, place, pose_features, skin
 from .pivot import Mixture, Pivot, read_pivot
 
-__all__ = ["LiveGarment", "LiveState", "load_live"]
+__all__ = ["LiveGarment", "LiveState", "load_live", "push_of"]
 
 Single = NDArray[np.float32]
 _FRAMES = ("world", "root", "heading")
@@ -106,12 +106,7 @@ class LiveGarment:
         )  # fmt: skip
         self._code = len(self.read) * (6 if o.rotation == "sixd" else 3)
         self.n_features = self._code * (1 + o.velocities) + 3 * o.translation + 12 * o.root_motion
-        self._push = None
-        if push_out and is_closed(subject.body.faces):
-            held = np.ones(subject.garment.n_vertices, bool)
-            held[subject.free] = False
-            g = subject.garment
-            self._push = OutwardPush(subject.body, g.faces, g.rest, pinned=held)
+        self._push = push_of(subject) if push_out else None
         self._frame = _FRAMES.index(o.frame)
         self._parents = subject.skeleton.parents.astype(np.int64)
         self._free, self._skin = subject.free, _skin_arrays(subject, pivots[0].high is not None)
@@ -236,6 +231,15 @@ class LiveGarment:
         weights = self.mixture(theta)
         weights[weights < _NO_WEIGHT] = 0.0
         return (weights / weights.sum()).astype(np.float32), np.zeros(0, np.float32)
+
+
+def push_of(subject: Subject) -> OutwardPush | None:
+    """What moves a garment out of its body; None without a closed mesh of the body."""
+    if not is_closed(subject.body.faces):
+        return None
+    g, held = subject.garment, np.ones(subject.garment.n_vertices, bool)
+    held[subject.free] = False
+    return OutwardPush(subject.body, g.faces, g.rest, pinned=held)
 
 
 def _skin_arrays(subject: Subject, detailed: bool) -> tuple[Single, NDArray[np.int64], Single]:
