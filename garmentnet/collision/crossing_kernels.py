@@ -92,14 +92,29 @@ def count_crossings(cloth: Any, corners: Any, depth: int, boxes: Any) -> tuple[i
 
 
 @inline
-def apart(a, i, b, j):
-    """Whether the boxes around triangles a[i] and b[j] are apart."""
-    for c in range(3):
-        if max(a[i, c], a[i, 3 + c], a[i, 6 + c]) < min(b[j, c], b[j, 3 + c], b[j, 6 + c]):
-            return True
-        if min(a[i, c], a[i, 3 + c], a[i, 6 + c]) > max(b[j, c], b[j, 3 + c], b[j, 6 + c]):
-            return True
-    return False
+def box_of(a, i):
+    """Lower and upper corner of the box around triangle a[i]."""
+    return (
+        min(a[i, 0], a[i, 3], a[i, 6]),
+        min(a[i, 1], a[i, 4], a[i, 7]),
+        min(a[i, 2], a[i, 5], a[i, 8]),
+        max(a[i, 0], a[i, 3], a[i, 6]),
+        max(a[i, 1], a[i, 4], a[i, 7]),
+        max(a[i, 2], a[i, 5], a[i, 8]),
+    )
+
+
+@inline
+def apart(box, b, j):
+    """Whether a box and triangle b[j] are apart along an axis."""
+    return (
+        box[0] > max(b[j, 0], b[j, 3], b[j, 6])
+        or box[3] < min(b[j, 0], b[j, 3], b[j, 6])
+        or box[1] > max(b[j, 1], b[j, 4], b[j, 7])
+        or box[4] < min(b[j, 1], b[j, 4], b[j, 7])
+        or box[2] > max(b[j, 2], b[j, 5], b[j, 8])
+        or box[5] < min(b[j, 2], b[j, 5], b[j, 8])
+    )
 
 
 @inline

@@ -13,7 +13,7 @@ import numpy as np
 from ssdr.kernels.closest import fit_boxes
 from ssdr.kernels.policy import inline, kernel
 
-from .crossing_kernels import apart, edge_meets, meeting_leaves
+from .crossing_kernels import apart, box_of, edge_meets, meeting_leaves
 from .kernels import closest, gap, winding
 
 # Cosine of the angle to the cloth's normal from which skin faces the way out.
@@ -110,10 +110,11 @@ def _find(points, garment, scene, margin, work, crossed, inside, beyond, wanted,
             for k in range(3):
                 for c in range(3):
                     own[0, 3 * k + c] = points[cloth[i, k], c]
+            box = box_of(own, 0)
             for j in range(
                 (other * pairs[w, 1]) >> body_depth, (other * (pairs[w, 1] + 1)) >> body_depth
             ):
-                if apart(own, 0, corners, j):
+                if apart(box, corners, j):
                     continue
                 for k in range(3):
                     p, q, square = edge_meets(own, 0, k, corners, j)

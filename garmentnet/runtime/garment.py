@@ -31,7 +31,7 @@ from ..networks.pose_kernels import all_rigid, moving_frame
 from .kernels import add_bones, place, skin
 from .pivot import Mixture, Pivot, read_pivot
 
-__all__ = ["LiveGarment", "LiveState", "load_live"]
+__all__ = ["LiveGarment", "LiveState", "load_live", "push_of"]
 
 Single = NDArray[np.float32]
 # Pivots of less weight are not run: where predictions differ by 0.1 m, that is an error of 0.01 mm.
@@ -102,12 +102,7 @@ class LiveGarment:
         self._pose = PoseFeatures(subject.skeleton, features, subject.fps)
         self.read, self.n_features = self._pose.read, self._pose.size
         self.trained_on = tuple(trained_on)
-        self._push = None
-        if push_out and is_closed(subject.body.faces):
-            held = np.ones(subject.garment.n_vertices, bool)
-            held[subject.free] = False
-            g = subject.garment
-            self._push = OutwardPush(subject.body, g.faces, g.rest, pinned=held)
+        self._push = push_of(subject) if push_out else None
         self._frame = FRAMES.index(features.frame)
         self._free, self._skin = subject.free, _skin_arrays(subject, pivots[0].high is not None)
         self._sizes = [tuple(map(len, p.start)) for p in pivots]
@@ -225,6 +220,15 @@ class LiveGarment:
         weights = self.mixture(theta)
         weights[weights < _NO_WEIGHT] = 0.0
         return (weights / weights.sum()).astype(np.float32), np.zeros(0, np.float32)
+
+
+def push_of(subject: Subject) -> OutwardPush | None:
+    """What moves a garment out of its body; None without a closed mesh of the body."""
+    if not is_closed(subject.body.faces):
+        return None
+    g, held = subject.garment, np.ones(subject.garment.n_vertices, bool)
+    held[subject.free] = False
+    return OutwardPush(subject.body, g.faces, g.rest, pinned=held)
 
 
 def _skin_arrays(subject: Subject, detailed: bool) -> tuple[Single, NDArray[np.int64], Single]:

@@ -33,7 +33,7 @@ from ssdr.viewer.surface import surface_entries
 from ..data.parameters import RANGES, SimulationParameters
 from ..data.skeleton import check_joints
 from ..io.files import write_file
-from ..runtime.garment import LiveGarment
+from ..runtime.garment import LiveGarment, push_of
 from ..runtime.pivot import Recurrent
 
 __all__ = ["Take", "write_page"]
@@ -154,7 +154,7 @@ def _page_text(
         ],
         "transforms": blocks.fixed(np.concatenate(joints)),
         "path": blocks.array(np.concatenate(paths).astype(np.float32)),
-        **_truth(garment, takes, joints, parameters, blocks),
+        **_seen(garment, takes, joints, parameters, blocks),
         "garment": _network(garment, parameters, half, blocks),
         "notes": notes,
     }
@@ -230,32 +230,48 @@ def _ways(garment: LiveGarment, joints: list[Float]) -> tuple[list[Float], list[
     return paths, rooms
 
 
-def _truth(
+def _seen(
     garment: LiveGarment,
     takes: Sequence[Take],
     joints: list[Float],
     parameters: SimulationParameters,
     blocks: Blocks,
 ) -> dict[str, Any]:
-    """Differences of the truth from the prediction, and errors in millimetres."""
-    if all(take.truth is None for take in takes):
-        return {"error": None, "input": None}
+    """What the browser does not compute: how far each frame is pushed out of the body, differences
+    of the truth from it, and errors in millimetres.
+    """
+    push, known = push_of(garment.subject), any(take.truth is not None for take in takes)
     n, body = garment.subject.garment.n_vertices, garment.subject.body.n_vertices
     off: list[Single] = []
+    moved: list[Single] = []
     for take, m in zip(takes, joints, strict=True):
-        if take.truth is None:
-            off += [np.zeros((n + body, 3), np.float32)] * len(m)
-            continue
-        truth, state = np.asarray(take.truth, np.float32), None
-        if truth.shape != (len(m), n, 3):
-            raise InputError("truth", f"shape {(len(m), n, 3)}", truth.shape)
-        for pose, true in zip(m, truth, strict=True):
-            state, vertices = garment.step(state, pose, parameters)
-            off.append(np.pad(true - vertices, ((0, body), (0, 0))))
+        truth, state = None, None
+        if take.truth is not None:
+            truth = np.asarray(take.truth, np.float32)
+            if truth.shape != (len(m), n, 3):
+                raise InputError("truth", f"shape {(len(m), n, 3)}", truth.shape)
+        for t, pose in enumerate(m):
+            if push is None and truth is None:
+                vertices = shown = np.zeros((n, 3), np.float32)
+            else:
+                state, vertices = garment.step(state, pose, parameters)
+                shown = vertices
+            if push is not None:
+                shown = push.frame(vertices, pose).astype(np.float32)
+            moved.append(np.pad(shown - vertices, ((0, body), (0, 0))))
+            gap = np.zeros((n, 3), np.float32) if truth is None else truth[t] - shown
+            off.append(np.pad(gap, ((0, body), (0, 0))))
+    pushed = None
+    far = max(float(np.abs(one).max()) for one in moved)
+    if far > 0:
+        pushed = difference_entry(moved.__getitem__, len(moved), n + body, far, 1.0, blocks)
+    if not known:
+        return {"pushed": pushed, "error": None, "input": None}
     size = 1e3 * np.stack([np.linalg.norm(one[:n], axis=1) for one in off])
     reach = max(32767 * _STEP, *(float(np.abs(one).max()) for one in off))
     box = np.ptp(garment.subject.garment.rest, axis=0)
     return {
+        "pushed": pushed,
         "error": {
             "mean": size.mean(axis=1).round(4).tolist(),
             "largest": size.max(axis=1).round(4).tolist(),

@@ -5,6 +5,7 @@ const SETTLES = 3; // seconds for which the garment goes on after a change by ha
 
 const errors = doc.error;
 const input = doc.input && new Input(doc.input);
+const pushes = doc.pushed && new Input(doc.pushed);
 const camera = new Camera();
 const state = {
   frame: 0, playing: false, speed: 1, clip: 0, view: "result", color: "texture", bone: -1, vertex: -1,
@@ -104,20 +105,22 @@ function stateOf(frame) {
   return now.state;
 }
 
-// Skins the frame of the state.  While the truth is being unpacked, what was shown stays.
+// Skins the frame of the state.  While what belongs to it is being unpacked, what was shown stays.
 function skin() {
   const off = needsInput() ? input.at(state.frame) : null;
-  if (needsInput() && !off) {
-    input.wait(state.frame).then(ask);
+  const pushing = pushes && !state.turns.size && usual() && now.clean;
+  const moved = pushing ? pushes.at(state.frame) : null;
+  if ((needsInput() && !off) || (pushing && !moved)) {
+    Promise.all([off || !needsInput() || input.wait(state.frame), moved || !pushing || pushes.wait(state.frame)]).then(ask);
     return false;
   }
   const predicted = stateOf(state.frame), { turns } = state;
-  if (shown.predicted === predicted && shown.turns === turns && shown.off === !!off) return true;
+  if (shown.predicted === predicted && shown.turns === turns && shown.off === !!off && shown.moved === !!moved) return true;
   const joints = figure(), began = performance.now();
   const matrices = garment.shown(predicted, joints);
   if (shown.predicted !== predicted) times[times.length - 1] += performance.now() - began;
-  renderer.setFrame(matrices, off, garment.detail);
-  shown = { frame: state.frame, matrices, predicted, turns, off: !!off };
+  renderer.setFrame(matrices, off, garment.detail, moved, doc.pushed?.step);
+  shown = { frame: state.frame, matrices, predicted, turns, off: !!off, moved: !!moved };
   return true;
 }
 

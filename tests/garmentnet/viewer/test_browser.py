@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 pytest.importorskip("torch")
 
@@ -83,6 +84,29 @@ def test_vertices_are_those_of_the_runtime(opened, tmp_path, change):
         off = vertices(browser, garment, 20 + frame) - expected[frame]
         assert np.abs(off).max() < CLOSE
     assert np.ptp(expected[:, :, 1].mean(axis=1)) > 0.01  # it moves
+
+
+def test_the_dress_is_pushed_out_of_a_leg_but_not_of_one_turned_by_hand(opened):
+    pushed, plain = load_live("dress", push_out=True), load_live("dress")
+    skeleton, count = plain.subject.skeleton, 24
+    turns = np.zeros((count, skeleton.n_joints, 3))
+    turns[:, skeleton.index("thigh_l"), 0] = np.linspace(0, -1.5, count)
+    root = np.tile(skeleton.rest[0], (count, 1))
+    rotations = Rotation.from_rotvec(turns.reshape(-1, 3)).as_matrix()
+    joints = skeleton.transforms(root, rotations.reshape(count, -1, 3, 3))
+    expected, without = played(pushed, joints, P()), played(plain, joints, P())
+    far = np.abs(expected - without).max(axis=(1, 2))
+    assert far.max() > 5e-3
+    truth = expected + np.float32(0.01)
+    browser = opened(plain, [Take("kick", joints, truth)], parameters=P())
+    for frame in (int(far.argmax()), 0, count - 1):
+        assert np.abs(vertices(browser, plain, frame) - expected[frame]).max() < CLOSE
+    browser.value("garmentnet.set({ view: 'input' })")
+    shown = vertices(browser, plain, int(far.argmax()), which=1)
+    assert np.abs(shown - truth[int(far.argmax())]).max() < 4e-4  # rounded to a step
+    browser.value("garmentnet.set({ view: 'result', parameters: [1, 0.2, 1] })")
+    settle(browser)
+    assert np.abs(vertices(browser, plain) - expected[int(far.argmax())]).max() > CLOSE
 
 
 def test_a_pause_stands_still_and_a_sleeping_tab_does_not_jump(opened, tmp_path):
