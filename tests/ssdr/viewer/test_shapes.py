@@ -40,7 +40,8 @@ def test_the_page_plays_shapes_and_drives_expressions(tmp_path):
         assert browser.value(f"{sliders}.length") == 2
         browser.value(f"(() => {{ const s = {sliders}; s[0].value = 50; s[1].value = 100; "
                       "s[1].dispatchEvent(new Event('input')); })()")  # fmt: skip
-        browser.value("new Promise((done) => setTimeout(done, 300))")
+        frame = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
+        browser.value(frame)
         shown = np.reshape(browser.value("Array.from(ssdr.read(0))"), (-1, 3))[: model.n_vertices]
         expected = ssdr.drive(model, [[0.5, 1.0]]).skin()[0]
         np.testing.assert_allclose(shown, expected, atol=1e-4)
