@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from .frames.motion import motion_rms, share_of
 from .hierarchy.transforms import rest_diagonal
+from .lbs import skin
 from .quantisation import WeightStorage, quantise, weight_values
 from .sequence import MeshSequence
 from .skinning import Skinning
@@ -263,9 +264,10 @@ def n_roots(model: Skinning) -> int:
 def _moved(model: Skinning, indices: NDArray[np.integer], weights: NDArray[np.floating]) -> str:
     """Text that says how far vertices move at most if they get other weights."""
     far, squares = 0.0, 0.0
-    changed = dataclasses.replace(model, indices=indices, weights=weights)
     for frame in range(model.n_frames):
-        apart = model.skin([frame], dtype=float)[0] - changed.skin([frame], dtype=float)[0]
+        rest = model.rest if model.shapes is None else model.rest + model.shapes.added(frame)
+        other = skin(rest, indices, weights, model.transforms[frame], dtype=float)
+        apart = model.skin([frame], dtype=float)[0] - other
         far = max(far, float(np.linalg.norm(apart, axis=-1).max()))
         squares += float((apart**2).sum())
     share = 100 * far / (rest_diagonal(model.rest) or 1.0)

@@ -144,8 +144,9 @@ class Builder:
                     },
                     "values": {"bufferView": views[1], "byteOffset": len(self.blocks[second])},
                 }
-                self.blocks[first] = bytes(self.blocks[first]) + rows.tobytes()
-                self.blocks[second] = bytes(self.blocks[second]) + stored[rows].tobytes()
+                for place, data in ((first, rows.tobytes()), (second, stored[rows].tobytes())):
+                    # of different types, each begins at a multiple of 4 bytes
+                    self.blocks[place] = bytes(self.blocks[place]) + data + b"\0" * (-len(data) % 4)
             self.json["accessors"].append(item)
             found.append(len(self.json["accessors"]) - 1)
             empty = empty if len(rows) else found[-1]

@@ -213,3 +213,21 @@ def test_what_cannot_have_shapes_says_so(tmp_path):
         with pytest.raises(ssdr.InputError, match="thing: expected no shapes in a file with"):
             ssdr.save(model, tmp_path / "b.glb", **options)
     assert not (tmp_path / "b.glb").exists()
+
+
+@pytest.mark.parametrize("compression", ["quantized", "meshopt"])
+def test_sparse_values_of_several_types_are_aligned(tmp_path, compression):
+    """What does not fit 8 bits is float32, in one view with what does."""
+    if compression == "meshopt":
+        pytest.importorskip("meshoptimizer")
+    model = shaped(4, sparse=True)
+    model.shapes.displacements[1] *= 40  # turns normals by more than one unit
+    ssdr.save(model, tmp_path / "a.glb", compression=compression)
+    document, _ = opened(tmp_path / "a.glb")
+    types, size = set(), {5120: 1, 5122: 2, 5126: 4}
+    for target in document["meshes"][0]["primitives"][0]["targets"]:
+        item = document["accessors"][target["NORMAL"]]
+        if "sparse" in item:
+            types.add(item["componentType"])
+            assert item["sparse"]["values"]["byteOffset"] % size[item["componentType"]] == 0
+    assert types == {5120, 5126}
