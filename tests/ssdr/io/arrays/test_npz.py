@@ -146,8 +146,8 @@ def test_missing_keys_are_named(tmp_path, wave, skinned):
         (1, "joints", ""),
         (2, "joints", "no array indices, as format_version 2 has it"),
         (1, "indices", "no array joints, as format_version 1 has it"),
-        (3, "indices", "format_version 3; this release reads up to 2"),
-        (0, "indices", "format_version 0; this release reads up to 2"),
+        (4, "indices", "format_version 4; this release reads up to 3"),
+        (0, "indices", "format_version 0; this release reads up to 3"),
     ],
 )
 def test_indices_were_called_joints_in_version_1(tmp_path, skinned, version, name, says):
