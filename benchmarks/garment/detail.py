@@ -28,7 +28,7 @@ from scipy.linalg import eigh
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 
-from garmentnet.configs.config import load_config, override
+from garmentnet.configs.config import FeatureOptions, load_config, override
 from garmentnet.data.store import ClipStore
 from garmentnet.data.virtual_bones import VirtualBones, virtual_bones
 from garmentnet.drawing.dressed import dressed, facing_the_camera, outfit_parts
@@ -47,12 +47,14 @@ Array = np.ndarray
 class Detail:
     """Detail of clips in the surface's frame, and the motion of the bones under it."""
 
-    def __init__(self, bones: VirtualBones, every: int) -> None:
+    def __init__(
+        self, bones: VirtualBones, every: int, options: FeatureOptions | None = None
+    ) -> None:
         self.bones, self.every = bones, every
         s, store = bones.skinning, bones.store
         self.free = np.flatnonzero(~np.asarray(store.pinned, bool))[::SPARSE]
         self.turns = SurfaceTurns(s.indices, s.weights, s.n_bones, self.free)
-        options = load_config("rooted").features
+        options = options or load_config("rooted").features
         self.features = PoseFeatures(store.skeleton, options, store.fps)
 
     def __call__(self, name: str) -> tuple[Array, Array]:
