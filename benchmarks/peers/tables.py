@@ -91,7 +91,7 @@ def summary(records: list[Row]) -> Row | None:
         "threads": ", ".join(map(str, sorted({r["threads"] for r in peers}))),
         "machine": best["machine"],
     }
-    for solver in ("fast", "balanced", "best", "balanced fixed", "best fixed"):
+    for solver in ("fast", "balanced", "best", "balanced fixed"):
         row[solver] = least(records, f"ssdr {solver}")
         row[f"{solver} ratio"] = divide(row[solver], best["E"])
     for clock in COLUMN:
@@ -112,7 +112,8 @@ def summaries(records: Iterable[Row]) -> list[Row]:
 def drawn_rows(records: Iterable[Row]) -> list[Row]:
     """Errors of positions, and mean angles of the normals that engines draw, of each solver."""
     found = []
-    for mine in by_case(records).values():
+    for mine in level_and_apart(records)[0].values():
+        mine = [r for r in mine if "normals" in r and r["threads"] == 1]
         row = dict(next(r for r in mine if r["solver"] == "ssdr balanced"))
         for record in mine:
             row[f"{record['solver']} E"] = f"{record['E']:.3f}"

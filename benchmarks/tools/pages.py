@@ -213,7 +213,7 @@ BLOCKS: dict[str, list[str | Callable[[], str]]] = {
         "E": "{E:.3f}", "s": "{seconds:.1f}", "CPU s": "{cpu seconds:.1f}", "plain": "{plain}",
         "E / EA": "{published:.3f}", "load": "{machine[load]}", "revision": "{machine[revision]}",
     })],
-    "drawn": [Table(lambda: tables.drawn_rows(rows("drawn")), {
+    "drawn": [Table(lambda: tables.drawn_rows(rows("race")), {
         "sequence, bones": SEQUENCE, **{
             f"{head}: {what}": f"{{{solver} {key}}}"
             for solver, head in tables.DRAWN.items()
@@ -275,7 +275,6 @@ BLOCKS: dict[str, list[str | Callable[[], str]]] = {
         "SSDR 2012": "{SSDR 2012:.3f}", "ssdr fast": "{fast:.3f}", "balanced": "{balanced:.3f}",
         "best": "{best:.3f}", "balanced ÷": "{balanced ratio:.2f}", "best ÷": "{best ratio:.2f}",
         "balanced, rest fixed ÷": "{balanced fixed ratio:.2f}",
-        "best, rest fixed ÷": "{best fixed ratio:.2f}",
     })],
     "race_times": [Table(lambda: tables.summaries(rows("race")), {
         "sequence, bones": SEQUENCE, **{

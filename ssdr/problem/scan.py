@@ -25,9 +25,9 @@ __all__ = ["Report", "Scan", "needs_streaming", "scan", "subset"]
 _IN_MEMORY = 1 << 30  # bytes of float64 trajectories up to which all frames are held in memory
 _SUBSET = 128 << 20  # bytes of the trajectories of the representative frames
 _FEWEST, _MOST = 120, 1000  # bounds of the number of representative frames
-# Most bytes of trajectories, and most frames, on which the model is settled: half of the bytes that
-# may be held in memory, since the polish needs as much again.
-_SETTLED, _MOST_SETTLED = 512 << 20, 4000
+# Most bytes of trajectories, and most frames, on which the model is settled: a third of the bytes
+# that may be held in memory, since the polish needs more than as much again.
+_SETTLED, _MOST_SETTLED = 320 << 20, 4000
 _PROBES = 64  # vertices by which frames are compared: enough to tell poses apart
 
 Report = Callable[[float], None]  # called with the fraction that is done; may raise Stop
