@@ -38,7 +38,6 @@ STYLE = {
     "ssdr fast": ("ssdr fast", "#e69f00", "-"),
     "ssdr balanced": ("ssdr balanced", "#0072b2", "-"),
     "ssdr best": ("ssdr best", "#009e73", "-"),
-    "ssdr balanced fixed": ("ssdr balanced, rest pose fixed", "#0072b2", ":"),
     "ssdr balanced free": ("ssdr balanced, rest pose free", "#0072b2", "--"),
     "ssdr balanced similarity": ("ssdr balanced, similarity bones", "#56b4e9", "--"),
     "ssdr balanced affine": ("ssdr balanced, affine bones", "#882255", "--"),
@@ -302,7 +301,7 @@ def bones_chart(front: list[Row], path: Path) -> None:
 
 
 def effort_chart(race: dict[str, list[Row]], path: Path) -> None:
-    """What the efforts cost and bring, and what a fixed or a free rest pose does."""
+    """What the efforts cost and bring, and what a free rest pose does."""
     figure, (left, right) = pyplot().subplots(1, 2, figsize=(10, 3.8))
     race = {name: records for name, records in race.items() if only(records, "ssdr balanced")}
     points: dict[str, list[tuple[float, float]]] = {solver: [] for solver in EFFORT_STYLES}
@@ -319,18 +318,16 @@ def effort_chart(race: dict[str, list[Row]], path: Path) -> None:
     left.set(xscale="log", xlabel="seconds", ylabel="E, relative to balanced")
     plain_x(left)
     left.legend(fontsize=7)
-    place, width = np.arange(len(race)), 0.4
-    for k, (rest, colour) in enumerate({"fixed": "#999999", "free": "#0072b2"}.items()):
-        ratios = [
-            divide(least(records, f"ssdr balanced {rest}"), least(records, "ssdr balanced")) or 0
-            for records in race.values()
-        ]
-        right.barh(place + (k - 0.5) * width, ratios, width, color=colour, label=rest)
+    place = np.arange(len(race))
+    ratios = [
+        divide(least(records, "ssdr balanced free"), least(records, "ssdr balanced")) or 0
+        for records in race.values()
+    ]
+    right.barh(place, ratios, 0.6, color=STYLE["ssdr balanced"][1])
     right.axvline(1, color="0.3", linewidth=0.8)
     right.set_yticks(place, list(race), fontsize=7)
     right.invert_yaxis()
-    right.set_xlabel("E with the rest pose fixed at frame 0, or free / E with a surface")
-    right.legend(fontsize=7)
+    right.set_xlabel("E with a free rest pose / E with one that is a surface")
     save_figure(figure, path)
 
 

@@ -42,9 +42,7 @@ CASES = [
 ]  # fmt: skip
 SIDE = [(case.rsplit("-", 1)[0], int(case.rsplit("-", 1)[1])) for case in APART]
 PEERS = ["dembones default", "dembones 0", "2012"]
-OURS = [
-    "ssdr fast", "ssdr balanced", "ssdr best", "ssdr balanced free", "ssdr balanced fixed",
-]  # fmt: skip
+OURS = ["ssdr fast", "ssdr balanced", "ssdr best", "ssdr balanced free"]
 STRETCH = ["ssdr balanced similarity", "ssdr balanced affine"]
 SWEEPS = {"F": (25, 50, 100, 200, 400), "V": (500, 1000, 2000, 4000, 8000), "B": (5, 10, 20, 40)}
 SHORT_CASES = [("ea_bone", 10), ("cow_elastic", 24), ("horse_gallop", 20)]

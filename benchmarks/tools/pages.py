@@ -274,18 +274,10 @@ BLOCKS: dict[str, list[str | Callable[[], str]]] = {
         "sequence, bones": SEQUENCE, "Dem Bones": "{Dem Bones:.3f}", "regularisers": "{setting}",
         "SSDR 2012": "{SSDR 2012:.3f}", "ssdr fast": "{fast:.3f}", "balanced": "{balanced:.3f}",
         "best": "{best:.3f}", "balanced ÷": "{balanced ratio:.2f}", "best ÷": "{best ratio:.2f}",
-        "balanced, rest fixed ÷": "{balanced fixed ratio:.2f}",
     })],
     "race_times": [Table(lambda: tables.summaries(rows("race")), {
-        "sequence, bones": SEQUENCE, **{
-            f"{head}, {unit}": template.replace("CLOCK", clock)
-            for clock, unit in (("cpu", "CPU s"), ("wall", "s"))
-            for head, template in {
-                "Dem Bones": "{Dem Bones CLOCK:.2f}", "ssdr": "{balanced CLOCK:.2f}",
-                "ratio": "{balanced CLOCK ratio:.0f}",
-                "rest fixed, ratio": "{balanced fixed CLOCK ratio:.0f}",
-            }.items()
-        },
+        "sequence, bones": SEQUENCE, "Dem Bones, CPU s": "{Dem Bones cpu:.2f}",
+        "ssdr, CPU s": "{balanced cpu:.2f}", "ratio": "{balanced cpu ratio:.0f}",
         "threads": "{threads}", "GEMM, GFLOP/s": "{machine[gemm_1]}, {machine[gemm_2]}",
         "copy, GB/s": "{machine[memory]}", "load": "{machine[load]}",
         "revision": "{machine[revision]}",
