@@ -78,6 +78,22 @@ def gap(px, py, pz, boxes, i):
 
 
 @inline
+def push_children(px, py, pz, node, best, boxes, nodes, gaps, top):
+    """Push the children of a box that are nearer than `best`, the nearer one last; the new top."""
+    left, right = 2 * node + 1, 2 * node + 2
+    near, far = gap(px, py, pz, boxes, left), gap(px, py, pz, boxes, right)
+    if near > far:
+        left, right, near, far = right, left, far, near
+    if far < best:
+        nodes[top], gaps[top] = right, far
+        top += 1
+    if near < best:
+        nodes[top], gaps[top] = left, near
+        top += 1
+    return top
+
+
+@inline
 def _crossing(px, py, ax, ay, bx, by):
     """Sign of an edge that crosses the ray from the point to +x: 1 upwards, −1 downwards, else 0.
 
@@ -179,16 +195,7 @@ def _nearest(px, py, pz, limit, hint, free, scene, nodes, gaps):
                             continue
                     best, which, cx, cy, cz = d, t, x, y, z
             continue
-        left, right = 2 * node + 1, 2 * node + 2
-        near, far = gap(px, py, pz, boxes, left), gap(px, py, pz, boxes, right)
-        if near > far:
-            left, right, near, far = right, left, far, near
-        if far < best:
-            nodes[top], gaps[top] = right, far
-            top += 1
-        if near < best:
-            nodes[top], gaps[top] = left, near
-            top += 1
+        top = push_children(px, py, pz, node, best, boxes, nodes, gaps, top)
     return best, which, cx, cy, cz
 
 

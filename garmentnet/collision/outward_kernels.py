@@ -14,7 +14,7 @@ from ssdr.kernels.closest import fit_boxes
 from ssdr.kernels.policy import inline, kernel
 
 from .crossing_kernels import apart, box_of, edge_meets, meeting_leaves
-from .kernels import closest, gap, winding
+from .kernels import closest, gap, push_children, winding
 
 # Cosine of the angle to the cloth's normal from which skin faces the way out.
 _FACING = 0.4
@@ -56,16 +56,7 @@ def _skin_that_faces(px, py, pz, limit, gx, gy, gz, scene, nodes, gaps):
                     best, cx, cy, cz = d, x, y, z
                     fx, fy, fz = nx / size, ny / size, nz / size
             continue
-        left, right = 2 * node + 1, 2 * node + 2
-        near, far = gap(px, py, pz, boxes, left), gap(px, py, pz, boxes, right)
-        if near > far:
-            left, right, near, far = right, left, far, near
-        if far < best:
-            nodes[top], gaps[top] = right, far
-            top += 1
-        if near < best:
-            nodes[top], gaps[top] = left, near
-            top += 1
+        top = push_children(px, py, pz, node, best, boxes, nodes, gaps, top)
     return best, cx, cy, cz, fx, fy, fz
 
 
