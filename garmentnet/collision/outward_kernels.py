@@ -1,4 +1,4 @@
-"""Cloth moved out of a body on the side that faces outwards.
+"""Kernels that move cloth out of a body, to the skin that faces as the cloth does.
 
 Both meshes have a tree of :mod:`ssdr.kernels.closest`.  A pose of the body is passed as one tuple,
 `scene`, as :mod:`garmentnet.collision.kernels` describes it.

@@ -226,7 +226,7 @@ class ModelsByBones:
             self._reweight(d.best_model)
 
     def _fit_normals(self, model: Model) -> None:
-        """Polish with normals in the objective, as no other attempt does."""
+        """Polish with normals in the objective; the other attempts fit positions alone."""
         d = self.frames.descent(model.n_bones, data=self.frames.tolerant)
         d.begin_with(model.with_restarted_support())
         d.follow(solve_normals_lightly)

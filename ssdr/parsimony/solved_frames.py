@@ -101,7 +101,7 @@ class SolvedFrames:
 
     @property
     def are_all_exact(self) -> bool:
-        """Whether a model of these frames is the result as it is: of all frames, not rounded."""
+        """Whether these are all frames, with weights and keys returned as solved, not rounded."""
         return self.scan is None and self.problem.storage == "float32" and self.written is None
 
     @property

@@ -126,7 +126,7 @@ def _from_parts(
 
 
 def _up_to_last(mask: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
-    """A mask cut after its last true entry; None if there is none."""
+    """The mask up to its last true entry; None if no entry is true."""
     if mask is None or not mask.any():
         return None
     return mask[: int(np.flatnonzero(mask)[-1]) + 1]
