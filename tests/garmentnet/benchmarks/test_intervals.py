@@ -5,6 +5,8 @@ import math
 import numpy as np
 import pytest
 
+pytest.importorskip("torch")
+
 from benchmarks.garment.intervals import interval_cell, intervals, paired_ratio
 from garmentnet.evaluation.scores import Parts, Score, Scores
 
