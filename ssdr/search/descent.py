@@ -212,6 +212,13 @@ class Descent:
             self.few, self._chosen = few, chosen
         return few
 
+    def unpenalised(self) -> Descent:
+        """A descent of its own on the same data, without the penalty on the weights."""
+        bare = copy.copy(self)
+        bare.smoothness, bare.objective, bare.records = None, Objective(self.asked), []
+        bare.best, bare.best_value = None, np.inf
+        return bare
+
     def of_all(self, few: Model) -> Model:
         """Model of all vertices made from one of the sample in progress, by eight alternations."""
         parts, locked = self.start_parts, self.locked

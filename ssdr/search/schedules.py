@@ -239,11 +239,12 @@ def nothing_to_place(d: Descent, effort: Effort) -> None:
     last_polish(d, steps=NUMBERS[effort].polish, gain=1e-3)
 
 
-def smooth(d: Descent, effort: Effort, *, bones_placed: bool) -> None:
+def smooth(d: Descent, effort: Effort, size: float, *, bones_placed: bool) -> None:
     """Alternate under a smoothness penalty, which the polish ignores, until the error settles.
 
     Unless weights or all bones are locked (`bones_placed`), a polish and further alternations
-    follow the first ones, since this sometimes lowers the penalised error.
+    follow the first ones, since this sometimes lowers the penalised error; except with the effort
+    "fast", a second start is what is found without the penalty.
     """
     steps = NUMBERS[effort].smooth
     if bones_placed:
@@ -271,6 +272,13 @@ def smooth(d: Descent, effort: Effort, *, bones_placed: bool) -> None:
         relax(d)
         polish(d, steps=60, gain=0.002)
     alternate(d, steps=steps)
+    if effort != "fast":
+        # on a cloth this is lower by the penalised measure, too, on wings higher
+        bare = d.unpenalised()
+        free_bones(bare, "balanced", size, stretching=d.asked.bone_model != "rigid")
+        if not d.planning:
+            d.model = bare.best_model.with_restarted_support()
+        alternate(d, steps=steps)
 
 
 # --- from a model, and which of them -------------------------------------------------------------
@@ -314,7 +322,7 @@ def follow_effort(
     elif rig == "rigid":
         tree_of_bones(d, effort, size)
     elif d.smoothness is not None:
-        smooth(d, effort, bones_placed=bones_placed)
+        smooth(d, effort, size, bones_placed=bones_placed)
     elif bones_placed:
         nothing_to_place(d, effort)
     else:
