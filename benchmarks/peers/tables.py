@@ -120,6 +120,17 @@ def drawn_rows(records: Iterable[Row]) -> list[Row]:
     return found
 
 
+def best_known_rows(records: Iterable[Row], cases: Iterable[str]) -> list[Row]:
+    """Of some cases, rows of `summaries` and `drawn_rows` in one, with Dem Bones at its best."""
+    records = list(records)
+    sums, drawn = ({case_of(r): r for r in f(records)} for f in (summaries, drawn_rows))
+    rows = [sums[case] | drawn[case] for case in cases]
+    for row in rows:
+        for key in ("E", "normals"):
+            row[f"best peer {key}"] = row[f"dembones {row['setting']} {key}"]
+    return rows
+
+
 def apart_rows() -> list[Row]:
     _, apart = level_and_apart(read("race"))
     return [r for records in apart.values() for r in records if r["solver"] != "pca"]

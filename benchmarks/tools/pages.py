@@ -25,7 +25,7 @@ from benchmarks.leaderboard import tables as leaderboard
 from benchmarks.peers import tables
 from benchmarks.peers.charts import STYLE
 
-PAGES = [ROOT / "benchmarks" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "benchmarks" / "README.md", *(ROOT / "docs").glob("*.md")]
 SEQUENCE = "{sequence}, {bones}"
 REST_POSES = {
     "free, no normals": "free, `normals=False`",
@@ -207,6 +207,7 @@ def stability_words() -> str:
 
 
 CASES = ("horse_gallop-20", "samba-60", "paper_size-80")
+IN_README = ("horse_gallop-20", "samba-20", "cow_elastic-24", "mannequin_rumba-30")
 BLOCKS: dict[str, list[str | Callable[[], str]]] = {
     "accuracy": [Table(effort_rows, {
         "sequence": "{sequence}-{bones}", "K": "{influences}", "effort": "{effort}",
@@ -219,6 +220,16 @@ BLOCKS: dict[str, list[str | Callable[[], str]]] = {
             for solver, head in tables.DRAWN.items()
             for key, what in (("E", "E"), ("normals", "normals"))
         }, "revision": "{machine[revision]}",
+    })],
+    "readme": [Table(lambda: tables.best_known_rows(rows("race"), IN_README), {
+        "sequence, bones": SEQUENCE, **{
+            head: f"{{{solver} E}}, {{{solver} normals}}"
+            for head, solver in {
+                "Dem Bones": "best peer", "SSDR 2012": "2012", "ssdr fast": "ssdr fast",
+                "balanced": "ssdr balanced", "best": "ssdr best",
+            }.items()
+        },
+        "CPU time": "{balanced cpu ratio:.0f} times less", "revision": "{machine[revision]}",
     })],
     "efforts": [Table(
         lambda: pivot(effort_rows(), SEQUENCE, "{effort}", "{E:.2f} in {cpu seconds:.1f} s"),
