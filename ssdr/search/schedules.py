@@ -193,16 +193,23 @@ def search_from_starts(d: Descent, n: Rebuilds, *, stretching: bool) -> None:
         relax_from_rigid(d)
     for _ in range(n.before):
         rebuild(d, n.trials)
-    # on small smooth motions, such as a beam's, the other starts end with far more error
-    merged_start(d)
-    move_bones(d)
-    relax_and_search(d, TRIALS_OF_A_START if many else n.trials)
+    search_merged(d, TRIALS_OF_A_START if many else n.trials)
     if stretching and not n.before:
         relax_from_rigid(d)
     for _ in range(n.after):
         rebuild(d, n.trials)
     return_to_best(d)
     search(d, steps=n.trials)
+
+
+def search_merged(d: Descent, trials: int) -> None:
+    """Search from the start of "balanced", with its moves of bones.
+
+    On small smooth motions, such as a beam's, the other starts end with far more error.
+    """
+    merged_start(d)
+    move_bones(d)
+    relax_and_search(d, trials)
 
 
 def rebuild(d: Descent, trials: int) -> None:
