@@ -99,8 +99,7 @@ def fit_rest_pose(
         data = dataclasses.replace(data, surface=RestSurface.build(data, inner))
     _sweep_until_still(data, model, Locked(weights=every))
     found = data.points_to_world(model.rest)[row]
-    if stay is not None:
-        found[stay] = outer[stay]
+    found[stay] = outer[stay]
     return fit_of(sequences, dataclasses.replace(skinning, rest=found))
 
 

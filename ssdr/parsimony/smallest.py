@@ -233,8 +233,9 @@ def _check_beside_tolerance(problem: Problem, rig: Any, most: int) -> None:
     if isinstance(rig, Skeleton):
         raise InputError("rig", "None, 'loose' or 'rigid' beside a tolerance", "a Skeleton")
     if problem.start is None:
-        for name in ("weights", "transforms"):
-            if getattr(problem.initial, name) is not None:
+        given = {"weights": problem.initial.skin, "transforms": problem.initial.transforms}
+        for name, part in given.items():
+            if part is not None:
                 raise InputError(f"start.{name}", "None beside a tolerance", "an array")
     elif problem.start.n_bones > most:
         raise InputError("start", f"at most {most} bones", problem.start.n_bones)

@@ -92,8 +92,8 @@ def check_problem(
     importance = check_importance(vertex_importance, "vertex_importance", n)
     weighted = importance is not None or frame_importance is not None
     inputs, rows = sequences, None
-    kept = () if initial.is_model else (initial.rest, initial.indices, initial.weights)
-    label = told_apart(labels_of(inputs), *kept, locked.weights)
+    kept = () if initial.is_model else (initial.rest, *(initial.skin or ()))
+    label = told_apart(labels_of(inputs), *kept, locked.vertex_mask(n))
     differ = int(label.max()) + 1
     if by_default:
         bones = min(bones, differ)
@@ -164,7 +164,7 @@ def _check_rig(kind: RigKind, initial: Initial, locked: Locked, smoothness: floa
     beside = "beside a Skeleton" if initial.keeps_tree else f"beside rig={kind!r}"
     if locked.bone_model != "rigid":
         raise InputError("bone_model", f"'rigid' {beside}", repr(locked.bone_model))
-    if kind == "loose" and locked.rotations is not None:
+    if kind == "loose" and locked.rotations.size:
         raise InputError("rig.locked_joints", "() beside loose joints", "some")
     if kind == "loose" and not initial.keeps_tree:
         return

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..hierarchy.tree import Tree
 from ..solver.alignment import Alignment
+from ..solver.model import Skin
 from ..solver.trajectories import Array, Trajectories
 
 __all__ = ["Initial"]
@@ -25,8 +26,7 @@ class Initial:
         Rest pose.
     rest_frame : int or None
         Frame from which the rest pose is solved if `rest` is None; None until it is chosen.
-    indices, weights : (V, K) arrays or None
-        Skin weights.
+    skin : Skin or None
     transforms : (F, B0, 3, 4) array or None
         Transforms of the first B0 bones.
     is_model : bool
@@ -39,8 +39,8 @@ class Initial:
         Rest pose that fits the joints of `tree`; it is used if `rest` is None.
     nearest_bone : (V,) array or None
         For a skeleton of another mesh, the bone nearest each vertex, which moves it at the start.
-    skeleton_skin : ((V, K) array, (V, K) array) or None
-        For a skeleton of the same mesh, its indices and weights, used as a start.
+    skeleton_skin : Skin or None
+        For a skeleton of the same mesh, its weights, used as a start.
     extra_parents : tuple of int
         Parents of the bones that are added to a skeleton; −1 if a bone goes where the error is
         largest.
@@ -48,15 +48,14 @@ class Initial:
 
     rest: Array | None = None
     rest_frame: int | None = None
-    indices: NDArray[np.int32] | None = None
-    weights: Array | None = None
+    skin: Skin | None = None
     transforms: Array | None = None
     is_model: bool = False
     tree: Tree | None = None
     keeps_tree: bool = False
     tree_pose: Array | None = None
     nearest_bone: NDArray[np.intp] | None = None
-    skeleton_skin: tuple[NDArray[np.int32], Array] | None = None
+    skeleton_skin: Skin | None = None
     extra_parents: tuple[int, ...] = ()
 
     def first_pose(self, data: Trajectories) -> Array:
@@ -70,16 +69,13 @@ class Initial:
     def of_vertices(self, kept: NDArray[np.intp]) -> Initial:
         """A copy for the vertices `kept` alone."""
 
-        def some(array: Any) -> Any:
-            return None if array is None else np.ascontiguousarray(array[kept])
+        def some(part: Any) -> Any:
+            if isinstance(part, Skin):
+                return Skin(*map(some, part))
+            return None if part is None else np.ascontiguousarray(part[kept])
 
-        names = ("rest", "indices", "weights", "tree_pose", "nearest_bone")
-        skin = self.skeleton_skin
-        return replace(
-            self,
-            **{name: some(getattr(self, name)) for name in names},
-            skeleton_skin=None if skin is None else (some(skin[0]), some(skin[1])),
-        )
+        names = ("rest", "skin", "tree_pose", "nearest_bone", "skeleton_skin")
+        return replace(self, **{name: some(getattr(self, name)) for name in names})
 
     def of_frames(self, chosen: NDArray[np.int64]) -> Initial:
         """A copy for the frames `chosen` alone, ascending; `rest_frame` must be one of them."""

@@ -144,4 +144,4 @@ class Problem:
     def bones_placed(self) -> bool:
         """Whether weights or all bones are locked, so that no bone has to find its place."""
         every = bool(self.locked.bone_mask(self.bones).all())
-        return self.locked.weights is not None or every
+        return len(self.locked.weights) > 0 or every

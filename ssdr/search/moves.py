@@ -85,8 +85,9 @@ def move_cheapest_bone(
     data: Trajectories,
     model: Model,
     rng: np.random.Generator,
-    alternations: int,
     locked: Locked,
+    *,
+    alternations: int,
 ) -> Model | None:
     """Move one of the cheapest bones to the patch with most error; None if no bone can move.
 
@@ -109,7 +110,12 @@ def move_cheapest_bone(
 
 
 def add_and_merge_bones(
-    data: Trajectories, model: Model, rng: np.random.Generator, alternations: int, locked: Locked
+    data: Trajectories,
+    model: Model,
+    rng: np.random.Generator,
+    locked: Locked,
+    *,
+    alternations: int,
 ) -> Model:
     """Add two to six bones where the error is largest, then merge down to the number before.
 
@@ -353,9 +359,8 @@ def _with_patch(
 def _removal_costs(data: Trajectories, model: Model, locked: Locked) -> Array:
     """Rise (B,) of the objective when each bone is removed; inf for bones that have to stay."""
     cost = bone_costs(data, model)
-    if locked.bones is not None:
-        # all bones up to the last locked one stay, since locked bones are known by their index
-        cost[: len(locked.bones)] = np.inf
+    # all bones up to the last locked one stay, since locked bones are known by their index
+    cost[: len(locked.bones)] = np.inf
     keep = locked.vertex_mask(data.n_vertices)
     cost[model.indices[keep][model.weights[keep] > 0]] = np.inf
     return cost

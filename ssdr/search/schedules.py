@@ -12,7 +12,7 @@ from __future__ import annotations
 from functools import partial
 
 from ..problem.problem import Effort, RigKind
-from .bone_steps import add_and_merge, move_bones, search
+from .bone_steps import add_and_merge, move_bones, search, try_places
 from .descent import Descent
 from .efforts import (
     LARGE,
@@ -183,7 +183,7 @@ def search_from_starts(d: Descent, n: Rebuilds, *, stretching: bool) -> None:
         for _ in range(STARTS_OF_MANY_BONES):
             start(d)
             alternate(d, steps=12)
-            add_and_merge(d, steps=10, patience=8)
+            try_places(d, steps=10, patience=8)
             relax_and_search(d, TRIALS_OF_A_START)
     else:
         relax_and_search(d, n.trials)
@@ -227,9 +227,9 @@ def start_from_tree(d: Descent, trees: int) -> None:
     more than four times the best one, it is given up at once.
     """
     lowest_tree(d, *trees * (start_of_tree,))
-    best = d.best_value
+    best = d.best.value
     if not d.below(_PROMISING * best, expected=True):
-        d.model = d.best_model.with_restarted_support()
+        d.model = d.best.model.with_restarted_support()
         return
     relax_tree(d)
     if d.below(best, expected=False):

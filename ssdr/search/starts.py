@@ -6,12 +6,11 @@ import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..solver.alternation import bone_step, repeat_alternation, vertex_step
 from ..solver.gauss_newton import fit_motion
 from ..solver.initialization import fit_patches, single_bone_errors, start_model
-from ..solver.model import Model
+from ..solver.model import Model, Skin
 from ..solver.rest_normals import with_rest_normals
 from ..solver.trajectories import Array
 from .descent import Descent, step
@@ -67,12 +66,11 @@ def _first_model(
 ) -> Model:
     data, initial, k = d.data, d.start_parts, influences or d.influences
     rest, bones = initial.first_pose(data), initial.transforms
-    if factor > 1 and d.locked.bones is None:
+    if factor > 1 and not len(d.locked.bones):
         bones = None  # given bones that are not locked have served as a start already
-    if initial.indices is not None and initial.weights is not None:
-        if bones is None:
-            bones = _patches_of_weights(d, rest, initial.indices)
-        return Model.with_weights(bones.copy(), rest, initial.indices, initial.weights, k)
+    if initial.skin is not None:
+        bones = _patches_of_weights(d, rest, initial.skin) if bones is None else bones.copy()
+        return Model.with_weights(bones, rest, *initial.skin, k)
     if bones is not None and bones.shape[1] == d.bones:
         every = np.arange(data.n_vertices)
         cost, positions = single_bone_errors(data, initial.rest, bones, every)
@@ -118,18 +116,17 @@ def fit_copied_bones(d: Descent) -> Iterator[None]:
 def _initial_model(d: Descent, bones: Array | None) -> Model:
     initial = d.initial
     assert initial.rest is not None
-    assert initial.indices is not None
-    assert initial.weights is not None
+    assert initial.skin is not None
     if bones is None:
-        bones = _patches_of_weights(d, initial.rest, initial.indices)
-    model = Model.with_weights(bones, initial.rest, initial.indices, initial.weights, d.influences)
+        bones = _patches_of_weights(d, initial.rest, initial.skin)
+    model = Model.with_weights(bones, initial.rest, *initial.skin, d.influences)
     _measure_error(d, model)
     return model
 
 
-def _patches_of_weights(d: Descent, rest: Array, indices: NDArray[np.int32]) -> Array:
+def _patches_of_weights(d: Descent, rest: Array, skin: Skin) -> Array:
     """Transforms (F, B, 3, 4) of bones that are each fitted to the vertices that they move most."""
-    label, kind = indices[:, 0].astype(np.intp), d.locked.bone_model
+    label, kind = skin.indices[:, 0].astype(np.intp), d.locked.bone_model
     return fit_patches(d.data, rest, label, d.bones, kind)
 
 

@@ -92,14 +92,14 @@ def bones_of_skeleton(d: Descent, effort: Effort) -> None:
         relax_tree(d)
         search_weights(d, steps=n.weight_trials)
 
-    if initial.weights is not None or effort == "fast" or initial.skeleton_skin is not None:
+    if initial.skin is not None or effort == "fast" or initial.skeleton_skin is not None:
         compress(d)
         start_on_skeleton(d)
         attach(d)
     else:
         lowest(d, by_limb, *n.limbs * (by_motion,))
     polish(d, steps=20, gain=0.01)
-    if initial.weights is not None:
+    if initial.skin is not None:
         last_polish(d, steps=n.polish, gain=1e-3)
         return
     if effort == "fast":
@@ -122,7 +122,7 @@ def loose_skeleton(d: Descent, effort: Effort) -> None:
     compress(d)
     start_on_skeleton(d)
     alternate(d, steps=20, gain=1e-3)
-    if d.initial.weights is None and effort != "fast":
+    if d.initial.skin is None and effort != "fast":
         polish(d, steps=8)
         relax_bones(d)
     last_polish(d, steps=NUMBERS[effort].polish, gain=1e-3)

@@ -27,7 +27,7 @@ def normalise_gauge(model: Model, importance: Array, locked: Locked) -> None:
     the part, so that its rest pose has the mean size and proportions of the motion; for similarity
     bones A is only a factor.  A acts about the centroid of the part.
     """
-    if locked.bone_model == "rigid" or locked.rest or locked.bones is not None:
+    if locked.bone_model == "rigid" or locked.rest or len(locked.bones):
         return
     n_bones = model.n_bones
     used = model.weights > 0

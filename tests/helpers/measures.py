@@ -73,7 +73,7 @@ def solved(
 ) -> Model:
     d = descent_of(data, bones, influences)
     d.follow(schedule)
-    return d.best_model
+    return d.best.model
 
 
 def diagonal(array: np.ndarray) -> float:

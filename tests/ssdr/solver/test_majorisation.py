@@ -69,8 +69,8 @@ def test_no_alternation_raises_it_with_a_penalty_on_weights(case: str) -> None:
         penalty = WeightSmoothness.build(data, data.faces, 0.3)
         d.smoothness, d.objective = penalty, Objective(FREE, penalty)
         d.begin_with(model)
-        assert d.best_value > 1.05 * Objective().value(data, model)
-        values = [d.best_value]
+        assert d.best.value > 1.05 * Objective().value(data, model)
+        values = [d.best.value]
 
         def after_step(_: str, d: Descent = d, values: list[float] = values) -> None:
             values.append(d.value(d.model))
