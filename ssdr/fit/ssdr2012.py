@@ -13,7 +13,7 @@ from ..sequence import MeshSequence, as_sequences
 from ..solver.alternation import repeat_alternation
 from ..solver.model import Lowest
 from .fit import Fit, fit_of
-from .start import skinning_of, started
+from .start import fitted_skinning, started
 
 __all__ = ["ssdr2012"]
 
@@ -92,4 +92,4 @@ def ssdr2012(
             monitor.report("descent", iteration=k, rmse=least, fraction=(k + 1) / (iterations + 1))
         except Stop:
             break
-    return fit_of(sequences, skinning_of(sequences, data, best.model, locked))
+    return fit_of(sequences, fitted_skinning(sequences, data, best.model, locked))
