@@ -7,11 +7,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..problem.initial import Initial
+from ..problem.problem import Initial
 from ..progress import Record, Stop
 from ..search.bone_steps import merge, move_bones, search
 from ..search.descent import Descent, Schedule
-from ..search.schedule_parts import merged_start
+from ..search.starts import merged_start
 from ..search.steps import alternate, polish, return_to_best, solve_normals
 from ..search.tree_steps import attach, remove_bones, search_trees
 from ..solver.model import Lowest, Model

@@ -23,10 +23,9 @@ from ..sequence import as_sequences, labels_of, without_copies
 from ..skinning import Skinning
 from ..solver.model import Locked
 from ..solver.rest_surface import RestPose
-from ..start import Skeleton, Start, as_start
-from .check_start import check_skeleton, check_start, extra_parents, with_skeleton
-from .initial import Initial
-from .problem import Effort, Problem, RigKind
+from ..start import Skeleton, Start
+from .check_start import as_start, check_skeleton, check_start, extra_parents, with_skeleton
+from .problem import Effort, Initial, Problem, RigKind
 
 __all__ = ["check_problem"]
 

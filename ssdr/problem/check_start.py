@@ -22,18 +22,30 @@ from ..hierarchy.tree import Tree
 from ..joints.limb_matching import limb_distances
 from ..joints.placement import move_onto_joints
 from ..sequence import MeshSequence
-from ..skinning import Skinning, refuse_shapes
+from ..skinning import Skinning, refuse_shapes, skinning_in
 from ..solver.model import Locked, Skin
 from ..solver.trajectories import Array
 from ..start import JointKind, Skeleton, Start
-from .initial import Initial
+from .problem import Initial
 
-__all__ = ["check_skeleton", "check_start", "extra_parents", "with_skeleton"]
+__all__ = ["as_start", "check_skeleton", "check_start", "extra_parents", "with_skeleton"]
 
 # Largest joint gaps, relative to the mesh's size, that are rounding errors: of double precision,
 # and of single precision or a file's keys.  Gaps between these two bounds are closed at once.
 _EXACTLY, _NEARLY = 1e-12, 1e-4
 _TURNED = 1e-6  # change of a rotation's entries from which a locked joint counts as turned
+
+
+def as_start(start: Any, n_frames: int) -> Any:
+    """A `Start` of the number of one of the frames, or of a mesh; of a result, its model.
+
+    Anything else is returned as it is.
+    """
+    if is_whole(start):
+        return Start(rest_frame=check_whole(start, "start", 0, n_frames - 1))
+    if isinstance(start, MeshSequence):
+        return Start(rest=start.frames(0))
+    return start if isinstance(start, Skeleton) else skinning_in(start)
 
 
 def check_start(

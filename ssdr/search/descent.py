@@ -21,12 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..parallel import serial_blas
-from ..problem.initial import Initial
+from ..problem.problem import Initial
 from ..progress import Monitor, Stop
 from ..solver.alternation import bone_costs, repeat_alternation, vertex_step
 from ..solver.model import Locked, Lowest, Model
-from ..solver.objective import Objective
-from ..solver.smoothness import WeightSmoothness
+from ..solver.objective import Objective, WeightSmoothness
 from ..solver.trajectories import Trajectories
 from .moves import polish_steps
 from .vertex_sample import model_of_all

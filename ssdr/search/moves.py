@@ -15,8 +15,7 @@ from scipy.spatial import cKDTree
 from ..kernels.newton import polish_vertices
 from ..kernels.polish import choose_influences
 from ..parallel import chunk_bounds, run_chunks, serial_blas
-from ..solver.alternation import bone_costs, repeat_alternation, vertex_step
-from ..solver.gauge import free_gauge
+from ..solver.alternation import bone_costs, free_gauge, repeat_alternation, vertex_step
 from ..solver.gauss_newton import GaussNewton
 from ..solver.initialization import by_motion, fit_patches
 from ..solver.model import CHUNK, SOLVED, Locked, Model

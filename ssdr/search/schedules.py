@@ -25,27 +25,25 @@ from .efforts import (
     TRIALS_OF_A_REBUILD,
     TRIALS_OF_A_START,
     Rebuilds,
+    rebuilds,
 )
-from .schedule_parts import (
+from .starts import (
     first_model,
-    last_polish,
-    lowest_tree,
+    fit_copied_bones,
     merged_start,
     polish_model,
-    rebuilds,
-    relax_bones,
-    relax_tree,
-    search_best_trees,
-    start_of_tree,
+    start,
+    start_from_model,
 )
-from .starts import fit_copied_bones, start, start_from_model
 from .steps import (
     alternate,
     beside,
     compress,
+    last_polish,
     on_sample,
     polish,
     relax,
+    relax_bones,
     return_to_best,
     unfold,
 )
@@ -53,6 +51,10 @@ from .tree_schedules import (
     bones_of_skeleton,
     loose_from_model,
     loose_skeleton,
+    lowest_tree,
+    relax_tree,
+    search_best_trees,
+    start_of_tree,
     tree_from_model,
     tree_of_bones,
 )

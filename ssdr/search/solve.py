@@ -20,16 +20,15 @@ from functools import partial
 
 from ..errors import InputError
 from ..problem.answer import Step, outcome_of, skinning_of
-from ..problem.initial import Initial
-from ..problem.problem import Problem
+from ..problem.problem import Initial, Problem
 from ..problem.scan import Scan, needs_streaming, scan, subset
 from ..progress import Stop
 from ..result import Decomposition
 from ..sequence import MeshSequence
 from ..solver.alignment import Alignment
 from ..solver.model import Model
+from ..solver.objective import WeightSmoothness
 from ..solver.rounding import rounded_models
-from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import Trajectories, gather
 from .descent import Descent, Schedule
 from .efforts import NUMBERS

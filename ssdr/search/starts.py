@@ -7,15 +7,26 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..problem.problem import Effort
 from ..solver.alternation import bone_step, repeat_alternation, vertex_step
 from ..solver.gauss_newton import fit_motion
 from ..solver.initialization import fit_patches, single_bone_errors, start_model
 from ..solver.model import Model, Skin
 from ..solver.rest_normals import with_rest_normals
 from ..solver.trajectories import Array
+from .bone_steps import merge
 from .descent import Descent, step
+from .steps import alternate, compress, polish
 
-__all__ = ["fit_copied_bones", "quick_start", "start", "start_from_model"]
+__all__ = [
+    "first_model",
+    "fit_copied_bones",
+    "merged_start",
+    "polish_model",
+    "quick_start",
+    "start",
+    "start_from_model",
+]
 
 # Number of frames that a quick start uses if there are at least twice as many, and of alternations
 # on them: 64 frames tell which bones there are, and 16 alternations place them.
@@ -140,3 +151,35 @@ def _measure_error(d: Descent, model: Model) -> None:
     """Compute the error of every vertex (in place), without moving anything."""
     every = np.ones(d.data.n_vertices, dtype=bool)
     vertex_step(d.data, model, locked=dataclasses.replace(d.locked, rest=True, weights=every))
+
+
+def first_model(d: Descent, *, influences: int | None = None) -> None:
+    """Make a usable model early, without excess bones and before the frames are compressed."""
+    quick_start(d, influences=influences)
+    alternate(d, steps=20, gain=0.01)
+    compress(d)
+
+
+def merged_start(
+    d: Descent,
+    before: int = 12,
+    after: int = 6,
+    *,
+    factor: float = 1.6,
+    influences: int | None = None,
+) -> None:
+    """Start with `factor` times the bones asked for and merge them down.
+
+    `before` and `after` are the most alternations before and after the merge.
+    """
+    start(d, factor=factor, influences=influences)
+    alternate(d, steps=before)
+    merge(d)
+    alternate(d, steps=after)
+
+
+def polish_model(d: Descent, effort: Effort) -> None:
+    """Start from the given model and polish it."""
+    start_from_model(d)
+    compress(d)
+    polish(d, steps=6 if effort == "fast" else 20, gain=0.01)

@@ -6,8 +6,7 @@ import copy
 import dataclasses
 from collections.abc import Iterator
 
-from ..solver.alternation import repeat_alternation
-from ..solver.gauge import free_gauge
+from ..solver.alternation import free_gauge, repeat_alternation
 from ..solver.gauss_newton import GaussNewton
 from ..solver.model import Lowest
 from ..solver.rest_normals import with_rest_normals
@@ -20,10 +19,12 @@ __all__ = [
     "alternate",
     "beside",
     "compress",
+    "last_polish",
     "lowest",
     "on_sample",
     "polish",
     "relax",
+    "relax_bones",
     "return_to_best",
     "solve_normals",
     "unfold",
@@ -110,6 +111,18 @@ def solve_normals(d: Descent) -> Iterator[None]:
     if d.best.exists:
         d.set_best(with_rest_normals(d.data, d.best.model))
     yield
+
+
+def relax_bones(d: Descent) -> None:
+    """Relax with five polish steps at each number of influences, of which "best" makes eight."""
+    relax(d, polish_steps=5)
+    polish(d, steps=200, gain=0.004)
+
+
+def last_polish(d: Descent, *, steps: int, gain: float = 0.0) -> None:
+    """Polish with normals in the objective."""
+    solve_normals(d)
+    polish(d, steps=steps, gain=gain)
 
 
 @step("unfold", cost=3)

@@ -14,7 +14,7 @@ import pytest
 import ssdr
 from helpers import motions
 from helpers.stretches import check_kind
-from ssdr.problem.initial import Initial
+from ssdr.problem.problem import Initial
 from ssdr.search.descent import Descent, Schedule
 from ssdr.search.starts import start
 from ssdr.search.steps import alternate

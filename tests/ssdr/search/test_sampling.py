@@ -7,11 +7,11 @@ import pytest
 
 import ssdr
 from helpers.measures import descent_of
-from ssdr.problem.initial import Initial
+from ssdr.problem.problem import Initial
 from ssdr.progress import Stop
 from ssdr.search.bone_steps import move_bones
 from ssdr.search.descent import Descent, Schedule
-from ssdr.search.schedule_parts import first_model, merged_start
+from ssdr.search.starts import first_model, merged_start
 from ssdr.search.steps import alternate, on_sample
 from ssdr.search.vertex_sample import motion_sample
 from ssdr.solver.model import Locked, Model

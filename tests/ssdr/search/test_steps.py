@@ -17,9 +17,8 @@ from ssdr.search.bone_steps import STEPS_OF_A_TRIAL, tried
 from ssdr.search.descent import Descent, step
 from ssdr.search.steps import unfold
 from ssdr.solver.model import SOLVED, Locked, Model
-from ssdr.solver.objective import Objective
+from ssdr.solver.objective import Objective, WeightSmoothness
 from ssdr.solver.rest_surface import RestSurface
-from ssdr.solver.smoothness import WeightSmoothness
 from ssdr.solver.trajectories import gather
 from ssdr.solver.vertex_newton import optimise_some, optimise_vertices
 

@@ -16,8 +16,7 @@ from ssdr.search.steps import alternate
 from ssdr.solver.alternation import repeat_alternation, vertex_step
 from ssdr.solver.gauss_newton import GaussNewton
 from ssdr.solver.model import FREE, Locked, Model
-from ssdr.solver.objective import Objective, rest_pulls
-from ssdr.solver.smoothness import WeightSmoothness
+from ssdr.solver.objective import Objective, WeightSmoothness, rest_pulls
 from ssdr.solver.trajectories import Trajectories
 from ssdr.solver.vertex_newton import optimise_vertices
 
