@@ -24,7 +24,14 @@ from ..skinning import Skinning
 from ..solver.model import Locked
 from ..solver.rest_surface import RestPose
 from ..start import Skeleton, Start
-from .check_start import as_start, check_skeleton, check_start, extra_parents, with_skeleton
+from .check_start import (
+    as_start,
+    check_skeleton,
+    check_start,
+    extra_parents,
+    refuse_parts,
+    with_skeleton,
+)
 from .problem import Effort, Initial, Problem, RigKind
 
 __all__ = ["check_problem"]
@@ -167,8 +174,7 @@ def _check_rig(kind: RigKind, initial: Initial, locked: Locked, smoothness: floa
         raise InputError("rig.locked_joints", "() beside loose joints", "some")
     if kind == "loose" and not initial.keeps_tree:
         return
-    for name in ("weights", "transforms") if not (initial.keeps_tree or initial.is_model) else ():
-        if getattr(initial, name) is not None:
-            raise InputError(f"start.{name}", f"None {beside}", "an array")
+    if not (initial.keeps_tree or initial.is_model):
+        refuse_parts(initial, beside)
     if smoothness > 0:
         raise InputError("smoothness", f"0 {beside}", smoothness)

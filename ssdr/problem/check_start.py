@@ -28,7 +28,14 @@ from ..solver.trajectories import Array
 from ..start import JointKind, Skeleton, Start
 from .problem import Initial
 
-__all__ = ["as_start", "check_skeleton", "check_start", "extra_parents", "with_skeleton"]
+__all__ = [
+    "as_start",
+    "check_skeleton",
+    "check_start",
+    "extra_parents",
+    "refuse_parts",
+    "with_skeleton",
+]
 
 # Largest joint gaps, relative to the mesh's size, that are rounding errors: of double precision,
 # and of single precision or a file's keys.  Gaps between these two bounds are closed at once.
@@ -123,6 +130,13 @@ def _from_parts(
     rest = None if start.rest is None else _check_rest(start.rest, n)
     initial = Initial(rest=rest, rest_frame=frame, skin=skin, transforms=transforms)
     return initial, Locked(rest=rest is not None, bone_model=bone_model, **locked)
+
+
+def refuse_parts(initial: Initial, beside: str) -> None:
+    """Raise InputError if weights or transforms were given."""
+    for name, part in (("weights", initial.skin), ("transforms", initial.transforms)):
+        if part is not None:
+            raise InputError(f"start.{name}", f"None {beside}", "an array")
 
 
 def check_skeleton(rig: Skeleton) -> None:
