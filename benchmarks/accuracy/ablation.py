@@ -105,8 +105,10 @@ def measure(effort: Any, step: str, sequence: str, bones: int, seed: int, every:
         start = time.process_time()
         made = ssdr.decompose(frames[::every], faces, bones=bones, effort=effort, rng=seed)
         seconds = time.process_time() - start
-    return {"E": common.e_of(frames[::every], made.skinning), "cpu seconds": seconds}
+    error, normals = common.e_of(frames[::every], made.skinning), made.normals
+    degrees = None if normals is None else normals.mean
+    return {"E": error, "degrees": degrees, "cpu seconds": seconds}
 
 
 if __name__ == "__main__":
-    common.run(__file__, __doc__, dict(cases()), measure, ("E", "cpu seconds"))
+    common.run(__file__, __doc__, dict(cases()), measure, ("E", "degrees", "cpu seconds"))
