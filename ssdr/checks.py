@@ -234,10 +234,12 @@ def check_frames(frames: Any, n_frames: int) -> Any:
     return index.astype(np.intp)
 
 
-def check_mask(value: Any, argument: str, count: int) -> NDArray[np.bool_] | None:
-    """A mask of `count` entries, from a mask or from indices; None stays None."""
+def check_mask(
+    value: Any, argument: str, count: int, *, default: bool = False
+) -> NDArray[np.bool_]:
+    """A mask of `count` entries, from a mask or from indices; all `default` for None."""
     if value is None:
-        return None
+        return np.full(count, default)
     array = as_array(value, argument, "a mask or a list of indices")
     if array.dtype == bool:
         if array.shape != (count,):

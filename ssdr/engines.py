@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from .frames.motion import motion_rms, share_of
+from .frames.error import motion_rms, share_of
 from .hierarchy.transforms import rest_diagonal
 from .lbs import skin
 from .quantisation import WeightStorage, quantise, weight_values

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .frames.motion import share_of
+from .frames.error import share_of
 from .metrics.normal_angles import NormalErrors
 from .progress import Record
 from .skinning import Skinning

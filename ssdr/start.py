@@ -6,10 +6,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
-from .checks import check_whole
-from .errors import is_whole
 from .representation import short_repr
-from .sequence import MeshSequence
 from .skinning import Skinning, skinning_in
 
 __all__ = ["JointKind", "Skeleton", "Start"]
@@ -59,18 +56,6 @@ class Start:
     locked_bones: Any = None
 
     __repr__ = short_repr
-
-
-def as_start(start: Any, n_frames: int) -> Any:
-    """A `Start` of the number of one of the frames, or of a mesh; of a result, its model.
-
-    Anything else is returned as it is.
-    """
-    if is_whole(start):
-        return Start(rest_frame=check_whole(start, "start", 0, n_frames - 1))
-    if isinstance(start, MeshSequence):
-        return Start(rest=start.frames(0))
-    return start if isinstance(start, Skeleton) else skinning_in(start)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ SAME = 1e-5  # of the diagonal: a known joint whose gap is larger is not counted
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Truth:
+class KnownSkeleton:
     """A skinned model, and its animation with the vertices at seams welded."""
 
     skinning: ssdr.Skinning
@@ -63,7 +63,7 @@ def _depth(parents: np.ndarray, bone: int) -> int:
     return count
 
 
-def known(name: str) -> Truth:
+def known(name: str) -> KnownSkeleton:
     if name in ANIMALS:
         skinning = ssdr.load_skinning(data_folder() / "gltf" / ANIMALS[name])
     elif name == "body":
@@ -75,7 +75,7 @@ def known(name: str) -> Truth:
     # copies of a vertex at a seam move alike in every frame
     paths = np.round(frames.transpose(1, 0, 2).reshape(frames.shape[1], -1) / np.ptp(frames), 6)
     keep = np.sort(np.unique(paths, axis=0, return_index=True)[1])
-    return Truth(
+    return KnownSkeleton(
         skinning, np.ascontiguousarray(frames[:, keep]), skinning.rest[keep], weights[keep]
     )
 
@@ -136,7 +136,7 @@ def random_tree(bones: int, seed: int, frames: int = 120) -> ssdr.Skinning:
     return model.pose(local, 0.5 * np.sin(0.5 * clock + phase[0]))
 
 
-def judge(truth: Truth, found: ssdr.Skinning) -> dict[str, Any]:
+def judge(truth: KnownSkeleton, found: ssdr.Skinning) -> dict[str, Any]:
     """Number of true edges that were found, and distances of their joints from the true ones."""
     model, group, gaps = truth.skinning, truth.groups(), truth.gaps()
     names = np.unique(group[group >= 0])

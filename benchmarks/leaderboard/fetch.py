@@ -44,7 +44,7 @@ class Entry(NamedTuple):
     sha1: str
 
 
-class Refused(Exception):
+class FetchError(Exception):
     """Something that was fetched is not what it should be."""
 
 
@@ -56,11 +56,11 @@ def download(url: str, most: int) -> bytes:
             data: bytes = answer.read(most + 1)
     except urllib.error.HTTPError as error:
         error.close()  # it holds the connection
-        raise Refused(f"{url}: {error}") from error
+        raise FetchError(f"{url}: {error}") from error
     except (OSError, ValueError) as error:  # of urllib, too
-        raise Refused(f"{url}: not reached: {getattr(error, 'reason', error)}") from error
+        raise FetchError(f"{url}: not reached: {getattr(error, 'reason', error)}") from error
     if len(data) > most:
-        raise Refused(f"{url}: expected at most {most:,} bytes, got more")
+        raise FetchError(f"{url}: expected at most {most:,} bytes, got more")
     return data
 
 
@@ -71,9 +71,9 @@ def listing(sequence: Sequence, mirror: str | None) -> list[Entry]:
         found = json.loads(download(url, LISTING_BYTES))
         entries = [Entry(e["path"], e["size"], e["sha"]) for e in found["tree"] if "size" in e]
     except (ValueError, TypeError, KeyError) as error:
-        raise Refused(f"{url}: not a listing of files: {error!r}") from error
+        raise FetchError(f"{url}: not a listing of files: {error!r}") from error
     if found.get("truncated"):
-        raise Refused(f"{url}: the listing is cut off")
+        raise FetchError(f"{url}: the listing is cut off")
     return entries
 
 
@@ -85,10 +85,10 @@ def chosen(sequence: Sequence, entries: Listed[Entry]) -> list[Entry]:
     """Files of the frames in their order, then that of the rest pose, if there is one."""
     frames = sorted((e for e in entries if re.fullmatch(sequence.pattern, e.path)), key=natural)
     if len(frames) != sequence.files:
-        raise Refused(f"{sequence.pattern}: expected {sequence.files} files, got {len(frames)}")
+        raise FetchError(f"{sequence.pattern}: expected {sequence.files} files, got {len(frames)}")
     by_path = {e.path: e for e in entries}
     if missing := [p for p in (sequence.first, sequence.rest) if p and p not in by_path]:
-        raise Refused(f"{missing[0]}: the commit has no such file")
+        raise FetchError(f"{missing[0]}: the commit has no such file")
     first, rest = ([by_path[p]] if p else [] for p in (sequence.first, sequence.rest))
     return [*first, *frames[:: sequence.every], *rest]
 
@@ -105,7 +105,7 @@ def fetch(entry: Entry, sequence: Sequence, mirror: str | None, target: Path) ->
     url = f"{mirror or RAW}/{sequence.repository}/{sequence.commit}/{entry.path}"
     data = download(url, entry.size)
     if (got := git_sha1(data)) != entry.sha1:
-        raise Refused(f"{url}: expected the Git SHA-1 {entry.sha1}, got {got}")
+        raise FetchError(f"{url}: expected the Git SHA-1 {entry.sha1}, got {got}")
     target.parent.mkdir(parents=True, exist_ok=True)
     part = target.with_suffix(".part")
     part.write_bytes(data)
@@ -123,7 +123,7 @@ def read_compskin(path: Path) -> tuple[np.ndarray, np.ndarray]:
         rest, deltas, quads = (archive[k] for k in ("rest_verts", "deltas", "rest_faces"))
     if deltas.ndim != 3 or rest.shape != deltas.shape[1:] or quads.shape[1:] not in ((3,), (4,)):
         shapes = f"{rest.shape}, {deltas.shape} and {quads.shape}"
-        raise Refused(f"{path}: expected (V, 3), (S, V, 3) and (Q, 4) arrays, got {shapes}")
+        raise FetchError(f"{path}: expected (V, 3), (S, V, 3) and (Q, 4) arrays, got {shapes}")
     frames = np.concatenate([rest[None], rest + deltas]).astype(np.float32)
     fans = [quads[:, [0, k, k + 1]] for k in range(1, quads.shape[1] - 1)]
     return frames, np.stack(fans, axis=1).reshape(-1, 3).astype(np.int32)

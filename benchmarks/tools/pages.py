@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import math
 import re
 import sys
 from collections.abc import Callable, Iterable
@@ -19,6 +20,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from benchmarks.accuracy import ablation
 from benchmarks.accuracy.errors import AUTHOR, FLOATS, PLAIN, millimetres
 from benchmarks.common import EFFORTS, RESULTS, ROOT, Row, read_rows, tell
 from benchmarks.leaderboard import tables as leaderboard
@@ -142,6 +144,22 @@ def part_rows(step: str) -> list[Row]:
     return pivot(found, "{part}", "{case}", "{shown}")
 
 
+def ablation_rows(effort: str, **wanted: Any) -> list[Row]:
+    """E and CPU seconds without a step, relative to those of the whole search, by sequence."""
+    found = [r for r in rows("ablation", effort=effort) if ("every" in r) == bool(wanted)]
+    whole = {(r["sequence"], r["seed"]): r for r in found if r["step"] == "nothing"}
+    ratios: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    for r in found:
+        base = whole[r["sequence"], r["seed"]]
+        pair = r["E"] / base["E"], r["cpu seconds"] / base["cpu seconds"]
+        ratios.setdefault((r["step"], r["sequence"]), []).append(pair)
+    for r in found:
+        mine = ratios[r["step"], r["sequence"]]
+        error, seconds = (math.prod(part) ** (1 / len(mine)) for part in zip(*mine, strict=True))
+        r["shown"] = f"{error:.3f} ({seconds:.2f})"
+    return pivot([r for r in found if r["step"] != "nothing"], "{step}", "{sequence}", "{shown}")
+
+
 def smooth_rows() -> list[Row]:
     found = [r for r in rows("choices") if r["solver"].startswith("smooth")]
     found = [r | {"share": r["solver"].split()[1]} for r in found]
@@ -206,6 +224,10 @@ def stability_words() -> str:
     )
 
 
+def ablation_table(effort: str, sequences: Iterable[str], **wanted: Any) -> Table:
+    return Table(lambda: ablation_rows(effort, **wanted), {"without": "{step}", **same(*sequences)})
+
+
 CASES = ("horse_gallop-20", "samba-60", "paper_size-80")
 IN_README = ("horse_gallop-20", "samba-20", "cow_elastic-24", "mannequin_rumba-30")
 BLOCKS: dict[str, list[str | Callable[[], str]]] = {
@@ -235,6 +257,14 @@ BLOCKS: dict[str, list[str | Callable[[], str]]] = {
         lambda: pivot(effort_rows(), SEQUENCE, "{effort}", "{E:.2f} in {cpu seconds:.1f} s"),
         {"sequence, bones": "{line}", **same(*EFFORTS), "plain alternation": "{plain}"},
     )],
+    "ablation": [
+        "`balanced`, seeds 0 to 2:",
+        ablation_table("balanced", ablation.SEQUENCES["balanced"]),
+        "`balanced` on every second to fortieth frame, a problem so small that it has more starts:",
+        ablation_table("balanced", ablation.FEW_FRAMES, few=True),
+        "`best`, seed 0:",
+        ablation_table("best", ablation.SEQUENCES["best"]),
+    ],
     "choose_bones": [Table(lambda: choice_rows("bones"), {
         "bones": "{bones}", "RMSE, mm": "{mm:.2f}", "s": "{seconds:.1f}",
     })],

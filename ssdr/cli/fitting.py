@@ -254,8 +254,7 @@ def _print(
 ) -> None:
     """Print the result as a table, which includes the rows `said`, or as JSON, with `about`."""
     from .. import __version__
-    from ..frames.error import largest_error
-    from ..frames.motion import motion_rms, share_of
+    from ..frames.error import largest_error, motion_rms, share_of
 
     diagonal, clips = max(shot.diagonal() for shot in shots), names_of(shots)["clips"]
     model = result.skinning

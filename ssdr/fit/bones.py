@@ -139,7 +139,7 @@ def fit_bones(
     sequences, skinning, n = given.sequences, given.skinning, len(given.rest)
     kind = skinning.bone_model
     locked_bones = check_mask(locked_bones, "locked_bones", skinning.n_bones)
-    world, kept = None, locked_bones is not None and bool(locked_bones.any())
+    world, kept = None, bool(locked_bones.any())
     if check_flag(from_transforms, "from_transforms") or kept:
         if not given.prefix:
             wanted = "a Skinning as `rest`, whose transforms are kept or started from"

@@ -97,14 +97,13 @@ def fit_rest_pose(
     if rest_pose == "surface":
         data = dataclasses.replace(data, faces=each.faces)
         data = dataclasses.replace(data, surface=RestSurface.build(data, inner))
-    _sweep_until_still(data, model, Locked(weights=every))
+    _solve_rest_pose(data, model, Locked(weights=every))
     found = data.points_to_world(model.rest)[row]
-    if stay is not None:
-        found[stay] = outer[stay]
+    found[stay] = outer[stay]
     return fit_of(sequences, dataclasses.replace(skinning, rest=found))
 
 
-def _sweep_until_still(data: Trajectories, model: Model, locked: Locked) -> None:
+def _solve_rest_pose(data: Trajectories, model: Model, locked: Locked) -> None:
     """Solve the rest pose (in place): at once if it is free, else until the objective settles."""
     vertex_step(data, model, locked=dataclasses.replace(locked, rest=True))  # sets the errors
     objective, before = Objective(locked), np.inf

@@ -11,8 +11,9 @@ from ..frames.error import rmse_of
 from ..progress import Callback, Monitor, Stop
 from ..sequence import MeshSequence, as_sequences
 from ..solver.alternation import repeat_alternation
+from ..solver.model import Lowest
 from .fit import Fit, fit_of
-from .start import skinning_of, started
+from .start import fitted_skinning, started
 
 __all__ = ["ssdr2012"]
 
@@ -81,15 +82,14 @@ def ssdr2012(
     if rest is None:
         rest = sequences[0].frames(slice(0, 1))[0]
     data, model, locked = started(sequences, bones=bones, influences=influences, rest=rest, rng=rng)
-    best = model.copy()
+    best = Lowest()
     for k in range(iterations + 1):
         if k:
             repeat_alternation(data, model, 1, locked)
-        if model.error.sum() < best.error.sum():
-            best = model.copy()
-        least = rmse_of(best.error * data.scale**2, data.n_frames)
+        best.offer(model, float(model.error.sum()))
+        least = rmse_of(best.model.error * data.scale**2, data.n_frames)
         try:
             monitor.report("descent", iteration=k, rmse=least, fraction=(k + 1) / (iterations + 1))
         except Stop:
             break
-    return fit_of(sequences, skinning_of(sequences, data, best, locked))
+    return fit_of(sequences, fitted_skinning(sequences, data, best.model, locked))

@@ -24,7 +24,7 @@ from ..solver.initialization import start_model
 from ..solver.model import Locked, Model
 from ..solver.trajectories import Trajectories, gather
 
-__all__ = ["initialize", "skinning_of", "started"]
+__all__ = ["fitted_skinning", "initialize", "started"]
 
 
 def initialize(
@@ -86,7 +86,7 @@ def initialize(
     data, model, locked = started(
         sequences, bones=bones, influences=influences, bone_model=bone_model, rest=rest, rng=rng
     )
-    return skinning_of(sequences, data, model, locked)
+    return fitted_skinning(sequences, data, model, locked)
 
 
 def started(
@@ -118,7 +118,7 @@ def started(
     return data, model, locked
 
 
-def skinning_of(
+def fitted_skinning(
     sequences: list[MeshSequence], data: Trajectories, model: Model, locked: Locked
 ) -> Skinning:
     """A model of the solver, in the space of the sequences."""

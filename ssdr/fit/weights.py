@@ -26,7 +26,7 @@ from ..skinning import Skinning, skinning_in
 from ..solver.alternation import vertex_step
 from ..solver.initialization import single_bone_errors
 from ..solver.model import Locked, Model
-from ..solver.smoothness import WeightSmoothness, strength_of
+from ..solver.objective import WeightSmoothness, strength_of
 from ..solver.trajectories import Array, Trajectories
 from ..solver.vertex_newton import optimise_vertices
 from .fit import Fit, checked, fit_of

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..frames.motion import motion_rms, share_of
+from ..frames.error import motion_rms, share_of
 from ..parallel import chunk_bounds
 from ..representation import short_repr
 from .inputs import Frames, as_pair, check_finite, chunk_size, read

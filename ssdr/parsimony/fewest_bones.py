@@ -119,10 +119,10 @@ def descend(models: ModelsByBones, bounds: Bounds, effort: Effort) -> None:
     A number just below one that holds the tolerance is refined before it is given up.
     """
     steps, least = REFINEMENT[effort].polish, bounds.least
-    low = max((b for b in models.errors if b < models.held_bones), default=least - 1)
+    low = max((b for b in models.best if b < models.held_bones), default=least - 1)
     while (held := models.held_bones) > least:
         bones = max((low + held) // 2, least) if held - low > 1 else held - 1
-        wide = models.models[held].with_restarted_support()
+        wide = models.best[held].model.with_restarted_support()
         models.attempt(bones, partial(_merge, steps=steps), "merged", start=wide)
         if not models.fits(bones):
             if held - bones > 1:
@@ -147,10 +147,10 @@ def refine(models: ModelsByBones, bones: int, bounds: Bounds, effort: Effort) ->
     abrupt = bounds.exact > 0 or (bounds.least > 1 and bones < _NEAR_RANK * bounds.least + 1)
 
     def given_up() -> bool:
-        hopeless = models.errors[bones] > spend.give_up * models.tolerance
+        hopeless = models.best[bones].value > spend.give_up * models.tolerance
         return models.fits(bones) or (hopeless and not abrupt)
 
-    lowest = models.models[bones].with_restarted_support()
+    lowest = models.best[bones].model.with_restarted_support()
     models.attempt(bones, partial(_improve, steps=spend.polish), "improved", start=lowest)
     for factor in spend.starts:
         if given_up():
@@ -158,7 +158,7 @@ def refine(models: ModelsByBones, bones: int, bounds: Bounds, effort: Effort) ->
         models.attempt(bones, partial(_start_anew, factor=factor, steps=8), "new start")
     if given_up() or not spend.trials:
         return
-    lowest = models.models[bones].with_restarted_support()
+    lowest = models.best[bones].model.with_restarted_support()
     search = partial(search_long, moves=spend.moves, trials=spend.trials)
     models.attempt(bones, search, "searched", start=lowest)
 
@@ -168,7 +168,7 @@ def polish_fewest(models: ModelsByBones, effort: Effort) -> None:
     steps, held = REFINEMENT[effort].finish, models.held_bones
     if steps:
         last = partial(polish, steps=steps, gain=0.005)
-        models.attempt(held, last, "polished", start=models.models[held], until=0.0)
+        models.attempt(held, last, "polished", start=models.best[held].model, until=0.0)
         again = partial(_start_anew, factor=_AGAIN, steps=steps)
         models.attempt(held, again, "new start", until=0.0)
 

@@ -7,14 +7,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..problem.initial import Initial
+from ..problem.problem import Initial
 from ..progress import Record, Stop
 from ..search.bone_steps import merge, move_bones, search
 from ..search.descent import Descent, Schedule
-from ..search.schedule_parts import merged_start
+from ..search.starts import merged_start
 from ..search.steps import alternate, polish, return_to_best, solve_normals
 from ..search.tree_steps import attach, remove_bones, search_trees
-from ..solver.model import Model
+from ..solver.model import Lowest, Model
 from .report import Attempt
 from .solved_frames import SolvedFrames
 
@@ -114,8 +114,8 @@ class ModelsByBones:
 
     Attributes
     ----------
-    models, errors : dict of int to Model, dict of int to float
-        Best model for each number of bones, and its error by the measure of `frames`.
+    best : dict of int to Lowest
+        Model of least error for each number of bones, by the measure of `frames`.
     attempts : list of Attempt
     held : list of Model
         Each model that held the tolerance with fewer bones than all before.
@@ -137,8 +137,7 @@ class ModelsByBones:
     ) -> None:
         self.frames, self.report = frames, report
         self.tolerance, self.expected, self.fraction = tolerance, expected, 0.0
-        self.models: dict[int, Model] = {}
-        self.errors: dict[int, float] = {}
+        self.best: dict[int, Lowest] = {}
         self.attempts: list[Attempt] = []
         self.held: list[Model] = []
         self.records: list[Record] = []
@@ -147,7 +146,7 @@ class ModelsByBones:
     @property
     def fewest(self) -> int | None:
         """Fewest bones of a model that holds the tolerance; None if no model does."""
-        return min((b for b, e in self.errors.items() if e <= self.tolerance), default=None)
+        return min((b for b, m in self.best.items() if m.value <= self.tolerance), default=None)
 
     @property
     def held_bones(self) -> int:
@@ -162,9 +161,11 @@ class ModelsByBones:
     @property
     def smallest(self) -> Model | None:
         """Model with the fewest bones that holds the tolerance, else the model of least error."""
-        if not self.models:
+        if not self.best:
             return None
-        return self.models[self.fewest or min(self.errors, key=self.errors.__getitem__)]
+        if self.fewest is not None:
+            return self.best[self.fewest].model
+        return min(self.best.values(), key=lambda m: m.value).model
 
     def attempt(
         self,
@@ -206,9 +207,9 @@ class ModelsByBones:
             if d.best_error <= worth_checking:
                 recheck = _RECHECK_NORMALS if frames.degree else _RECHECK
                 worth_checking = recheck * d.best_error
-                if frames.error(d.best_model) <= until:
+                if frames.error(d.best.model) <= until:
                     raise Stop("held")
-            ready = d.best is not None or bool(self.models)
+            ready = d.best.exists or bool(self.best)
             self.fraction, self.iteration = done + work * d.fraction, before + d.iteration
             self.report(f"{bones} bone{'s' * (bones > 1)}: {phase}", ready)
 
@@ -218,12 +219,13 @@ class ModelsByBones:
             self.iteration = before
             self._keep(d, name)
         frames.problem.monitor.raise_if_stopped()
-        if self.errors[bones] <= self.tolerance:
+        error = self.best[bones].value
+        if error <= self.tolerance:
             return
-        if frames.degree and frames.error(d.best_model, frames.measure) <= self.tolerance:
-            self._fit_normals(d.best_model)
-        elif frames.measure == "max" and self.errors[bones] <= _LEVELLED * self.tolerance:
-            self._reweight(d.best_model)
+        if frames.degree and frames.error(d.best.model, frames.measure) <= self.tolerance:
+            self._fit_normals(d.best.model)
+        elif frames.measure == "max" and error <= _LEVELLED * self.tolerance:
+            self._reweight(d.best.model)
 
     def _fit_normals(self, model: Model) -> None:
         """Polish with normals in the objective; the other attempts fit positions alone."""
@@ -243,7 +245,7 @@ class ModelsByBones:
             d = self.frames.descent(model.n_bones, data=data)
             d.begin_with(model.with_restarted_support())
             d.follow(polish_reweighted)
-            model = d.best_model
+            model = d.best.model
             self._keep(d, "levelled")
             if self.fits(model.n_bones):
                 return
@@ -251,15 +253,14 @@ class ModelsByBones:
 
     def _keep(self, d: Descent, name: str) -> None:
         self.iteration += d.iteration
-        model, fewest = d.best, self.fewest
-        if model is None:
+        if not d.best.exists:
             return
         # without rest normals, which bones and weights determine
-        model = dataclasses.replace(model, normals=model.normals[:, :0])
+        model = dataclasses.replace(d.best.model, normals=d.best.model.normals[:, :0])
+        fewest = self.fewest
         error, bones = self.frames.error(model), model.n_bones
         self.attempts.append(Attempt(bones, error, d.iteration, name))
-        if error < self.errors.get(bones, np.inf):
-            self.models[bones], self.errors[bones] = model, error
+        self.best.setdefault(bones, Lowest()).offer(model, error)
         if error <= self.tolerance and (fewest is None or bones < fewest):
             self.held.append(model)
             rmse = self.frames.error(model, "rmse")

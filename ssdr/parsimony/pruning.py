@@ -265,7 +265,7 @@ def _pruned(
     d = frames.descent(model.n_bones, data=frames.tolerant)
     d.begin_with(model)
     d.follow(schedule)
-    skinning = skinning_of_all(d.best_model, d.data)
+    skinning = skinning_of_all(d.best.model, d.data)
     error = frames.error_of_all(skinning)
     if error > tolerance:
         return Pruned(skinning, skinning, error, error, 0, error)

@@ -136,7 +136,7 @@ def curve(
         problem.monitor.report(
             phase,
             iteration=models.iteration,
-            rmse=min(models.errors.values(), default=math.inf),
+            rmse=min((m.value for m in models.best.values()), default=math.inf),
             fraction=models.fraction,
         )
 
@@ -144,8 +144,8 @@ def curve(
     models = ModelsByBones(frames, report, expected=len(counts))
     _fill(models, counts, effort)
     # among errors near zero, one may be larger than the one before by a rounding error
-    rmse = np.minimum.accumulate([models.errors[bones] for bones in counts])
-    stored = np.array([frames.bytes(models.models[bones]) for bones in counts], dtype=np.int64)
+    rmse = np.minimum.accumulate([models.best[bones].value for bones in counts])
+    stored = np.array([frames.bytes(models.best[bones].model) for bones in counts], dtype=np.int64)
     diagonal = max(s.diagonal() for s in problem.sequences)
     return Curve(
         bones=np.array(counts, dtype=np.int64),
@@ -178,12 +178,12 @@ def _fill(models: ModelsByBones, counts: list[int], effort: Effort) -> None:
 
     models.attempt(counts[-1], begin, "start")
     for larger, bones in itertools.pairwise(counts[::-1]):
-        start = models.models[larger].with_restarted_support()
+        start = models.best[larger].model.with_restarted_support()
         models.attempt(bones, merged, "merged", start=start)
     data, locked = models.frames.data, models.frames.problem.locked
     for smaller, larger in itertools.pairwise(counts):
-        if models.errors[larger] > models.errors[smaller]:
-            grown = models.models[smaller]
+        if models.best[larger].value > models.best[smaller].value:
+            grown = models.best[smaller].model
             while grown.n_bones < larger:
                 grown = add_bone(data, grown, alternations=2, locked=locked)
             models.attempt(larger, improve, "grown", start=grown)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..checks import check_squarable
 from ..errors import Cancelled
-from ..frames.motion import motion_rms
+from ..frames.error import motion_rms
 from ..problem.answer import with_normals
 from ..problem.problem import Problem
 from ..progress import Record, Stop
@@ -71,11 +71,11 @@ def find_smallest(
     def report(phase: str, ready: bool = True) -> None:
         held = models.fewest
         if held is not None:
-            monitor.offer(lambda: frames.skinning(models.models[held]))
+            monitor.offer(lambda: frames.skinning(models.best[held].model))
         monitor.report(
             phase,
             iteration=models.iteration,
-            rmse=math.inf if held is None else models.errors[held],
+            rmse=math.inf if held is None else models.best[held].value,
             fraction=models.fraction,
             ready=ready,
         )
@@ -104,7 +104,7 @@ def find_smallest(
             if held is None:
                 break
             polish_fewest(models, problem.effort)
-            model = models.models[held]
+            model = models.best[held].model
             skinning = frames.skinning_of_all(model, passes=passes, report=on_all_frames)
             monitor.raise_if_stopped()
             error = _kept_error(frames, skinning, tolerance)
@@ -116,7 +116,7 @@ def find_smallest(
             prunings.append(_fewer_bones(frames, models.held[0], models.held[-1]))
             if _kept_error(frames, skinning, tolerance) <= tolerance:
                 models.fraction = PRUNING
-                model = models.models[models.fewest or models.held[-1].n_bones]
+                model = models.best[models.fewest or models.held[-1].n_bones].model
                 skinning, more = prune(frames, model, tolerance, skinning, pruned)
                 prunings += more
     except Stop as stop:

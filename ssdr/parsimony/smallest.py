@@ -15,6 +15,7 @@ from ..errors import InputError, check_choice, is_real
 from ..io.load_save import compact_size
 from ..problem.answer import finished
 from ..problem.check import check_problem
+from ..problem.check_start import refuse_parts
 from ..problem.problem import Effort, Problem
 from ..progress import Callback
 from ..quantisation import WeightStorage
@@ -233,9 +234,7 @@ def _check_beside_tolerance(problem: Problem, rig: Any, most: int) -> None:
     if isinstance(rig, Skeleton):
         raise InputError("rig", "None, 'loose' or 'rigid' beside a tolerance", "a Skeleton")
     if problem.start is None:
-        for name in ("weights", "transforms"):
-            if getattr(problem.initial, name) is not None:
-                raise InputError(f"start.{name}", "None beside a tolerance", "an array")
+        refuse_parts(problem.initial, "beside a tolerance")
     elif problem.start.n_bones > most:
         raise InputError("start", f"at most {most} bones", problem.start.n_bones)
     importance = problem.vertex_importance if problem.weighted else None

@@ -18,8 +18,7 @@ from ..frames.error import largest_error, rmse
 from ..frames.normals import with_fitted_normals
 from ..metrics.normal_angles import errors_of_model
 from ..problem.answer import skinning_of
-from ..problem.initial import Initial
-from ..problem.problem import Problem
+from ..problem.problem import Initial, Problem
 from ..problem.scan import needs_streaming
 from ..search.descent import Descent
 from ..search.passes import ENTERING, AllFrames

@@ -12,7 +12,7 @@ import numpy as np
 from ..clips import names_of
 from ..errors import SsdrWarning
 from ..frames import error as frames_error
-from ..frames.motion import motion_rms
+from ..frames.error import motion_rms
 from ..frames.normals import with_fitted_normals
 from ..joints.mirror import mirror_of, side_names
 from ..joints.placement import refit_joints, spanning_tree
@@ -24,7 +24,7 @@ from ..result import Decomposition
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.alignment import Alignment
-from ..solver.gauge import normalise_gauge
+from ..solver.alternation import normalise_gauge
 from ..solver.model import Model
 from ..solver.warmup import compile_kernels
 from .problem import Problem

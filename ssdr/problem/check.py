@@ -23,10 +23,16 @@ from ..sequence import as_sequences, labels_of, without_copies
 from ..skinning import Skinning
 from ..solver.model import Locked
 from ..solver.rest_surface import RestPose
-from ..start import Skeleton, Start, as_start
-from .check_start import check_skeleton, check_start, extra_parents, with_skeleton
-from .initial import Initial
-from .problem import Effort, Problem, RigKind
+from ..start import Skeleton, Start
+from .check_start import (
+    as_start,
+    check_skeleton,
+    check_start,
+    extra_parents,
+    refuse_parts,
+    with_skeleton,
+)
+from .problem import Effort, Initial, Problem, RigKind
 
 __all__ = ["check_problem"]
 
@@ -92,8 +98,8 @@ def check_problem(
     importance = check_importance(vertex_importance, "vertex_importance", n)
     weighted = importance is not None or frame_importance is not None
     inputs, rows = sequences, None
-    kept = () if initial.is_model else (initial.rest, initial.indices, initial.weights)
-    label = told_apart(labels_of(inputs), *kept, locked.weights)
+    kept = () if initial.is_model else (initial.rest, *(initial.skin or ()))
+    label = told_apart(labels_of(inputs), *kept, locked.vertex_mask(n))
     differ = int(label.max()) + 1
     if by_default:
         bones = min(bones, differ)
@@ -164,12 +170,11 @@ def _check_rig(kind: RigKind, initial: Initial, locked: Locked, smoothness: floa
     beside = "beside a Skeleton" if initial.keeps_tree else f"beside rig={kind!r}"
     if locked.bone_model != "rigid":
         raise InputError("bone_model", f"'rigid' {beside}", repr(locked.bone_model))
-    if kind == "loose" and locked.rotations is not None:
+    if kind == "loose" and locked.rotations.size:
         raise InputError("rig.locked_joints", "() beside loose joints", "some")
     if kind == "loose" and not initial.keeps_tree:
         return
-    for name in ("weights", "transforms") if not (initial.keeps_tree or initial.is_model) else ():
-        if getattr(initial, name) is not None:
-            raise InputError(f"start.{name}", f"None {beside}", "an array")
+    if not (initial.keeps_tree or initial.is_model):
+        refuse_parts(initial, beside)
     if smoothness > 0:
         raise InputError("smoothness", f"0 {beside}", smoothness)

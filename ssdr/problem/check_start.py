@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..checks import (
     BoneModel,
@@ -23,20 +22,37 @@ from ..hierarchy.tree import Tree
 from ..joints.limb_matching import limb_distances
 from ..joints.placement import move_onto_joints
 from ..sequence import MeshSequence
-from ..skinning import Skinning, refuse_shapes
-from ..solver.model import Locked
+from ..skinning import Skinning, refuse_shapes, skinning_in
+from ..solver.model import Locked, Skin
 from ..solver.trajectories import Array
 from ..start import JointKind, Skeleton, Start
-from .initial import Initial
+from .problem import Initial
 
-__all__ = ["check_skeleton", "check_start", "extra_parents", "with_skeleton"]
-
-Skin = tuple[NDArray[np.int32], Array]
+__all__ = [
+    "as_start",
+    "check_skeleton",
+    "check_start",
+    "extra_parents",
+    "refuse_parts",
+    "with_skeleton",
+]
 
 # Largest joint gaps, relative to the mesh's size, that are rounding errors: of double precision,
 # and of single precision or a file's keys.  Gaps between these two bounds are closed at once.
 _EXACTLY, _NEARLY = 1e-12, 1e-4
 _TURNED = 1e-6  # change of a rotation's entries from which a locked joint counts as turned
+
+
+def as_start(start: Any, n_frames: int) -> Any:
+    """A `Start` of the number of one of the frames, or of a mesh; of a result, its model.
+
+    Anything else is returned as it is.
+    """
+    if is_whole(start):
+        return Start(rest_frame=check_whole(start, "start", 0, n_frames - 1))
+    if isinstance(start, MeshSequence):
+        return Start(rest=start.frames(0))
+    return start if isinstance(start, Skeleton) else skinning_in(start)
 
 
 def check_start(
@@ -61,7 +77,7 @@ def _from_model(
         raise InputError("start", f"a model of {n} vertices, as the sequence has", model.n_vertices)
     if model.n_bones != bones:
         raise InputError("start", f"a model of {bones} bones, as the rig has", model.n_bones)
-    indices, weights = _sorted_skin(model.indices, model.weights, (n, bones, influences))
+    skin = _sorted_skin(model.indices, model.weights, (n, bones, influences))
     transforms = None
     if model.n_frames == n_frames:
         transforms = check_transforms(model.transforms, n_frames, bone_model, "start.")
@@ -74,8 +90,7 @@ def _from_model(
             move_onto_joints(transforms, tree)
     return Initial(
         rest=_check_rest(model.rest, n),
-        indices=indices,
-        weights=weights,
+        skin=skin,
         transforms=transforms,
         is_model=True,
         tree=tree,
@@ -86,19 +101,18 @@ def _from_parts(
     start: Start, shape: tuple[int, int, int, int], bone_model: BoneModel
 ) -> tuple[Initial, Locked]:
     n_frames, n, bones, influences = shape
-    indices, weights, transforms = start.indices, start.weights, start.transforms
+    indices, weights, transforms, skin = start.indices, start.weights, start.transforms, None
     if (indices is None) != (weights is None):
         missing, other = ("weights", "indices") if weights is None else ("indices", "weights")
         dense = " (Skinning.from_dense has both of dense weights)" if weights is not None else ""
         raise InputError(f"start.{missing}", f"an array beside start.{other}{dense}", "None")
-    locked_vertices = check_mask(start.locked_vertices, "start.locked_vertices", n)
+    locked: dict[str, Any] = {}
     if weights is not None:
-        indices, weights = _sorted_skin(indices, weights, (n, bones, influences))
-        if locked_vertices is None:
-            locked_vertices = np.ones(n, dtype=bool)
-    elif locked_vertices is not None:
+        skin = _sorted_skin(indices, weights, (n, bones, influences))
+        mask = check_mask(start.locked_vertices, "start.locked_vertices", n, default=True)
+        locked["weights"] = mask
+    elif start.locked_vertices is not None:
         raise InputError("start.locked_vertices", "None without indices and weights", "a mask")
-    locked_bones = None
     if transforms is not None:
         transforms = check_transforms(transforms, n_frames, bone_model, "start.")
         count = transforms.shape[1]
@@ -106,30 +120,23 @@ def _from_parts(
             raise InputError("start.transforms", f"at most {bones} bones, as asked for", count)
         if weights is not None and count != bones:
             raise InputError("start.transforms", f"{bones} bones beside given weights", count)
-        locked_bones = check_mask(start.locked_bones, "start.locked_bones", count)
-        if locked_bones is None:
-            locked_bones = np.ones(count, dtype=bool)
+        mask = check_mask(start.locked_bones, "start.locked_bones", count, default=True)
+        locked["bones"] = np.trim_zeros(mask, "b")
     elif start.locked_bones is not None:
         raise InputError("start.locked_bones", "None without transforms", "a mask")
     frame = start.rest_frame
     if frame is not None:
         frame = check_whole(frame, "start.rest_frame", 0, n_frames - 1)
     rest = None if start.rest is None else _check_rest(start.rest, n)
-    locked = Locked(
-        rest=rest is not None,
-        weights=locked_vertices,
-        bones=_up_to_last(locked_bones),
-        bone_model=bone_model,
-    )
-    parts = {"indices": indices, "weights": weights, "transforms": transforms}
-    return Initial(rest=rest, rest_frame=frame, **parts), locked
+    initial = Initial(rest=rest, rest_frame=frame, skin=skin, transforms=transforms)
+    return initial, Locked(rest=rest is not None, bone_model=bone_model, **locked)
 
 
-def _up_to_last(mask: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
-    """The mask up to its last true entry; None if no entry is true."""
-    if mask is None or not mask.any():
-        return None
-    return mask[: int(np.flatnonzero(mask)[-1]) + 1]
+def refuse_parts(initial: Initial, beside: str) -> None:
+    """Raise InputError if weights or transforms were given."""
+    for name, part in (("weights", initial.skin), ("transforms", initial.transforms)):
+        if part is not None:
+            raise InputError(f"start.{name}", f"None {beside}", "an array")
 
 
 def check_skeleton(rig: Skeleton) -> None:
@@ -159,7 +166,7 @@ def with_skeleton(
     if isinstance(start, Skinning):
         tree = _same_tree(start, initial, skeleton, rotations)
         return dataclasses.replace(initial, tree=tree, keeps_tree=True), locked
-    if extra and initial.indices is not None:
+    if extra and initial.skin is not None:
         expected = "0 beside start.indices and start.weights"
         raise InputError("rig.extra_bones", expected, rig.extra_bones)
     if initial.transforms is not None:
@@ -185,9 +192,7 @@ def with_skeleton(
     ), locked
 
 
-def _same_tree(
-    start: Skinning, initial: Initial, skeleton: Skinning, rotations: Array | None
-) -> Tree:
+def _same_tree(start: Skinning, initial: Initial, skeleton: Skinning, rotations: Array) -> Tree:
     """Tree of the model to start from, whose parents must be those of the skeleton.
 
     If a locked rotation differs from the model's, the tree is marked as not rigid, so that the
@@ -196,7 +201,7 @@ def _same_tree(
     known = skeleton.n_bones
     if initial.tree is None or not np.array_equal(initial.tree.parents[:known], skeleton.parents):
         raise InputError("start", "a model whose bones hang as those of rig.skinning", "others")
-    if rotations is None or initial.transforms is None:
+    if not rotations.size or initial.transforms is None:
         return initial.tree
     away = np.abs(start.local_transforms()[:, :known, :, :3] - rotations)
     turned = bool(np.nan_to_num(away).max() > _TURNED)
@@ -230,14 +235,14 @@ def _sorted_skin(indices: Any, weights: Any, size: tuple[int, int, int]) -> Skin
         came = f"one twice at vertex {first}"
         wanted = "no bone twice at a vertex (from_dense of dense_weights() adds them up)"
         raise InputError("start.indices", wanted, came)
-    return np.where(w > 0, indices, 0).astype(np.int32), w / w.sum(axis=1, keepdims=True)
+    return Skin(np.where(w > 0, indices, 0).astype(np.int32), w / w.sum(axis=1, keepdims=True))
 
 
 def _largest(skeleton: Skinning, influences: int) -> Skin:
     """Indices and weights of the `influences` largest influences of each vertex, largest first."""
     pruned = skeleton.prune(influences)
     weights = pruned.weights.astype(np.float64)
-    return pruned.indices, weights / weights.sum(axis=1, keepdims=True)
+    return Skin(pruned.indices, weights / weights.sum(axis=1, keepdims=True))
 
 
 def extra_parents(rig: Skeleton, n_vertices: int) -> tuple[int, ...]:
@@ -257,16 +262,16 @@ def extra_parents(rig: Skeleton, n_vertices: int) -> tuple[int, ...]:
     return tuple(parents)
 
 
-def _locked_rotations(skeleton: Skinning, names: Any, n_frames: int) -> Array | None:
+def _locked_rotations(skeleton: Skinning, names: Any, n_frames: int) -> Array:
     """Rotations (F, B, 3, 3) of the joints `names` relative to their parents; NaN for others.
 
-    None if there are no names.
+    The array is empty if there are no names.
     """
     listed = [names] if isinstance(names, str) or not np.iterable(names) else list(names)
     if isinstance(names, str) or not all(isinstance(name, str) for name in listed):
         raise InputError("rig.locked_joints", "names of joints of the skeleton", repr(names))
     if not listed:
-        return None
+        return np.zeros((0, 0, 3, 3))
     if skeleton.n_frames not in (1, n_frames):
         expected = f"one pose of the skeleton, or {n_frames} as the sequence has"
         raise InputError("rig.locked_joints", expected, f"{skeleton.n_frames}")

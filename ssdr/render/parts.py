@@ -105,6 +105,6 @@ def _mask(name: str, vertices: Any, n_vertices: int) -> NDArray[np.bool_]:
     if isinstance(vertices, slice):
         vertices = np.arange(n_vertices)[vertices]
     mask = check_mask(vertices, name, n_vertices)
-    if mask is None or not mask.any():
+    if not mask.any():
         raise InputError(name, "at least one vertex", "none")
     return mask

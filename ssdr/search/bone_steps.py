@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -27,6 +28,7 @@ __all__ = [
     "move_bones",
     "search",
     "tried",
+    "try_places",
 ]
 
 STEPS_OF_A_TRIAL = 8  # polish steps before a trial of a search is judged
@@ -35,8 +37,8 @@ _CLOSE = 1.02
 # Most failures that count against a kind of change, so that none is given up for good.
 _MOST_MISSES = 8
 
-# A function that returns a changed copy of a model.
-Change = Callable[[Trajectories, Model, np.random.Generator, Locked], Model]
+# A function that returns a changed copy of a model, or None if there is nothing to change.
+Change = Callable[[Trajectories, Model, np.random.Generator, Locked], Model | None]
 CHANGES: tuple[Change, ...] = (exchange_bones, alternate_some, exchange_influences)
 
 
@@ -61,39 +63,29 @@ def move_bones(
 
     It ends after `patience` moves in a row without a lower objective.
     """
-    failures = 0
-    for _ in range(steps):
-        trial = move_cheapest_bone(d.data, d.model, d.rng, alternations, d.locked)
-        d.iteration += alternations
-        if trial is None:  # no bone can move
-            yield
-            return
-        failures = 0 if d.accept_if_lower(trial) else failures + 1
-        yield
-        if failures >= patience:
-            return
+    change = partial(move_cheapest_bone, alternations=alternations)
+    return tried(d, [change], steps=steps, iterations=alternations, patience=patience)
 
 
 @step("add and merge", cost=20)
-def add_and_merge(
-    d: Descent, *, steps: int = 1, patience: int = 0, alternations: int = 3
-) -> Iterator[None]:
+def add_and_merge(d: Descent, *, alternations: int = 3) -> Iterator[None]:
     """Add several bones where the error is largest, and merge down to the number before.
 
-    It ends after `patience` changes in a row without a lower objective.  With 0, one change is made
-    and kept in any case, since its worth shows only after the model is relaxed and searched.
+    The model is kept in any case, since its worth shows only after it is relaxed and searched.
     """
-    failures = 0
-    for _ in range(steps):
-        trial = add_and_merge_bones(d.data, d.model, d.rng, alternations, d.locked)
-        d.iteration += alternations
-        if patience:
-            failures = 0 if d.accept_if_lower(trial) else failures + 1
-        else:
-            d.model = trial
-        yield
-        if failures >= patience:
-            return
+    d.model = add_and_merge_bones(d.data, d.model, d.rng, d.locked, alternations=alternations)
+    d.iteration += alternations
+    yield
+
+
+@step("add and merge", cost=20)
+def try_places(d: Descent, *, steps: int, patience: int, alternations: int = 3) -> Iterator[None]:
+    """Add several bones and merge down to the number before; keep the better model.
+
+    It ends after `patience` changes in a row without a lower objective.
+    """
+    change = partial(add_and_merge_bones, alternations=alternations)
+    return tried(d, [change], steps=steps, iterations=alternations, patience=patience)
 
 
 @step("search", cost=60)
@@ -108,10 +100,12 @@ def search(d: Descent, *, steps: int, gain: float = 1e-3) -> Iterator[None]:
 def tried(
     d: Descent,
     changes: Sequence[Change],
-    polished: Callable[[Descent, Model, float], float],
+    polished: Callable[[Descent, Model, float], float] | None = None,
     *,
     steps: int,
-    gain: float,
+    gain: float = 0.0,
+    iterations: int = STEPS_OF_A_TRIAL,
+    patience: int | None = None,
 ) -> Iterator[None]:
     """Try changes of the model, `steps` in all, and keep each that lowers the objective.
 
@@ -119,11 +113,15 @@ def tried(
     ----------
     d : Descent
     changes : sequence of Change
-    polished : callable
+    polished : callable, optional
         Polishes a trial (in place), which has to beat a given objective; returns its objective.
     steps : int
     gain : float
         Relative decrease of the objective that makes a trial a success.
+    iterations : int
+        Alternations or polish steps of a trial.
+    patience : int, optional
+        Failures in a row after which no further change is tried; by default all are.
     """
     last_turn, misses, failures = list(range(-len(changes), 0)), [0] * len(changes), 0
     for k in range(steps):
@@ -134,16 +132,22 @@ def tried(
         waits = [(k - t) / (1 + m) for t, m in zip(last_turn, misses, strict=True)]
         kind = int(np.argmax(waits))
         trial = changes[kind](d.data, d.model, d.rng, d.locked)
-        value = polished(d, trial, base)
-        d.iteration += STEPS_OF_A_TRIAL
+        d.iteration += iterations
+        if trial is None:
+            yield
+            return
+        value = d.value(trial) if polished is None else polished(d, trial, base)
         if value < base:
             d.model = trial
         success = value < (1.0 - gain) * base
         failures = 0 if success else failures + 1
         last_turn[kind] = k
         misses[kind] = 0 if success else min(misses[kind] + 1, _MOST_MISSES)
-        d.converged = failures >= steps
+        if patience is None:
+            d.converged = failures >= steps
         yield
+        if failures == patience:
+            return
 
 
 def polished_value(d: Descent, trial: Model, base: float) -> float:

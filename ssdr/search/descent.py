@@ -21,12 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..parallel import serial_blas
-from ..problem.initial import Initial
+from ..problem.problem import Initial
 from ..progress import Monitor, Stop
 from ..solver.alternation import bone_costs, repeat_alternation, vertex_step
-from ..solver.model import Locked, Model
-from ..solver.objective import Objective
-from ..solver.smoothness import WeightSmoothness
+from ..solver.model import Locked, Lowest, Model
+from ..solver.objective import Objective, WeightSmoothness
 from ..solver.trajectories import Trajectories
 from .moves import polish_steps
 from .vertex_sample import model_of_all
@@ -96,10 +95,8 @@ class Descent:
     model : Model
         Model that the next step starts from; it may have more bones than asked for.  There is none
         before the first step that makes one.
-    best : Model or None
+    best : Lowest
         Model of lowest objective so far with exactly the number of bones asked for.
-    best_value : float
-        Objective of `best`.
     work : Work
         What is done of the schedule, shared with a descent on a sample.
     converged : bool
@@ -132,8 +129,7 @@ class Descent:
         self.rigid_joints, self.normals = rigid_joints, normals
         self.objective = Objective(locked, smoothness)
         self.monitor = monitor or Monitor()
-        self.best: Model | None = None
-        self.best_value = np.inf
+        self.best = Lowest()
         self.records: list[tuple[int, float, float, str]] = []
         self.work, self.converged, self._rigid = Work(), False, False
 
@@ -164,15 +160,9 @@ class Descent:
         return self.work.plan is not None
 
     @property
-    def best_model(self) -> Model:
-        """Best model with the number of bones asked for; it exists once a step has made one."""
-        assert self.best is not None
-        return self.best
-
-    @property
     def best_error(self) -> float:
         """Squared error of the best model, without the other factors of the objective."""
-        return math.inf if self.best is None else self.best.weighted_error(self.data)
+        return self.best.model.weighted_error(self.data) if self.best.exists else math.inf
 
     @property
     def removable_bones(self) -> int:
@@ -180,20 +170,21 @@ class Descent:
 
         In a tree only bones without children count.
         """
-        wide = self.best_model.with_restarted_support()
+        wide = self.best.model.with_restarted_support()
         energy = float(self.data.importance @ self.data.x2)
         removable = bone_costs(self.data, wide) <= _NO_LOSS * energy
         if wide.tree is not None:
             removable[wide.tree.parents[wide.tree.non_roots]] = False
         return int(removable.sum())
 
-    def best_of_all(self) -> Model:
+    def best_of_all(self) -> Lowest:
         """Best model so far of all vertices, made from a sample in progress if that is better."""
-        if self.few is None:
-            return self.best_model
-        model = self.of_all(self.few.best_model)
-        polish_steps(self.data, model, _STEPS_AFTER_STOP, self.locked)
-        return model if self.value(model) < self.best_value else self.best_model
+        best = copy.copy(self.best)
+        if self.few is not None:
+            model = self.of_all(self.few.best.model)
+            polish_steps(self.data, model, _STEPS_AFTER_STOP, self.locked)
+            best.offer(model, self.value(model))
+        return best
 
     def sample(self, chosen: NDArray[np.intp], *, free: bool) -> Descent:
         """A descent on the chosen vertices that starts from the present and the best model.
@@ -207,8 +198,8 @@ class Descent:
         few.initial, few.records = self.start_parts.of_vertices(chosen), []
         few.objective = Objective(few.asked)
         if not self.planning:
-            few.model, few.best = (m.select_vertices(chosen) for m in (self.model, self.best_model))
-            few.best_value = few.value(few.best)
+            few.model = self.model.select_vertices(chosen)
+            few.set_best(self.best.model.select_vertices(chosen))
             self.few, self._chosen = few, chosen
         return few
 
@@ -244,23 +235,17 @@ class Descent:
         """Take a copy of `model` as the present one and, with the bones asked for, as the best."""
         self.model = model.copy()
         if model.n_bones == self.bones:
-            self.best, self.best_value = model.copy(), self.value(model)
+            self.set_best(model)
 
-    def keep_present(self) -> None:
-        """Take the present model as the best, whatever its objective."""
-        self.best, self.best_value = self.model.copy(), self.value(self.model)
+    def set_best(self, model: Model) -> None:
+        """Take a copy of `model` as the best, whatever its objective."""
+        self.best = Lowest()
+        self.best.offer(model, self.value(model))
 
     def drop_tree(self) -> None:
         """Remove the tree from the present model, so that its bones move freely."""
         if not self.planning:
             self.model = dataclasses.replace(self.model.copy(), tree=None)
-
-    def accept_if_lower(self, trial: Model) -> bool:
-        """Continue from `trial` if its objective is lower; return whether it is."""
-        lower = self.value(trial) < self.value(self.model)
-        if lower:
-            self.model = trial
-        return lower
 
     @contextlib.contextmanager
     def rigid_bones(self) -> Iterator[None]:
@@ -302,9 +287,7 @@ class Descent:
             try:
                 schedule(self)
             except Stop as stop:
-                if self.few is not None:
-                    self.best, self.few = self.best_of_all(), None
-                    self.best_value = self.value(self.best)
+                self.best, self.few = self.best_of_all(), None
                 return str(stop)
         return "converged" if self.converged else "effort spent"
 
@@ -322,7 +305,7 @@ class Descent:
             If the report asks to stop, or no error is left.
         """
         self._remember_best(phase)
-        exact = self.best_value <= _EXACT * float(self.data.x2.sum())
+        exact = self.best.value <= _EXACT * float(self.data.x2.sum())
         self.converged |= exact
         if self.work.report is not None:
             self.work.report(phase)
@@ -337,9 +320,7 @@ class Descent:
             return
         if self.rigid_joints and (model.tree is None or not model.tree.rigid):
             return
-        value = self.value(model)
-        if value < self.best_value:
-            self.best, self.best_value = model.copy(), value
+        if self.best.offer(model, self.value(model)):
             # the error alone, without the penalty that `value` may carry
             error = model.weighted_error(self.data)
             self.records.append((self.iteration, self.monitor.elapsed, error, phase))

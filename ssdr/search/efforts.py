@@ -14,7 +14,6 @@ __all__ = [
     "LARGE",
     "MANY_BONES",
     "NUMBERS",
-    "REBUILDS",
     "RELAXED_VERTICES",
     "SECONDS_OF_A_NUMBER",
     "STARTS_OF_MANY_BONES",
@@ -24,6 +23,7 @@ __all__ = [
     "TRIALS_OF_A_START",
     "TRIALS_OF_A_TREE",
     "Rebuilds",
+    "rebuilds",
 ]
 
 
@@ -118,3 +118,8 @@ MANY_BONES, STARTS_OF_MANY_BONES, TRIALS_OF_A_START = 24, 3, 4
 TREE_ROUNDS, TRIALS_OF_A_TREE = 6, 12
 # Seconds of a start: a constant part, and a part for each vertex × frame × bone.
 START_SECONDS, SECONDS_OF_A_NUMBER = 0.02, 1e-6
+
+
+def rebuilds(size: float) -> Rebuilds:
+    """Numbers of rebuilds, starts and trials of the effort "best" for a problem of this size."""
+    return next(numbers for bound, numbers in REBUILDS if size < bound)

@@ -15,8 +15,7 @@ from scipy.spatial import cKDTree
 from ..kernels.newton import polish_vertices
 from ..kernels.polish import choose_influences
 from ..parallel import chunk_bounds, run_chunks, serial_blas
-from ..solver.alternation import bone_costs, repeat_alternation, vertex_step
-from ..solver.gauge import free_gauge
+from ..solver.alternation import bone_costs, free_gauge, repeat_alternation, vertex_step
 from ..solver.gauss_newton import GaussNewton
 from ..solver.initialization import by_motion, fit_patches
 from ..solver.model import CHUNK, SOLVED, Locked, Model
@@ -85,8 +84,9 @@ def move_cheapest_bone(
     data: Trajectories,
     model: Model,
     rng: np.random.Generator,
-    alternations: int,
     locked: Locked,
+    *,
+    alternations: int,
 ) -> Model | None:
     """Move one of the cheapest bones to the patch with most error; None if no bone can move.
 
@@ -109,7 +109,12 @@ def move_cheapest_bone(
 
 
 def add_and_merge_bones(
-    data: Trajectories, model: Model, rng: np.random.Generator, alternations: int, locked: Locked
+    data: Trajectories,
+    model: Model,
+    rng: np.random.Generator,
+    locked: Locked,
+    *,
+    alternations: int,
 ) -> Model:
     """Add two to six bones where the error is largest, then merge down to the number before.
 
@@ -353,9 +358,8 @@ def _with_patch(
 def _removal_costs(data: Trajectories, model: Model, locked: Locked) -> Array:
     """Rise (B,) of the objective when each bone is removed; inf for bones that have to stay."""
     cost = bone_costs(data, model)
-    if locked.bones is not None:
-        # all bones up to the last locked one stay, since locked bones are known by their index
-        cost[: len(locked.bones)] = np.inf
+    # all bones up to the last locked one stay, since locked bones are known by their index
+    cost[: len(locked.bones)] = np.inf
     keep = locked.vertex_mask(data.n_vertices)
     cost[model.indices[keep][model.weights[keep] > 0]] = np.inf
     return cost

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..frames.executor import Executor, Frames, Local, SpanTask, spans_of
 from ..parallel import chunk_bounds, run_chunks, serial_blas
-from ..problem.initial import Initial
+from ..problem.problem import Initial
 from ..problem.scan import Report, Scan
 from ..progress import Stop
 from ..sequence import MeshSequence

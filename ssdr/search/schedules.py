@@ -12,7 +12,7 @@ from __future__ import annotations
 from functools import partial
 
 from ..problem.problem import Effort, RigKind
-from .bone_steps import add_and_merge, move_bones, search
+from .bone_steps import add_and_merge, move_bones, search, try_places
 from .descent import Descent
 from .efforts import (
     LARGE,
@@ -25,27 +25,25 @@ from .efforts import (
     TRIALS_OF_A_REBUILD,
     TRIALS_OF_A_START,
     Rebuilds,
+    rebuilds,
 )
-from .schedule_parts import (
+from .starts import (
     first_model,
-    last_polish,
-    lowest_tree,
+    fit_copied_bones,
     merged_start,
     polish_model,
-    rebuilds,
-    relax_bones,
-    relax_tree,
-    search_best_trees,
-    start_of_tree,
+    start,
+    start_from_model,
 )
-from .starts import fit_copied_bones, start, start_from_model
 from .steps import (
     alternate,
     beside,
     compress,
+    last_polish,
     on_sample,
     polish,
     relax,
+    relax_bones,
     return_to_best,
     unfold,
 )
@@ -53,6 +51,10 @@ from .tree_schedules import (
     bones_of_skeleton,
     loose_from_model,
     loose_skeleton,
+    lowest_tree,
+    relax_tree,
+    search_best_trees,
+    start_of_tree,
     tree_from_model,
     tree_of_bones,
 )
@@ -183,7 +185,7 @@ def search_from_starts(d: Descent, n: Rebuilds, *, stretching: bool) -> None:
         for _ in range(STARTS_OF_MANY_BONES):
             start(d)
             alternate(d, steps=12)
-            add_and_merge(d, steps=10, patience=8)
+            try_places(d, steps=10, patience=8)
             relax_and_search(d, TRIALS_OF_A_START)
     else:
         relax_and_search(d, n.trials)
@@ -193,16 +195,23 @@ def search_from_starts(d: Descent, n: Rebuilds, *, stretching: bool) -> None:
         relax_from_rigid(d)
     for _ in range(n.before):
         rebuild(d, n.trials)
-    # on small smooth motions, such as a beam's, the other starts end with far more error
-    merged_start(d)
-    move_bones(d)
-    relax_and_search(d, TRIALS_OF_A_START if many else n.trials)
+    search_merged(d, TRIALS_OF_A_START if many else n.trials)
     if stretching and not n.before:
         relax_from_rigid(d)
     for _ in range(n.after):
         rebuild(d, n.trials)
     return_to_best(d)
     search(d, steps=n.trials)
+
+
+def search_merged(d: Descent, trials: int) -> None:
+    """Search from the start of "balanced", with its moves of bones.
+
+    On small smooth motions, such as a beam's, the other starts end with far more error.
+    """
+    merged_start(d)
+    move_bones(d)
+    relax_and_search(d, trials)
 
 
 def rebuild(d: Descent, trials: int) -> None:
@@ -220,9 +229,9 @@ def start_from_tree(d: Descent, trees: int) -> None:
     more than four times the best one, it is given up at once.
     """
     lowest_tree(d, *trees * (start_of_tree,))
-    best = d.best_value
+    best = d.best.value
     if not d.below(_PROMISING * best, expected=True):
-        d.model = d.best_model.with_restarted_support()
+        d.model = d.best.model.with_restarted_support()
         return
     relax_tree(d)
     if d.below(best, expected=False):

@@ -20,16 +20,15 @@ from functools import partial
 
 from ..errors import InputError
 from ..problem.answer import Step, outcome_of, skinning_of
-from ..problem.initial import Initial
-from ..problem.problem import Problem
+from ..problem.problem import Initial, Problem
 from ..problem.scan import Scan, needs_streaming, scan, subset
 from ..progress import Stop
 from ..result import Decomposition
 from ..sequence import MeshSequence
 from ..solver.alignment import Alignment
 from ..solver.model import Model
+from ..solver.objective import WeightSmoothness
 from ..solver.rounding import rounded_models
-from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import Trajectories, gather
 from .descent import Descent, Schedule
 from .efforts import NUMBERS
@@ -60,7 +59,7 @@ def solve(problem: Problem, schedule: Schedule | None = None) -> Decomposition:
     """
     monitor = problem.monitor
     streamed = schedule is None and needs_streaming(problem.sequences)
-    if streamed and problem.locked.rotations is not None:
+    if streamed and problem.locked.rotations.size:
         raise InputError("rig.locked_joints", "() for frames that are streamed", "some")
     few = chosen = scan_of(problem) if streamed else None
     more = None if few is None else few.extended(problem.n_vertices)
@@ -88,7 +87,7 @@ def solve(problem: Problem, schedule: Schedule | None = None) -> Decomposition:
         rmse = d.data.rmse(model.weighted_error(d.data))
         monitor.report("round weights", iteration=d.iteration, rmse=rmse, fraction=part[1])
 
-    model = rounded(problem, d.data, d.best_model, report)
+    model = rounded(problem, d.data, d.best.model, report)
     if problem.storage != "float32":
         error = model.weighted_error(d.data)
         records.append((d.iteration, monitor.elapsed, error, "round weights"))
@@ -191,9 +190,9 @@ def _report(problem: Problem, d: Descent, sequences: list[MeshSequence]) -> Call
     monitor = problem.monitor
 
     def report(phase: str) -> None:
-        ready = d.best is not None
+        ready = d.best.exists
         if ready:
-            monitor.offer(lambda: skinning_of(problem, d.data, d.best_of_all(), sequences))
+            monitor.offer(lambda: skinning_of(problem, d.data, d.best_of_all().model, sequences))
         rmse = d.data.rmse(d.best_error)
         monitor.report(phase, iteration=d.iteration, rmse=rmse, fraction=d.fraction, ready=ready)
 
@@ -216,7 +215,7 @@ def _carried(
     d = _begin(problem, data, initial, normals=True)
     d.iteration = first.iteration
     nearest = few.nearest[more.chosen]
-    d.model = carried(first.best_model, nearest, ratio, initial, problem.locked)
+    d.model = carried(first.best.model, nearest, ratio, initial, problem.locked)
     return d, sequences
 
 

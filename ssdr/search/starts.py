@@ -6,17 +6,27 @@ import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..problem.problem import Effort
 from ..solver.alternation import bone_step, repeat_alternation, vertex_step
 from ..solver.gauss_newton import fit_motion
 from ..solver.initialization import fit_patches, single_bone_errors, start_model
-from ..solver.model import Model
+from ..solver.model import Model, Skin
 from ..solver.rest_normals import with_rest_normals
 from ..solver.trajectories import Array
+from .bone_steps import merge
 from .descent import Descent, step
+from .steps import alternate, compress, polish
 
-__all__ = ["fit_copied_bones", "quick_start", "start", "start_from_model"]
+__all__ = [
+    "first_model",
+    "fit_copied_bones",
+    "merged_start",
+    "polish_model",
+    "quick_start",
+    "start",
+    "start_from_model",
+]
 
 # Number of frames that a quick start uses if there are at least twice as many, and of alternations
 # on them: 64 frames tell which bones there are, and 16 alternations place them.
@@ -67,12 +77,11 @@ def _first_model(
 ) -> Model:
     data, initial, k = d.data, d.start_parts, influences or d.influences
     rest, bones = initial.first_pose(data), initial.transforms
-    if factor > 1 and d.locked.bones is None:
+    if factor > 1 and not len(d.locked.bones):
         bones = None  # given bones that are not locked have served as a start already
-    if initial.indices is not None and initial.weights is not None:
-        if bones is None:
-            bones = _patches_of_weights(d, rest, initial.indices)
-        return Model.with_weights(bones.copy(), rest, initial.indices, initial.weights, k)
+    if initial.skin is not None:
+        bones = _patches_of_weights(d, rest, initial.skin) if bones is None else bones.copy()
+        return Model.with_weights(bones, rest, *initial.skin, k)
     if bones is not None and bones.shape[1] == d.bones:
         every = np.arange(data.n_vertices)
         cost, positions = single_bone_errors(data, initial.rest, bones, every)
@@ -118,18 +127,17 @@ def fit_copied_bones(d: Descent) -> Iterator[None]:
 def _initial_model(d: Descent, bones: Array | None) -> Model:
     initial = d.initial
     assert initial.rest is not None
-    assert initial.indices is not None
-    assert initial.weights is not None
+    assert initial.skin is not None
     if bones is None:
-        bones = _patches_of_weights(d, initial.rest, initial.indices)
-    model = Model.with_weights(bones, initial.rest, initial.indices, initial.weights, d.influences)
+        bones = _patches_of_weights(d, initial.rest, initial.skin)
+    model = Model.with_weights(bones, initial.rest, *initial.skin, d.influences)
     _measure_error(d, model)
     return model
 
 
-def _patches_of_weights(d: Descent, rest: Array, indices: NDArray[np.int32]) -> Array:
+def _patches_of_weights(d: Descent, rest: Array, skin: Skin) -> Array:
     """Transforms (F, B, 3, 4) of bones that are each fitted to the vertices that they move most."""
-    label, kind = indices[:, 0].astype(np.intp), d.locked.bone_model
+    label, kind = skin.indices[:, 0].astype(np.intp), d.locked.bone_model
     return fit_patches(d.data, rest, label, d.bones, kind)
 
 
@@ -143,3 +151,35 @@ def _measure_error(d: Descent, model: Model) -> None:
     """Compute the error of every vertex (in place), without moving anything."""
     every = np.ones(d.data.n_vertices, dtype=bool)
     vertex_step(d.data, model, locked=dataclasses.replace(d.locked, rest=True, weights=every))
+
+
+def first_model(d: Descent, *, influences: int | None = None) -> None:
+    """Make a usable model early, without excess bones and before the frames are compressed."""
+    quick_start(d, influences=influences)
+    alternate(d, steps=20, gain=0.01)
+    compress(d)
+
+
+def merged_start(
+    d: Descent,
+    before: int = 12,
+    after: int = 6,
+    *,
+    factor: float = 1.6,
+    influences: int | None = None,
+) -> None:
+    """Start with `factor` times the bones asked for and merge them down.
+
+    `before` and `after` are the most alternations before and after the merge.
+    """
+    start(d, factor=factor, influences=influences)
+    alternate(d, steps=before)
+    merge(d)
+    alternate(d, steps=after)
+
+
+def polish_model(d: Descent, effort: Effort) -> None:
+    """Start from the given model and polish it."""
+    start_from_model(d)
+    compress(d)
+    polish(d, steps=6 if effort == "fast" else 20, gain=0.01)

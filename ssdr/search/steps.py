@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Iterator
 
-import numpy as np
-
-from ..solver.alternation import repeat_alternation
-from ..solver.gauge import free_gauge
+from ..solver.alternation import free_gauge, repeat_alternation
 from ..solver.gauss_newton import GaussNewton
+from ..solver.model import Lowest
 from ..solver.rest_normals import with_rest_normals
 from ..solver.vertex_newton import optimise_some
 from .descent import ALTERNATIONS_OF_ALL, Descent, Schedule, step
@@ -20,10 +19,12 @@ __all__ = [
     "alternate",
     "beside",
     "compress",
+    "last_polish",
     "lowest",
     "on_sample",
     "polish",
     "relax",
+    "relax_bones",
     "return_to_best",
     "solve_normals",
     "unfold",
@@ -107,10 +108,21 @@ def solve_normals(d: Descent) -> Iterator[None]:
         return
     d.data = d.data.with_normals()
     d.model = with_rest_normals(d.data, d.model)
-    if d.best is not None:
-        d.best = with_rest_normals(d.data, d.best)
-        d.best_value = d.value(d.best)
+    if d.best.exists:
+        d.set_best(with_rest_normals(d.data, d.best.model))
     yield
+
+
+def relax_bones(d: Descent) -> None:
+    """Relax with five polish steps at each number of influences, of which "best" makes eight."""
+    relax(d, polish_steps=5)
+    polish(d, steps=200, gain=0.004)
+
+
+def last_polish(d: Descent, *, steps: int, gain: float = 0.0) -> None:
+    """Polish with normals in the objective."""
+    solve_normals(d)
+    polish(d, steps=steps, gain=gain)
 
 
 @step("unfold", cost=3)
@@ -121,7 +133,7 @@ def unfold(d: Descent, *, steps: int = 8) -> Iterator[None]:
     """
     if d.data.surface is None:
         return
-    d.model, locked = d.best_model.with_restarted_support(), d.locked
+    d.model, locked = d.best.model.with_restarted_support(), d.locked
     if d.smoothness is not None:  # which this solve of weights would not know
         locked = locked.with_weights(d.data.n_vertices)
     for _ in range(steps):
@@ -134,7 +146,7 @@ def unfold(d: Descent, *, steps: int = 8) -> Iterator[None]:
         # far from the stiffer edges nothing has changed
         near = surface.around(d.data.faces[turned])
         optimise_some(d.data, d.model, near, locked=locked, times=_UNFOLD_ROUNDS)
-        d.keep_present()
+        d.set_best(d.model)
         yield
 
 
@@ -165,7 +177,7 @@ def on_sample(
 def all_vertices(d: Descent) -> Iterator[None]:
     """Work on all vertices again; each starts with the weights of the nearest sampled vertex."""
     assert d.few is not None
-    d.model, d.few = d.of_all(d.few.best_model), None
+    d.model, d.few = d.of_all(d.few.best.model), None
     d.iteration += ALTERNATIONS_OF_ALL
     yield
 
@@ -173,26 +185,26 @@ def all_vertices(d: Descent) -> Iterator[None]:
 @step("return to best", cost=0)
 def return_to_best(d: Descent) -> Iterator[None]:
     """Continue from the best model so far; the present one keeps its support if it is that one."""
-    if d.value(d.model) != d.best_value:
-        d.model = d.best_model.with_restarted_support()
+    if d.value(d.model) != d.best.value:
+        d.model = d.best.model.with_restarted_support()
     yield
 
 
 def lowest(d: Descent, *starts: Schedule) -> None:
     """Follow several schedules in turn; continue from the model of least objective."""
-    kept, least = None, np.inf
+    found = Lowest()
     for start in starts:
         start(d)
-        if d.below(least, expected=False):
-            kept, least = d.model.copy(), d.value(d.model)
-    if kept is not None:
-        d.model = kept
+        if not d.planning:
+            found.offer(d.model, d.value(d.model))
+    if found.exists:
+        d.model = found.model
 
 
 def beside(d: Descent, start: Schedule) -> None:
     """Follow a schedule from another start; keep the best model before it unless errors fall."""
-    before, value, known = d.best, d.best_value, len(d.records)
+    before, known = copy.copy(d.best), len(d.records)
     start(d)
-    if before is not None and d.best_error > before.weighted_error(d.data):
-        d.best, d.best_value = before, value
+    if before.exists and d.best_error > before.model.weighted_error(d.data):
+        d.best = before
         del d.records[known:]

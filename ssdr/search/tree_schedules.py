@@ -5,22 +5,18 @@ from __future__ import annotations
 from ..problem.problem import Effort
 from .bone_steps import move_bones
 from .descent import Descent, Schedule
-from .efforts import NUMBERS, TREE_ROUNDS, TRIALS_OF_A_TREE
-from .schedule_parts import (
-    attach_and_polish,
-    first_model,
+from .efforts import NUMBERS, TREE_ROUNDS, TRIALS_OF_A_TREE, rebuilds
+from .starts import first_model, merged_start, polish_model, start_from_model
+from .steps import (
+    alternate,
+    compress,
     last_polish,
-    lowest_tree,
-    merged_start,
-    polish_model,
-    rebuilds,
+    lowest,
+    polish,
+    relax,
     relax_bones,
-    relax_tree,
-    search_best_trees,
-    start_of_tree,
+    return_to_best,
 )
-from .starts import start_from_model
-from .steps import alternate, compress, lowest, polish, return_to_best
 from .tree_steps import (
     add_bones,
     attach,
@@ -34,6 +30,10 @@ __all__ = [
     "bones_of_skeleton",
     "loose_from_model",
     "loose_skeleton",
+    "lowest_tree",
+    "relax_tree",
+    "search_best_trees",
+    "start_of_tree",
     "tree_from_model",
     "tree_of_bones",
 ]
@@ -92,14 +92,14 @@ def bones_of_skeleton(d: Descent, effort: Effort) -> None:
         relax_tree(d)
         search_weights(d, steps=n.weight_trials)
 
-    if initial.weights is not None or effort == "fast" or initial.skeleton_skin is not None:
+    if initial.skin is not None or effort == "fast" or initial.skeleton_skin is not None:
         compress(d)
         start_on_skeleton(d)
         attach(d)
     else:
         lowest(d, by_limb, *n.limbs * (by_motion,))
     polish(d, steps=20, gain=0.01)
-    if initial.weights is not None:
+    if initial.skin is not None:
         last_polish(d, steps=n.polish, gain=1e-3)
         return
     if effort == "fast":
@@ -122,7 +122,7 @@ def loose_skeleton(d: Descent, effort: Effort) -> None:
     compress(d)
     start_on_skeleton(d)
     alternate(d, steps=20, gain=1e-3)
-    if d.initial.weights is None and effort != "fast":
+    if d.initial.skin is None and effort != "fast":
         polish(d, steps=8)
         relax_bones(d)
     last_polish(d, steps=NUMBERS[effort].polish, gain=1e-3)
@@ -149,3 +149,39 @@ def loose_from_model(d: Descent, effort: Effort) -> None:
         relax_bones(d)
         return_to_best(d)
     last_polish(d, steps=20, gain=0.01)
+
+
+def relax_tree(d: Descent) -> None:
+    """Relax and polish bones that are attached at joints."""
+    relax(d, polish_steps=6)
+    polish(d, steps=24, gain=0.01)
+
+
+def attach_and_polish(d: Descent) -> None:
+    """Attach the bones at joints and polish them there."""
+    attach(d)
+    polish(d, steps=8)
+
+
+def start_of_tree(d: Descent) -> None:
+    """Make a tree over bones that start with one influence per vertex.
+
+    Such bones are compact, and the tree over them is close to the best.
+    """
+    merged_start(d, influences=1)
+    move_bones(d)
+    attach_and_polish(d)
+
+
+def lowest_tree(d: Descent, *starts: Schedule) -> None:
+    """Make a tree from each start, and polish the one of least objective."""
+    lowest(d, *starts)
+    polish(d, steps=20, gain=0.01)
+
+
+def search_best_trees(d: Descent) -> None:
+    """Search better trees repeatedly, each time from the best one so far."""
+    for _ in range(TREE_ROUNDS):
+        return_to_best(d)
+        relax_tree(d)
+        search_trees(d, steps=TRIALS_OF_A_TREE)

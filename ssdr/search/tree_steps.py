@@ -89,11 +89,9 @@ def start_on_skeleton(d: Descent, *, by_motion: bool = False) -> Iterator[None]:
     assert tree is not None
     rest = initial.tree_pose if initial.rest is None else initial.rest
     assert rest is not None
-    indices, weights = initial.indices, initial.weights
-    if indices is None and initial.skeleton_skin is not None:
-        indices, weights = initial.skeleton_skin
-    if indices is not None:
-        label = indices[:, 0].astype(np.intp)
+    skin = initial.skin or initial.skeleton_skin
+    if skin is not None:
+        label = skin.indices[:, 0].astype(np.intp)
     assert label is not None
     if by_motion:
         largest = d.model.indices[:, 0].astype(np.intp)
@@ -104,10 +102,10 @@ def start_on_skeleton(d: Descent, *, by_motion: bool = False) -> Iterator[None]:
     for k in tree.order:  # a bone that moves nothing goes with its parent
         if not used[k] and tree.parents[k] >= 0:
             bones[:, k] = bones[:, tree.parents[k]]
-    if indices is None or weights is None:
+    if skin is None:
         d.model = Model.start(bones, rest, label, 1)
     else:
-        d.model = Model.with_weights(bones, rest, indices, weights, d.influences)
+        d.model = Model.with_weights(bones, rest, *skin, d.influences)
     d.model.tree = tree if d.rigid_joints else None
     vertex_step(data, d.model, locked=d.locked)
     yield

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from ..kernels.bones import sweep_bones
 from ..kernels.removal import removal_cost
@@ -12,11 +14,18 @@ from ..parallel import chunk_bounds, run_chunks, serial_blas
 from .affine_fit import leap_rigid, solve_affine
 from .model import CHUNK, FREE, Locked, Model
 from .moments import bone_sums, coupled_bones, transform_sums
-from .objective import normal_length, rest_pulls
-from .smoothness import WeightSmoothness
+from .objective import WeightSmoothness, normal_length, rest_pulls
 from .trajectories import Array, Trajectories
 
-__all__ = ["bone_costs", "bone_step", "repeat_alternation", "sweep", "vertex_step"]
+__all__ = [
+    "bone_costs",
+    "bone_step",
+    "free_gauge",
+    "normalise_gauge",
+    "repeat_alternation",
+    "sweep",
+    "vertex_step",
+]
 
 
 def repeat_alternation(
@@ -181,3 +190,47 @@ def bone_costs(data: Trajectories, model: Model) -> Array:
 
         parts = run_chunks(work, chunk_bounds(data.n_vertices, CHUNK))
     return np.asarray(np.sum(parts, axis=0))
+
+
+def free_gauge(data: Trajectories, model: Model, locked: Locked) -> None:
+    """As :func:`normalise_gauge`, unless a surface decides about the rest pose."""
+    if data.surface is None:
+        normalise_gauge(model, data.importance, locked)
+
+
+def normalise_gauge(model: Model, importance: Array, locked: Locked) -> None:
+    """Give bones a mean stretch of 1 (in place); no vertex moves in any frame.
+
+    A part of the mesh is a set of bones and their vertices that no other bone moves.  Replacing the
+    rest positions p of a part by A p and the 3×3 blocks L of its bones by L A⁻¹ leaves the
+    animation as it is.  Here A is the square root of the mean of LᵀL over the bones and frames of
+    the part, so that its rest pose has the mean size and proportions of the motion; for similarity
+    bones A is only a factor.  A acts about the centroid of the part.
+    """
+    if locked.bone_model == "rigid" or locked.rest or len(locked.bones):
+        return
+    n_bones = model.n_bones
+    used = model.weights > 0
+    first = np.broadcast_to(model.indices[:, :1], used.shape)[used]
+    links = coo_array((np.ones(len(first)), (first, model.indices[used])), shape=(n_bones, n_bones))
+    count, part = connected_components(links, directed=False)
+    share = importance[:, None] * model.weights
+    mass = np.bincount(model.indices.ravel(), weights=share.ravel(), minlength=n_bones)
+    linear, shift = model.transforms[..., :3], model.transforms[..., 3]
+    stretch = np.einsum("tjca,tjcb->jab", linear, linear) / len(linear)
+    for k in range(count):
+        bones, mine = part == k, part[model.indices[:, 0]] == k
+        if not mass[bones].sum() > 0:
+            continue
+        mean = np.einsum("j,jab->ab", mass[bones] / mass[bones].sum(), stretch[bones])
+        if locked.bone_model == "similarity":
+            mean = np.eye(3) * np.trace(mean) / 3
+        values, vectors = np.linalg.eigh(mean)
+        root = np.sqrt(np.maximum(values, 1e-12 * values[-1]))
+        shape, back = (vectors * root) @ vectors.T, (vectors / root) @ vectors.T
+        centre = model.rest[mine].mean(axis=0)
+        old = linear[:, bones]
+        new = old @ back
+        shift[:, bones] += (old - new) @ centre
+        linear[:, bones] = new
+        model.rest[mine] = (model.rest[mine] - centre) @ shape.T + centre

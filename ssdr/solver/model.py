@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from ..hierarchy.tree import Tree
 from ..skinning import BoneModel
 from .trajectories import Array, Trajectories
 
-__all__ = ["ARRAYS", "CHUNK", "FREE", "SLOTS", "SOLVED", "Locked", "Model"]
+__all__ = ["ARRAYS", "CHUNK", "FREE", "SLOTS", "SOLVED", "Locked", "Lowest", "Model", "Skin"]
 
 # Most bones in a vertex's support, on which its weights are solved: more than K, so that a bone can
 # come back, and few enough for a small dense solve.
@@ -23,6 +24,13 @@ CHUNK = 512  # vertices of a task: the task takes milliseconds, and its arrays s
 
 Indices = NDArray[np.int32]
 VertexRows = tuple[Array, Indices, Array, Indices, Indices, Array, Array, Array, Array]
+
+
+class Skin(NamedTuple):
+    """Skin weights (V, K), the largest of each vertex first, and their bones."""
+
+    indices: Indices
+    weights: Array
 
 
 @dataclasses.dataclass(eq=False)
@@ -242,7 +250,39 @@ class Model:
         )
 
 
+class Lowest:
+    """The model of lowest value among those offered.
+
+    Attributes
+    ----------
+    model : Model
+        A copy, which steps on the offered model do not change.  There is none before the first
+        offer.
+    value : float
+        Its value; inf before the first offer.
+    """
+
+    model: Model
+    value: float = math.inf
+
+    @property
+    def exists(self) -> bool:
+        """Whether a model was offered."""
+        return self.value < math.inf
+
+    def offer(self, model: Model, value: float) -> bool:
+        """Keep the model if its value is lower; return whether it is."""
+        lower = value < self.value
+        if lower:
+            self.model, self.value = model.copy(), value
+        return lower
+
+
 ARRAYS = tuple(f.name for f in dataclasses.fields(Model) if f.name != "tree")  # transforms first
+
+
+def _none() -> NDArray[np.bool_]:
+    return np.zeros(0, dtype=bool)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -253,9 +293,9 @@ class Locked:
     ----------
     rest : bool
         Whether the rest pose is locked.
-    weights : (V,) bool array or None
-        Mask of the vertices whose weights are locked.
-    bones : (B0,) bool array or None
+    weights : (V,) or (0,) bool array
+        Mask of the vertices whose weights are locked; empty if none are.
+    bones : (B0,) bool array
         Mask of the bones, among the first B0, whose transforms are locked; later bones are free.
     bone_model : {"rigid", "similarity", "affine"}
         Kind of transforms that bones have.
@@ -264,22 +304,22 @@ class Locked:
     near_skin : bool
         Whether the objective penalises the distance of a joint from where the skin of its two bones
         meets.
-    rotations : (F, B0, 3, 3) array or None
+    rotations : (F, B0, 3, 3) array
         Rotations relative to the parent to which bones of a tree are locked; NaN for free bones.
     """
 
     rest: bool = False
-    weights: NDArray[np.bool_] | None = None
-    bones: NDArray[np.bool_] | None = None
+    weights: NDArray[np.bool_] = dataclasses.field(default_factory=_none)
+    bones: NDArray[np.bool_] = dataclasses.field(default_factory=_none)
     bone_model: BoneModel = "rigid"
     joints: bool = False
     near_skin: bool = False
-    rotations: NDArray[np.float64] | None = None
+    rotations: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0, 3, 3)))
 
     def select_vertices(self, chosen: NDArray[np.intp]) -> Locked:
         """A copy whose mask of locked weights has only the chosen vertices."""
-        weights = None if self.weights is None else self.weights[chosen]
-        return dataclasses.replace(self, weights=weights)
+        known = chosen if len(self.weights) else chosen[:0]
+        return dataclasses.replace(self, weights=self.weights[known])
 
     def with_weights(self, n: int) -> Locked:
         """A copy in which the weights of all n vertices are locked."""
@@ -287,20 +327,17 @@ class Locked:
 
     def vertex_mask(self, n: int) -> NDArray[np.bool_]:
         """Mask (n,) of the vertices whose weights are locked, for n vertices."""
-        return np.zeros(n, dtype=bool) if self.weights is None else self.weights
+        return np.pad(self.weights, (0, n - len(self.weights)))
 
     def bone_mask(self, n: int) -> NDArray[np.bool_]:
         """Mask (n,) of the bones whose transforms are locked, for n bones."""
-        given = np.zeros(0, dtype=bool) if self.bones is None else self.bones
-        return np.concatenate([given, np.zeros(n - len(given), dtype=bool)])
+        return np.pad(self.bones, (0, n - len(self.bones)))
 
     def joint_rotations(self, tree: Tree) -> list[tuple[int, int, NDArray[np.float64]]]:
         """Bones whose rotation relative to the parent is locked: tuples (bone, parent, rotation).
 
         Rotations are (F, 3, 3) arrays.  Parents come before children.
         """
-        if self.rotations is None:
-            return []
         order = [int(j) for j in tree.order if j < self.rotations.shape[1] and tree.parents[j] >= 0]
         kept = [j for j in order if not np.isnan(self.rotations[0, j, 0, 0])]
         return [(j, int(tree.parents[j]), self.rotations[:, j]) for j in kept]

@@ -19,7 +19,7 @@ from ..kernels.rounding import move_units
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..quantisation import WeightStorage, is_stored, quantise, weight_values
 from .gauss_newton import GaussNewton
-from .model import ARRAYS, CHUNK, SOLVED, Locked, Model
+from .model import ARRAYS, CHUNK, SOLVED, Locked, Lowest, Model
 from .moments import transform_sums
 from .objective import Objective, normal_length, rest_pulls
 from .trajectories import Trajectories
@@ -56,28 +56,27 @@ def rounded_models(
         solved again.
     """
     objective = Objective(locked)
-    best = _rounded(data, model, storage, locked)
-    least = objective.value(data, best)
-    yield best
+    best, trial = Lowest(), _rounded(data, model, storage, locked)
+    best.offer(trial, objective.value(data, trial))
+    yield best.model
     whole = is_stored(model.weights, storage)
-    if rounds == 0 or whole or least <= (1 + _GAIN) * objective.value(data, model):
+    if rounds == 0 or whole or best.value <= (1 + _GAIN) * objective.value(data, model):
         return
     drawn = model.copy()
     for _ in range(rounds):
         _draw_together(data, drawn, storage, locked)
-        yield best
+        yield best.model
     trial = _rounded(data, drawn, storage, locked)
     rng, stay = np.random.default_rng(0), locked.vertex_mask(data.n_vertices)
     for left in reversed(range(_AFTER * rounds + 1)):
-        value = objective.value(data, trial)
-        if value < least:
-            gain, best, least = least - value, trial, value
-            yield best
-            if gain < _GAIN * least:
+        before = best.value
+        if best.offer(trial, objective.value(data, trial)):
+            yield best.model
+            if before - best.value < _GAIN * best.value:
                 return
         if left == 0:
             return
-        trial = best
+        trial = best.model
         half = rng.random(data.n_vertices) < 0.5  # these keep their weights; the others adapt
         for mask, units in ((stay | half, stay | half), (np.ones_like(stay), stay)):
             trial = trial.copy()

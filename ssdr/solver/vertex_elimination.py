@@ -20,13 +20,16 @@ from numpy.typing import NDArray
 
 from ..kernels.schur import apply_vertex_step, schur_vertices
 from ..parallel import chunk_bounds, run_chunks
-from .dense import cross_product, product
 from .model import CHUNK, Locked, Model
 from .moments import bone_sums, stack_blocks
 from .trajectories import Array, Trajectories
 from .vertex_newton import VertexSystem
 
-__all__ = ["ReducedSystem"]
+__all__ = ["ReducedSystem", "cross_product", "product"]
+
+# Fewest rows and multiplications of a piece: small products are slow, and handing them to threads
+# costs more than it saves.
+_PIECE, _MULTIPLICATIONS = 96, 2_000_000
 
 # most tasks: each needs memory for its own (B, B, 4, 4) sums, but fewer tasks would use fewer cores
 _TASKS = 8
@@ -196,3 +199,16 @@ def _group(
         inverse=real(vertices.inverse),
         gradient=real(vertices.gradient),
     )
+
+
+def product(left: Array, right: Array) -> Array:
+    """Product left @ right, computed in parallel for pieces of its rows."""
+    out = np.empty((len(left), right.shape[1]), dtype=left.dtype)
+    bounds = chunk_bounds(len(left), max(_PIECE, -(-_MULTIPLICATIONS // max(1, right.size))))
+    run_chunks(lambda _, i, k: np.matmul(left[i:k], right, out=out[i:k]), bounds)
+    return out
+
+
+def cross_product(left: Array, right: Array) -> Array:
+    """Product leftᵀ @ right, computed in parallel for pieces of its columns, so no sum is split."""
+    return product(right.T, left).T

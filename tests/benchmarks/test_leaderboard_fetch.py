@@ -153,7 +153,7 @@ def _garble_the_list(server: Server) -> None:
 
 
 def test_an_address_that_is_not_reached_is_said_to_be() -> None:
-    with pytest.raises(fetch.Refused, match=r"^http://\S+: not reached: \[Errno \d+\] \w"):
+    with pytest.raises(fetch.FetchError, match=r"^http://\S+: not reached: \[Errno \d+\] \w"):
         fetch.download("http://127.0.0.1:1/nobody", 10)
 
 
@@ -174,7 +174,7 @@ def test_what_is_not_as_it_should_be_is_refused_by_name(
 ) -> None:
     server.publish(TOY, toy_files()[1])
     damage(server)
-    with pytest.raises(fetch.Refused, match=word):
+    with pytest.raises(fetch.FetchError, match=word):
         fetch.get("toy", TOY, tmp_path, server.url)
     assert not (tmp_path / "toy.npz").exists()
 
@@ -200,7 +200,9 @@ def test_the_reader_of_faces_unpickles_nothing(tmp_path: Path) -> None:
     assert faces.tolist()[:2] == [[0, 1, 2], [0, 2, 3]]
     assert len(faces) == 100
     np.savez(tmp_path / "flat.npz", **(arrays | {"deltas": np.zeros((9, 59, 3))}))  # type: ignore[arg-type]
-    with pytest.raises(fetch.Refused, match=r"expected \(V, 3\), \(S, V, 3\) and \(Q, 4\) arrays"):
+    with pytest.raises(
+        fetch.FetchError, match=r"expected \(V, 3\), \(S, V, 3\) and \(Q, 4\) arrays"
+    ):
         fetch.read_compskin(tmp_path / "flat.npz")
 
 

@@ -14,7 +14,7 @@ import pytest
 import ssdr
 from helpers import motions
 from helpers.stretches import check_kind
-from ssdr.problem.initial import Initial
+from ssdr.problem.problem import Initial
 from ssdr.search.descent import Descent, Schedule
 from ssdr.search.starts import start
 from ssdr.search.steps import alternate
@@ -73,7 +73,7 @@ def solved(
 ) -> Model:
     d = descent_of(data, bones, influences)
     d.follow(schedule)
-    return d.best_model
+    return d.best.model
 
 
 def diagonal(array: np.ndarray) -> float:

@@ -12,7 +12,7 @@ import bpy
 import numpy as np
 
 from . import rig
-from .process import Problem, follow, installation, progress
+from .process import AddonError, follow, installation, progress
 from .sample import check, frame_kept, marked, sample
 
 Steps = Generator[tuple[float, str], None, None]
@@ -47,7 +47,7 @@ class Job:
 
         Raises
         ------
-        Problem
+        AddonError
             If the step fails; the message is for the user.
         """
         try:
@@ -55,12 +55,12 @@ class Job:
         except StopIteration:
             return False
         except OSError as error:
-            raise Problem(f"{error.filename or 'Disk'}: {error.strerror or error}") from error
-        except Problem:
+            raise AddonError(f"{error.filename or 'Disk'}: {error.strerror or error}") from error
+        except AddonError:
             raise
         except Exception as error:
             traceback.print_exc()
-            raise Problem(f"Unexpected {type(error).__name__}: {error}") from error
+            raise AddonError(f"Unexpected {type(error).__name__}: {error}") from error
         return True
 
     def cancel(self) -> None:
@@ -98,10 +98,10 @@ class Decompose(Job):
         if options.joints == "ARMATURE":
             armature = options.armature  # a script may set any object
             if armature is None:
-                raise Problem("Choose the armature whose bones to keep")
+                raise AddonError("Choose the armature whose bones to keep")
             if armature.type != "ARMATURE":
                 kind = armature.type.lower()
-                raise Problem(f"Choose an armature: {armature.name} is of type {kind}")
+                raise AddonError(f"Choose an armature: {armature.name} is of type {kind}")
         self.context, self.source = context, source
         self.options, self.python = options, str(python)
         self.clips = marked(context.scene) if options.clips else []
@@ -124,8 +124,8 @@ class Decompose(Job):
         try:
             for _ in follow([self.python, "-m", "ssdr", "--version"], folder):
                 yield 0.0, "looking for ssdr"
-        except Problem as problem:
-            raise Problem(f"{self.python} has no ssdr that works: {problem}") from problem
+        except AddonError as problem:
+            raise AddonError(f"{self.python} has no ssdr that works: {problem}") from problem
         taken = self.taken = yield from _mapped(
             sample(self.context, self.source, self.clips), _read
         )
@@ -169,13 +169,13 @@ class Decompose(Job):
         return [self.python, "-m", "ssdr", "-vv", *words]
 
 
-class Page(Job):
+class ShowPage(Job):
     """A web page of an object's bones beside the animation that they replaced."""
 
     def __init__(self, source: Any, python: Path) -> None:
         folder = folders.get(source.name) if source else None
         if folder is None or not folder.is_dir():
-            raise Problem("Select an object that was given bones since Blender was started")
+            raise AddonError("Select an object that was given bones since Blender was started")
         self.folder, self.name, self.python = folder, source.name, str(python)
         self.page = folder / "page.html"
         super().__init__()
@@ -193,7 +193,7 @@ class Install(Job):
 
     def __init__(self, environment: Path, source: str, online: bool) -> None:
         if online and not bpy.app.online_access:
-            raise Problem(
+            raise AddonError(
                 "Blender has no leave to go online: allow it in Preferences > System, or name a "
                 "folder of wheels"
             )
@@ -209,8 +209,8 @@ class Install(Job):
                         yield number / len(self.commands), "installing ssdr (a few minutes)"
             except BaseException as error:
                 shutil.rmtree(self.environment, ignore_errors=True)
-                if isinstance(error, Problem) and not self.online:
-                    raise Problem(
+                if isinstance(error, AddonError) and not self.online:
+                    raise AddonError(
                         f"{error} (put the wheels of all that ssdr needs beside its own, or let "
                         "pip fetch them)"
                     ) from error

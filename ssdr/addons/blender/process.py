@@ -12,7 +12,7 @@ from pathlib import Path
 _STEP = re.compile(r"DEBUG \S+ (.+), iteration \d+, rmse (\S+), (\d+) % done")
 
 
-class Problem(Exception):
+class AddonError(Exception):
     """Error whose message is shown to the user."""
 
 
@@ -29,7 +29,7 @@ def installation(environment: Path, source: str, online: bool) -> list[list[str]
     index, where anyone could take its name.
     """
     if not source:
-        raise Problem(
+        raise AddonError(
             "Choose what to install from: a wheel of ssdr, or a folder with it and what it needs"
         )
     alone = ["--isolated", "--no-index"]
@@ -38,7 +38,7 @@ def installation(environment: Path, source: str, online: bool) -> list[list[str]
     elif source.endswith(".whl") and Path(source).is_file():
         what = [*([] if online else alone), "--find-links", str(Path(source).parent), source]
     else:
-        raise Problem(f"{source} is neither a wheel nor a folder of wheels")
+        raise AddonError(f"{source} is neither a wheel nor a folder of wheels")
     python = str(python_in(environment))
     return [
         [sys.executable, "-m", "venv", "--clear", str(environment)],
@@ -70,7 +70,7 @@ def follow(words: list[str], folder: Path) -> Generator[str, None, str]:
                 **hidden,
             )
         except OSError as error:
-            raise Problem(f"{words[0]} cannot be run: {error.strerror}") from error
+            raise AddonError(f"{words[0]} cannot be run: {error.strerror}") from error
         try:
             while process.poll() is None:
                 yield _last_line(err)
@@ -81,7 +81,7 @@ def follow(words: list[str], folder: Path) -> Generator[str, None, str]:
                 process.wait()
     text = out.read_text(encoding="utf-8", errors="replace")
     if process.returncode:
-        raise Problem(_error_in(text) or _last_line(err) or f"{words[0]} failed without a word")
+        raise AddonError(_error_in(text) or _last_line(err) or f"{words[0]} failed without a word")
     return text
 
 

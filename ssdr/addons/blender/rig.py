@@ -10,8 +10,8 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from .process import Problem
-from .sample import Sample, replaced
+from .process import AddonError
+from .sample import SampledObject, replaced
 
 ERROR = "ssdr_error"
 
@@ -40,7 +40,7 @@ def save_skeleton(armature: Any, place: Any, path: Path) -> None:
     """
     bones = [bone for bone in armature.pose.bones if bone.bone.use_deform]
     if not bones:
-        raise Problem(f"{armature.name} has no bones that deform")
+        raise AddonError(f"{armature.name} has no bones that deform")
     number, parents = {bone.name: k for k, bone in enumerate(bones)}, []
     for bone in bones:
         above = bone.parent
@@ -66,7 +66,13 @@ def save_skeleton(armature: Any, place: Any, path: Path) -> None:
 
 
 def build(
-    context: Any, source: Any, sample: Sample, model: dict[str, Any], errors: Any, *, beside: bool
+    context: Any,
+    source: Any,
+    sample: SampledObject,
+    model: dict[str, Any],
+    errors: Any,
+    *,
+    beside: bool,
 ) -> Any:
     """Give the object, or with `beside` a copy of it, the model's mesh and bones, and return it.
 
@@ -201,7 +207,7 @@ def _vertex_groups(target: Any, model: dict[str, Any]) -> None:
         group.add((vertex,), float(model["weights"][vertex, slot]), "ADD")
 
 
-def _actions(rig: Any, name: str, sample: Sample, model: dict[str, Any]) -> None:
+def _actions(rig: Any, name: str, sample: SampledObject, model: dict[str, Any]) -> None:
     """Give the armature an action of all frames, or one for each clip.
 
     The action of a clip starts at frame 0.  A strip plays it where the clip was, on a track of its

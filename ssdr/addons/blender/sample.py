@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from .process import Problem
+from .process import AddonError
 
 # Modifiers that move vertices; the bones replace all modifiers up to the last of these.
 _MOVING = {
@@ -21,7 +21,7 @@ _MOVING = {
 }
 
 
-class Clip(NamedTuple):
+class FrameRange(NamedTuple):
     """A part of the timeline: its first frame, and the frame after its last."""
 
     name: str
@@ -29,21 +29,21 @@ class Clip(NamedTuple):
     stop: int
 
 
-def marked(scene: Any) -> list[Clip]:
+def marked(scene: Any) -> list[FrameRange]:
     """Clips named by the scene's markers, each from its marker up to the next."""
     start, stop = scene.frame_start, scene.frame_end + 1
     marks = sorted((m.frame, m.name) for m in scene.timeline_markers if start <= m.frame < stop)
     if not marks:
-        raise Problem(
+        raise AddonError(
             f"There is no marker between the frames {start} and {stop - 1} of the scene: set one "
             "where each clip starts, or switch Clips from markers off"
         )
     ends = [frame for frame, _ in marks[1:]] + [stop]
-    clips = [Clip(name, frame, end) for (frame, name), end in zip(marks, ends, strict=True)]
+    clips = [FrameRange(name, frame, end) for (frame, name), end in zip(marks, ends, strict=True)]
     for name, first, end in clips:
         if end - first < 2:
             count = "1 frame" if end - first else "no frames"
-            raise Problem(
+            raise AddonError(
                 f"The clip {name}, from its marker at frame {first} on, has {count}: move a "
                 "marker, so that it has two or more"
             )
@@ -51,7 +51,7 @@ def marked(scene: Any) -> list[Clip]:
 
 
 @dataclasses.dataclass
-class Sample:
+class SampledObject:
     """An animation, relative to where the object is in the first frame.
 
     Attributes
@@ -67,7 +67,7 @@ class Sample:
     first : int
         Number of the first frame in the scene.
     fps : float
-    clips : list of Clip
+    clips : list of FrameRange
         Empty: all frames are one animation.
     """
 
@@ -78,9 +78,9 @@ class Sample:
     moves: bool
     first: int
     fps: float
-    clips: list[Clip]
+    clips: list[FrameRange]
 
-    def frames(self, clip: Clip) -> slice:
+    def frames(self, clip: FrameRange) -> slice:
         """Slice of `vertices` that holds the frames of a clip."""
         return slice(clip.first - self.first, clip.stop - self.first)
 
@@ -148,18 +148,20 @@ def frame_kept(scene: Any, *, simulated: bool = False) -> Iterator[None]:
 
 
 def check(source: Any) -> None:
-    """Raise a Problem if an object cannot be sampled."""
+    """Raise an AddonError if an object cannot be sampled."""
     if source is None:
-        raise Problem("Select a mesh object first: none is active")
+        raise AddonError("Select a mesh object first: none is active")
     if source.type != "MESH":
-        raise Problem(f"Select a mesh object: {source.name} is of type {source.type.lower()}")
+        raise AddonError(f"Select a mesh object: {source.name} is of type {source.type.lower()}")
     if not source.visible_get():
-        raise Problem(f"{source.name} is hidden: show it, so that Blender evaluates it")
+        raise AddonError(f"{source.name} is hidden: show it, so that Blender evaluates it")
     if source.library or source.override_library:
-        raise Problem(f"{source.name} is linked from another file: make it local first")
+        raise AddonError(f"{source.name} is linked from another file: make it local first")
 
 
-def sample(context: Any, source: Any, clips: list[Clip]) -> Generator[float, None, Sample]:
+def sample(
+    context: Any, source: Any, clips: list[FrameRange]
+) -> Generator[float, None, SampledObject]:
     """Play the frames of the scene, yield the fraction that is done, and return the sample.
 
     Frames before the first clip are played, since simulations need them, but not kept.
@@ -186,10 +188,10 @@ def sample(context: Any, source: Any, clips: list[Clip]) -> Generator[float, Non
                     )
                     at_first, place = world, Matrix.LocRotScale(*world.decompose())
                     if not abs(place.determinant()) > 0:
-                        raise Problem(f"{source.name} has the scale 0 in frame {number}")
+                        raise AddonError(f"{source.name} has the scale 0 in frame {number}")
                 points = _points(shown)
                 if frames and points.shape != frames[0].shape:
-                    raise Problem(
+                    raise AddonError(
                         f"{source.name} has {len(frames[0])} vertices in frame {numbers[0]} and "
                         f"{len(points)} in frame {number}: their number must stay the same"
                     )
@@ -200,7 +202,7 @@ def sample(context: Any, source: Any, clips: list[Clip]) -> Generator[float, Non
                 yield len(frames) / len(numbers)
         vertices = np.stack(frames)
         if (vertices == vertices[0]).all():
-            raise Problem(
+            raise AddonError(
                 f"{source.name} does not move between the frames {numbers[0]} and {numbers[-1]} of "
                 "the scene"
             )
@@ -212,7 +214,7 @@ def sample(context: Any, source: Any, clips: list[Clip]) -> Generator[float, Non
     faces = np.empty(3 * len(kept.loop_triangles), dtype=np.int32)
     kept.loop_triangles.foreach_get("vertices", faces)
     fps = scene.render.fps / scene.render.fps_base
-    return Sample(vertices, faces.reshape(-1, 3), kept, place, moves, first, fps, clips)
+    return SampledObject(vertices, faces.reshape(-1, 3), kept, place, moves, first, fps, clips)
 
 
 def _points(shown: Any) -> Any:

@@ -13,8 +13,8 @@ from bpy.props import (
     StringProperty,
 )
 
-from .job import Decompose, Install, Job, Page, folders
-from .process import Problem, python_in
+from .job import Decompose, Install, Job, ShowPage, folders
+from .process import AddonError, python_in
 
 _LOOK_AROUND = {"MIDDLEMOUSE", "WHEELUPMOUSE", "WHEELDOWNMOUSE", "TRACKPADPAN", "TRACKPADZOOM"}
 
@@ -30,8 +30,8 @@ def _python(context: Any) -> Path:
     if not python.is_file():
         where = "Preferences > Add-ons > SSDR"
         if named:
-            raise Problem(f"There is no Python at {python}: see {where}")
-        raise Problem(
+            raise AddonError(f"There is no Python at {python}: see {where}")
+        raise AddonError(
             f"ssdr is not installed yet: press Install in {where}, or name a Python there"
         )
     return python
@@ -147,14 +147,14 @@ class _Stepwise:
             self._job = self.start(context)
             while self._job.step():
                 pass
-        except Problem as problem:
+        except AddonError as problem:
             return self._fail(problem)
         return self._succeed()
 
     def invoke(self, context: Any, event: Any) -> set[str]:
         try:
             self._job = self.start(context)
-        except Problem as problem:
+        except AddonError as problem:
             return self._fail(problem)
         manager = context.window_manager
         manager.progress_begin(0, 100)
@@ -173,7 +173,7 @@ class _Stepwise:
             return {"RUNNING_MODAL"}  # the scene must not change meanwhile
         try:
             more = self._job.step()
-        except Problem as problem:
+        except AddonError as problem:
             self._end(context)
             return self._fail(problem)
         if not more:
@@ -194,7 +194,7 @@ class _Stepwise:
         context.window_manager.progress_end()
         context.workspace.status_text_set(None)
 
-    def _fail(self, problem: Problem) -> set[str]:
+    def _fail(self, problem: AddonError) -> set[str]:
         self.report({"ERROR"}, str(problem))
         return {"CANCELLED"}
 
@@ -226,9 +226,9 @@ class SSDR_OT_page(_Stepwise, bpy.types.Operator):
     bl_description = "Open a page with the bones beside the animation that they replace"
 
     def start(self, context: Any) -> Job:
-        return Page(context.object, _python(context))
+        return ShowPage(context.object, _python(context))
 
-    def finish(self, job: Page) -> None:
+    def finish(self, job: ShowPage) -> None:
         bpy.ops.wm.url_open(url=job.page.as_uri())
 
 

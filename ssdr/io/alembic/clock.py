@@ -23,8 +23,8 @@ _DATA = 1 << 63  # bit of an address in Ogawa that tells data from a group
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Frames:
-    """Frames at which a cache is read: `count` from the time `first` (s) on, `rate` a second.
+class FrameTimes:
+    """FrameTimes at which a cache is read: `count` from the time `first` (s) on, `rate` a second.
 
     `missed` (N,) are the times of samples that lie on no frame.
     """
@@ -57,8 +57,8 @@ def sample_times(stored: Sequence[float], period: float, count: int) -> NDArray[
     return times
 
 
-def choose_frames(clocks: Iterable[NDArray[np.float64]], fps: float | None) -> Frames:
-    """Frames for the samples of several objects; all samples are frames if that is possible.
+def choose_frames(clocks: Iterable[NDArray[np.float64]], fps: float | None) -> FrameTimes:
+    """FrameTimes for the samples of several objects; all samples are frames if that is possible.
 
     The rate is `fps`, else that of the two closest samples if all samples lie on its frames and
     these are at most four for each sample. Else it is that of most samples, but at least 24.
@@ -68,7 +68,7 @@ def choose_frames(clocks: Iterable[NDArray[np.float64]], fps: float | None) -> F
     clocks : several (S,) arrays
         Times of the samples of each object, in seconds.
     fps : float or None
-        Frames per second that the caller asks for.
+        FrameTimes per second that the caller asks for.
     """
     known = list(clocks)
     moving = [times for times in known if len(times) > 1] or known[:1]
@@ -76,7 +76,7 @@ def choose_frames(clocks: Iterable[NDArray[np.float64]], fps: float | None) -> F
     # equal times of two objects may differ by their rounding
     stamps = stamps[np.diff(stamps, prepend=-np.inf) > 1e-6]
     if len(stamps) < 2:
-        return Frames(float(stamps[0]), fps or _DEFAULT_RATE, 1, stamps[:0])
+        return FrameTimes(float(stamps[0]), fps or _DEFAULT_RATE, 1, stamps[:0])
     first, span, gaps = float(stamps[0]), float(np.ptp(stamps)), np.diff(stamps)
     ticks = round(span / float(gaps.min()))
     rate = fps or usual_rate(ticks / span)
@@ -85,7 +85,7 @@ def choose_frames(clocks: Iterable[NDArray[np.float64]], fps: float | None) -> F
     last = span * rate
     # without fps=, the last frame holds the last sample
     count = int(min(last + 1e-3 if fps else math.ceil(last - 0.01), 1e15)) + 1
-    return Frames(first, rate, count, off_frames(stamps, first, rate, count))
+    return FrameTimes(first, rate, count, off_frames(stamps, first, rate, count))
 
 
 def usual_rate(rate: float) -> float:

@@ -46,7 +46,7 @@ def read(
     ----------
     path : Path
     fps : float, optional
-        Frames per second at which to sample. By default each sample is a frame; if the samples
+        FrameTimes per second at which to sample. By default each sample is a frame; if the samples
         have no common rate, there are frames at about that of most of them, at 24 a second at
         least, and a warning states the largest distance that this makes.
     meshes : str or several of them, optional

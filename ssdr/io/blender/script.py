@@ -151,7 +151,7 @@ def read(job: dict[str, Any]) -> None:
             return
         found = found[take : take + 1] if found else []
     elif not items:
-        model = skins.JointPoints(armatures)
+        model = skins.ArmaturePoints(armatures)
     else:
         model = skins.SkinnedMeshes(items, takes.skin_bone_names(job["path"]))
     pose, timelines, missed, need = takes.pose(), [], [], 0

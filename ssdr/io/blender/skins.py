@@ -50,7 +50,7 @@ def lost_between(items: list[Any], timeline: Any) -> tuple[float, float]:
     return distance, diagonal
 
 
-class Skin:
+class SkinnedObject:
     """A mesh, its armature, and its motion relative to the first frame.
 
     The symbols are those of `SkinnedMeshes`.
@@ -163,7 +163,7 @@ class SkinnedMeshes:
     what = "transforms"
 
     def __init__(self, items: list[Any], clustered: set[str]) -> None:
-        self.skins = [Skin(item) for item in items]
+        self.skins = [SkinnedObject(item) for item in items]
         named: dict[str, set[str]] = {}
         for skin in self.skins:
             if skin.armature is not None:
@@ -196,7 +196,7 @@ class SkinnedMeshes:
         for skin in self.skins:
             skin.sample(graph, places)
 
-    def _relative_motion(self, skin: Skin) -> Any:
+    def _relative_motion(self, skin: SkinnedObject) -> Any:
         """A⁻¹ O O₀⁻¹ (F, 4, 4) of a mesh; only A₀⁻¹ (1, 4, 4) if the mesh follows its armature."""
         still = np.linalg.inv(self._rest_places[skin.armature.name])[None]
         moved = np.array(skin.relative)
@@ -258,7 +258,7 @@ class SkinnedMeshes:
         }
 
 
-class JointPoints:
+class ArmaturePoints:
     """The bones of armatures that move no mesh, with a vertex at each joint."""
 
     what = "transforms"

@@ -327,7 +327,7 @@ class MeshPrim:
         return np.asarray((place @ frames @ self._bind)[:, :3])
 
 
-class JointPoints(MeshPrim):
+class SkeletonPoints(MeshPrim):
     """The joints of a skeleton that moves no mesh, with a vertex at each, as a `ScenePart`."""
 
     def __init__(self, path: Path, skeleton: Any) -> None:

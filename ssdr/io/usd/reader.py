@@ -26,7 +26,7 @@ from ..sampling import Missed, Sample, off_frames
 from ..scene import SceneBudget, join_sequence, join_skinning
 from .materials import read_materials
 from .package import unpacked
-from .parts import JointPoints, MeshPrim
+from .parts import MeshPrim, SkeletonPoints
 from .stage import open_stage
 
 _log = logging.getLogger(__name__)
@@ -187,7 +187,7 @@ class StageReader:
         self._spend(places)
         meshes = [MeshPrim(self.path, p, *bound.get(str(p.GetPath()), ())) for p in places]
         if not meshes and joints_alone:
-            meshes = [JointPoints(self.path, skeleton) for skeleton in skeletons]
+            meshes = [SkeletonPoints(self.path, skeleton) for skeleton in skeletons]
         check(meshes, "no visible mesh")
         rate, codes, missed = self._clock(meshes, clip, fps)
         return Sample(Clip(clip.name, 0, len(codes), rate), meshes, codes, missed)

@@ -11,12 +11,11 @@ from scipy.linalg import cho_factor, cho_solve
 from ...kernels.chains import chain_image, chain_matrix, chain_move, chain_pullback
 from ...parallel import chunk_bounds, run_chunks
 from ..conjugate_gradients import Operator
-from ..dense import inverse_of
 from ..model import FREE, Locked, Model
 from ..objective import JointPenalty
 from ..trajectories import Array, Trajectories
 from .rigid import RigidTangent
-from .tangent import Tangent
+from .tangent import Tangent, inverse_of
 
 __all__ = ["ChainTangent"]
 

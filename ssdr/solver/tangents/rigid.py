@@ -9,10 +9,9 @@ import numpy as np
 from ...kernels.schur import move_bones, tangent_image, tangent_pullback
 from ...parallel import chunk_bounds, run_chunks
 from ..conjugate_gradients import Operator
-from ..dense import inverse_of
 from ..model import Model
 from ..trajectories import Array
-from .tangent import Tangent
+from .tangent import Tangent, inverse_of
 
 __all__ = ["GENERATORS", "RigidTangent"]
 

@@ -118,7 +118,7 @@ def error(run=bpy.ops.ssdr.decompose):
         run()
     except RuntimeError as found:
         return str(found).strip()
-    except process.Problem as found:
+    except process.AddonError as found:
         return f"Error: {found}"
     return "none"
 """

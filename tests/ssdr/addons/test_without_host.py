@@ -45,18 +45,18 @@ def extension(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
 
 
 def test_nothing_is_installed_from_an_index_without_leave(extension: Any, tmp_path: Path) -> None:
-    Problem, installation = extension.process.Problem, extension.process.installation
+    AddonError, installation = extension.process.AddonError, extension.process.installation
     wheel = tmp_path / "ssdr-0.1.0-py3-none-any.whl"
     wheel.touch()
     for online in (False, True):
-        with pytest.raises(Problem, match="Choose what to install from"):
+        with pytest.raises(AddonError, match="Choose what to install from"):
             installation(tmp_path / "environment", "", online)
         pip = installation(tmp_path / "environment", str(tmp_path), online)[1]
         assert "--no-index" in pip
         pip = installation(tmp_path / "environment", str(wheel), online)[1]
         assert ("--no-index" in pip) is not online
         assert pip[-1] == str(wheel)  # by no name that someone else may hold
-    with pytest.raises(Problem, match="no leave to go online"):
+    with pytest.raises(AddonError, match="no leave to go online"):
         extension.job.Install(tmp_path / "environment", str(wheel), True)
     extension.bpy.app.online_access = True
     extension.job.Install(tmp_path / "environment", str(wheel), True)
@@ -67,7 +67,7 @@ def test_a_wheel_alone_says_what_is_missing(extension: Any, tmp_path: Path) -> N
     wheel.touch()
     work = extension.job.Install(tmp_path / "environment", str(wheel), False)
     work.commands = [[sys.executable, "-c", "import sys; sys.exit('No numpy')"]]
-    with pytest.raises(extension.process.Problem, match=r"No numpy \(put the wheels of all"):
+    with pytest.raises(extension.process.AddonError, match=r"No numpy \(put the wheels of all"):
         list(iter(work.step, False))
 
 
@@ -95,7 +95,9 @@ def test_an_object_that_is_no_armature_is_refused(
     options = SimpleNamespace(
         joints="ARMATURE", armature=SimpleNamespace(name="Cube", type="MESH"), clips=False
     )
-    with pytest.raises(extension.process.Problem, match="Choose an armature: Cube is of type mesh"):
+    with pytest.raises(
+        extension.process.AddonError, match="Choose an armature: Cube is of type mesh"
+    ):
         extension.job.Decompose(MagicMock(), MagicMock(), options, Path("python"))
 
 

@@ -8,9 +8,9 @@ import pytest
 import ssdr
 from helpers import trees
 from helpers.measures import descent_of, rmse_of
-from ssdr.problem.initial import Initial
+from ssdr.problem.problem import Initial
 from ssdr.search.descent import Descent
-from ssdr.search.schedule_parts import first_model
+from ssdr.search.starts import first_model
 from ssdr.search.tree_steps import add_bones, attach, remove_bones
 from ssdr.solver.trajectories import gather
 

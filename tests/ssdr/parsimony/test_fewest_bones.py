@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -57,9 +56,10 @@ class _Models:
 
     def __init__(self, least: int, held: int, failed: set[int], luck: Any) -> None:
         self.least, self.luck, self.made, self.fewest = least, luck, 0, held
-        self.errors = dict.fromkeys([*failed, held], 2.0)
+        model = SimpleNamespace(with_restarted_support=lambda: None)
+        self.missed = SimpleNamespace(model=model, value=2.0)
+        self.best = dict.fromkeys([*failed, held], self.missed)
         self.tolerance = 1.0
-        self.models: Any = defaultdict(lambda: SimpleNamespace(with_restarted_support=lambda: None))
 
     @property
     def held_bones(self) -> int:
@@ -72,7 +72,7 @@ class _Models:
         self.made += 1
         assert self.made < 500
         assert self.least <= bones < self.fewest
-        self.errors[bones] = 2.0
+        self.best[bones] = self.missed
         if self.luck(0, 2) == 2:
             self.fewest = bones
 

@@ -88,7 +88,7 @@ def test_the_lowest_of_several_starts_goes_on(least: int) -> None:
     assert reason == "effort spent"
     assert seen == errors
     assert (d.model.error == 1.0).all()
-    assert d.best_value == d.value(d.model)
+    assert d.best.value == d.value(d.model)
     assert d.fraction == 1.0
 
 

@@ -7,11 +7,11 @@ import pytest
 
 import ssdr
 from helpers.measures import descent_of
-from ssdr.problem.initial import Initial
+from ssdr.problem.problem import Initial
 from ssdr.progress import Stop
 from ssdr.search.bone_steps import move_bones
 from ssdr.search.descent import Descent, Schedule
-from ssdr.search.schedule_parts import first_model, merged_start
+from ssdr.search.starts import first_model, merged_start
 from ssdr.search.steps import alternate, on_sample
 from ssdr.search.vertex_sample import motion_sample
 from ssdr.solver.model import Locked, Model
@@ -96,7 +96,7 @@ def test_the_way_back_ends_on_a_model_of_all_vertices(rest: bool) -> None:
     assert value == pytest.approx(true_error(d.data, model), rel=0.02)
     # as good as a search among all vertices, about
     alone = followed(search, rest=rest)
-    assert value < 1.3 * alone.best_value
+    assert value < 1.3 * alone.best.value
     if rest:
         np.testing.assert_array_equal(model.rest, d.initial.rest)
 
@@ -117,6 +117,6 @@ def test_a_stop_on_a_sample_keeps_what_it_found() -> None:
     d = descent()
     assert d.follow(schedule, stop) == "time limit"
     first = followed()
-    assert d.best_value < first.best_value
-    assert d.best_value == d.value(d.best_model)
+    assert d.best.value < first.best.value
+    assert d.best.value == d.value(d.best.model)
     assert d.records == [r for r in d.records if r[3] in ("quick", "alternate", "compress")]

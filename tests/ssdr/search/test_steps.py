@@ -17,9 +17,8 @@ from ssdr.search.bone_steps import STEPS_OF_A_TRIAL, tried
 from ssdr.search.descent import Descent, step
 from ssdr.search.steps import unfold
 from ssdr.solver.model import SOLVED, Locked, Model
-from ssdr.solver.objective import Objective
+from ssdr.solver.objective import Objective, WeightSmoothness
 from ssdr.solver.rest_surface import RestSurface
-from ssdr.solver.smoothness import WeightSmoothness
 from ssdr.solver.trajectories import gather
 from ssdr.solver.vertex_newton import optimise_some, optimise_vertices
 
@@ -88,24 +87,24 @@ def folded(*, smoothness: float = 0.0) -> Descent:
 @pytest.mark.parametrize("smoothness", [0.0, 0.1])
 def test_triangles_that_are_turned_over_turn_back(smoothness: float) -> None:
     d = folded(smoothness=smoothness)
-    before, surface = d.best_model.copy(), d.data.surface
+    before, surface = d.best.model.copy(), d.data.surface
     assert surface is not None
     turned = surface.turned(before.rest, d.data.faces)
     assert 0 < turned.sum() < 6
     d.follow(unfold)
-    assert not surface.turned(d.best_model.rest, d.data.faces).any()
+    assert not surface.turned(d.best.model.rest, d.data.faces).any()
     # it is the model that is returned, and what follows keeps to the stiffer edges
-    assert d.best_value == pytest.approx(d.value(d.best_model), rel=1e-12)
+    assert d.best.value == pytest.approx(d.value(d.best.model), rel=1e-12)
     assert d.data.surface is not surface
     far = np.linalg.norm(before.rest - before.rest[60], axis=1) > 1.5
-    np.testing.assert_allclose(d.best_model.rest[far], before.rest[far], atol=0.02)
+    np.testing.assert_allclose(d.best.model.rest[far], before.rest[far], atol=0.02)
     if smoothness:  # the solve would not know of it
-        np.testing.assert_array_equal(d.best_model.weights, before.weights)
+        np.testing.assert_array_equal(d.best.model.weights, before.weights)
 
 
 def test_some_vertices_are_solved_as_all_are_and_the_others_stay() -> None:
     d = folded()
-    before, data = d.best_model, d.data
+    before, data = d.best.model, d.data
     every, few = before.copy(), before.copy()
     rows = np.arange(0, data.n_vertices, 3)
     optimise_vertices(data, every, entering=0)
@@ -120,7 +119,7 @@ def test_some_vertices_are_solved_as_all_are_and_the_others_stay() -> None:
 def test_a_rest_pose_without_folds_or_surface_stays_as_it_is() -> None:
     for surface in (True, False):
         d = folded()
-        model = d.best_model.copy()
+        model = d.best.model.copy()
         if surface:
             assert d.data.surface is not None
             model.rest = d.data.surface.pose.copy()
@@ -128,5 +127,5 @@ def test_a_rest_pose_without_folds_or_surface_stays_as_it_is() -> None:
             d.data = dataclasses.replace(d.data, surface=None)
         d.begin_with(model)
         d.follow(unfold)
-        np.testing.assert_array_equal(d.best_model.rest, model.rest)
-        np.testing.assert_array_equal(d.best_model.weights, model.weights)
+        np.testing.assert_array_equal(d.best.model.rest, model.rest)
+        np.testing.assert_array_equal(d.best.model.weights, model.weights)

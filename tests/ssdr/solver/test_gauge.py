@@ -8,7 +8,7 @@ import pytest
 import ssdr
 from helpers import motions
 from helpers.stretches import KINDS, check_kind, rig, stretched
-from ssdr.solver.gauge import normalise_gauge
+from ssdr.solver.alternation import normalise_gauge
 from ssdr.solver.model import FREE, Locked, Model
 
 

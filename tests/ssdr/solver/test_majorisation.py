@@ -16,8 +16,7 @@ from ssdr.search.steps import alternate
 from ssdr.solver.alternation import repeat_alternation, vertex_step
 from ssdr.solver.gauss_newton import GaussNewton
 from ssdr.solver.model import FREE, Locked, Model
-from ssdr.solver.objective import Objective, rest_pulls
-from ssdr.solver.smoothness import WeightSmoothness
+from ssdr.solver.objective import Objective, WeightSmoothness, rest_pulls
 from ssdr.solver.trajectories import Trajectories
 from ssdr.solver.vertex_newton import optimise_vertices
 
@@ -69,8 +68,8 @@ def test_no_alternation_raises_it_with_a_penalty_on_weights(case: str) -> None:
         penalty = WeightSmoothness.build(data, data.faces, 0.3)
         d.smoothness, d.objective = penalty, Objective(FREE, penalty)
         d.begin_with(model)
-        assert d.best_value > 1.05 * Objective().value(data, model)
-        values = [d.best_value]
+        assert d.best.value > 1.05 * Objective().value(data, model)
+        values = [d.best.value]
 
         def after_step(_: str, d: Descent = d, values: list[float] = values) -> None:
             values.append(d.value(d.model))

@@ -6,7 +6,7 @@ import numpy as np
 
 import ssdr
 from ssdr.solver.model import Model
-from ssdr.solver.smoothness import WeightSmoothness
+from ssdr.solver.objective import WeightSmoothness
 from ssdr.solver.trajectories import gather
 
 

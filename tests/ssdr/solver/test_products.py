@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import ssdr
-from ssdr.solver.dense import cross_product, inverse_of, product
+from ssdr.solver.tangents.tangent import inverse_of
+from ssdr.solver.vertex_elimination import cross_product, product
 
 
 @pytest.mark.parametrize("rows", [1, 95, 96, 300])

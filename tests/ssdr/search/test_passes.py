@@ -10,7 +10,7 @@ import pytest
 import ssdr
 from helpers import motions, terms
 from ssdr.problem import scan
-from ssdr.problem.initial import Initial
+from ssdr.problem.problem import Initial
 from ssdr.search.passes import AllFrames, carried
 from ssdr.solver.alternation import bone_step, vertex_step
 from ssdr.solver.initialization import start_model

@@ -1,0 +1,114 @@
+"""What does each step of a search bring, and what does it cost?
+
+    python benchmarks/accuracy/ablation.py                        # hours
+    python benchmarks/accuracy/ablation.py --only "balanced, relaxing" "balanced, nothing"
+
+A case is a sequence, an effort and the step that is left out, which is replaced by one that does
+nothing.  "few frames" are ten or so of a sequence: a problem so small that it has further starts.
+Ratios are to the case in which nothing is left out, of the same seed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+import ssdr
+from benchmarks import common
+from benchmarks.common import Row
+from ssdr.search import bone_steps, moves, schedules
+from ssdr.search.steps import solve_normals
+
+SEEDS = {"balanced": 3, "best": 1}  # the first few
+SEQUENCES = {  # bones
+    "balanced": {
+        "horse_gallop": 10, "samba": 20, "ea_bone": 10, "cow_elastic": 24, "mannequin_rumba": 20,
+        "morph_stress": 9,
+    },
+    "best": {"ea_bone": 10, "morph_stress": 9, "dancer_small": 8},
+}  # fmt: skip
+FEW_FRAMES = {"dancer_small": (8, 2), "ea_bone": (10, 40), "morph_stress": (9, 20)}  # bones, every
+
+
+def nothing(*_: Any, **__: Any) -> None:
+    """A step that is left out."""
+
+
+def on_all(d: Any, schedule: Any, **_: Any) -> bool:
+    """What a sample does where there is none."""
+    schedule(d)
+    return False
+
+
+def only_normals(d: Any, **_: Any) -> None:
+    solve_normals(d)
+
+
+def without(change: Any) -> dict[str, Any]:
+    return {"CHANGES": tuple(kept for kept in bone_steps.CHANGES if kept is not change)}
+
+
+LEFT_OUT: dict[str, dict[str, Any]] = {
+    "nothing": {},
+    "sample": {"on_sample": on_all},
+    "merged start": {"merged_start": nothing},
+    "moves of bones": {"move_bones": nothing},
+    "relaxing": {"relax": nothing},
+    "search": {"search": nothing},
+    "last polish": {"last_polish": only_normals},
+}
+ONLY_BALANCED = {"further starts": {"START_SECONDS": math.inf}}
+ONLY_BEST = {
+    "rebuilds": {"rebuild": nothing},
+    "trees": {"start_from_tree": nothing},
+    "merged start": {"search_merged": nothing},
+    "exchange of bones": without(moves.exchange_bones),
+    "exchange of influences": without(moves.exchange_influences),
+    "alternations on trial": without(moves.alternate_some),
+}
+
+
+def cases() -> Iterator[tuple[str, Row]]:
+    def case(effort: str, step: str, sequence: str, bones: int, seed: int) -> tuple[str, Row]:
+        row = {"effort": effort, "step": step, "sequence": sequence, "bones": bones, "seed": seed}
+        return f"{effort}, {step}, {sequence}, seed {seed}", row
+
+    for effort, sequences in SEQUENCES.items():
+        for seed in range(SEEDS[effort]):
+            for step in {**LEFT_OUT, **ONLY_BEST} if effort == "best" else LEFT_OUT:
+                for sequence, bones in sequences.items():
+                    yield case(effort, step, sequence, bones, seed)
+    for seed in range(SEEDS["balanced"]):
+        for step in ("nothing", *ONLY_BALANCED):
+            for sequence, (bones, every) in FEW_FRAMES.items():
+                name, row = case("balanced", step, sequence, bones, seed)
+                yield f"{name}, few frames", row | {"every": every}
+
+
+def measure(effort: Any, step: str, sequence: str, bones: int, seed: int, every: int = 1) -> Row:
+    frames, faces = common.load(sequence)
+    replaced = {**LEFT_OUT, **ONLY_BALANCED, **(ONLY_BEST if effort == "best" else {})}[step]
+    common.compile_kernels()
+    with contextlib.ExitStack() as stack:
+        for name, value in replaced.items():
+            homes = [home for home in (schedules, bone_steps) if hasattr(home, name)]
+            for home in homes:
+                stack.enter_context(mock.patch.object(home, name, value))
+        start = time.process_time()
+        made = ssdr.decompose(frames[::every], faces, bones=bones, effort=effort, rng=seed)
+        seconds = time.process_time() - start
+    error, normals = common.e_of(frames[::every], made.skinning), made.normals
+    degrees = None if normals is None else normals.mean
+    return {"E": error, "degrees": degrees, "cpu seconds": seconds}
+
+
+if __name__ == "__main__":
+    common.run(__file__, __doc__, dict(cases()), measure, ("E", "degrees", "cpu seconds"))
