@@ -183,7 +183,7 @@ def _frames(
     rest = check_floats(rest, "neutral", ("V", 3))
     moved = check_floats(expressions, "expressions", ("S", len(rest), 3))
     names = [f"expression_{k}" for k in range(len(moved))] if names is None else names
-    if isinstance(names, str) or len(names) != len(moved):
+    if np.shape(names) != (len(moved),):
         raise InputError("names", f"{len(moved)} names", repr(names)[:80])
     both = np.concatenate([rest[None], moved])
     return MeshSequence(both, faces, surface=surface), unique_names([str(n) for n in names], "face")

@@ -59,7 +59,7 @@ class Shapes:
         if amounts.shape[1] != count:
             raise InputError("shapes.amounts", f"{count} columns", amounts.shape[1])
         names = [f"shape_{s}" for s in range(count)] if self.names is None else self.names
-        if isinstance(names, str) or len(names) != count:
+        if np.shape(names) != (count,):
             raise InputError("shapes.names", f"{count} names", repr(names)[:80])
         object.__setattr__(self, "displacements", moved)
         object.__setattr__(self, "amounts", amounts)

@@ -255,11 +255,16 @@ def _print(
     """Print the result as a table, which includes the rows `said`, or as JSON, with `about`."""
     from .. import __version__
     from ..frames.error import largest_error, motion_rms, share_of
+    from ..metrics.vertex_distances import distances
 
     diagonal, clips = max(shot.diagonal() for shot in shots), names_of(shots)["clips"]
     model = result.skinning
     motion = motion_rms(shots)
-    largest = largest_error(shots, model.rest, model.indices, model.weights, model.transforms)
+    arrays = (model.rest, model.indices, model.weights, model.transforms)
+    if model.shapes is None:
+        largest = largest_error(shots, *arrays)
+    else:
+        largest = distances(join(shots), model).max
     document = {
         **about,
         "version": __version__,

@@ -27,6 +27,10 @@ class SmallestOptions(FitOptions):
         Literal["rmse", "max"],
         option(MODEL, "Bound the RMSE, or the error of every vertex in every frame."),
     ] = "rmse"
+    fewest: Annotated[
+        Literal["bones", "bytes"],
+        option(MODEL, "bytes: more bones, affine ones or shapes, where they take fewer bytes."),
+    ] = "bones"
     normals_tolerance: Annotated[
         float | None,
         option(MODEL, "Most degrees, in the mean, that drawn normals are off.", metavar="DEGREES"),
@@ -37,7 +41,7 @@ class SmallestOptions(FitOptions):
 def smallest(options: SmallestOptions) -> None:
     """Find the model with the fewest bones, then the fewest bytes, within an error tolerance.
 
-    Options other than the tolerances and --measure are those of ssdr decompose.
+    Options other than the tolerances, --measure and --fewest are those of ssdr decompose.
     """
     import ssdr
 
@@ -50,5 +54,5 @@ def _arguments(options: SmallestOptions) -> dict[str, Any]:
     with contextlib.suppress(ValueError):
         tolerance = float(tolerance)
     parse_tolerance(tolerance, 1.0)
-    own = ("normals_tolerance", "measure", "rig")
+    own = ("normals_tolerance", "measure", "fewest", "rig")
     return {"tolerance": tolerance, **{name: getattr(options, name) for name in own}}

@@ -22,7 +22,7 @@ from ..skinning import Skinning, check_skinning
 from ..storage.size import key_bytes
 from .fit import Fit, checked
 
-__all__ = ["ShapeFit", "fit_shapes"]
+__all__ = ["ShapeFit", "components", "fit_shapes", "shapes_within"]
 
 Array = NDArray[np.float64]
 
@@ -140,26 +140,35 @@ def fit_shapes(
         if limit is None or shapes is not None:
             raise InputError("tolerance", "one, and no number of shapes, beside amounts", tolerance)
         factors = check_floats(amounts, "amounts", (n_frames, "S"))
+        check_whole(factors.shape[1], "amounts", 1, n_frames, " (shapes, no more than frames)")
         return _measured(truth, _displaced(model, left, factors, limit, names))
     if (limit is None) == (shapes is None):
         raise InputError("tolerance", "either a tolerance or a number of shapes", "both or none")
     rms = math.sqrt(float((left**2).sum()) / left[..., 0].size)
     if rms <= 1e-12 * (rest_diagonal(model.rest) or 1.0) or (limit is not None and rms <= limit):
         return _measured(truth, model)
-    amounts, share = _components(model, left)
     if limit is None:
-        count = check_whole(shapes, "shapes", 1, min(n_frames, len(share)))
+        count = check_whole(shapes, "shapes", 1, n_frames)
+        first = components(model, left)[0][:, :count]
+        found = _measured(truth, _alternated(model, left, first, names))
     else:
-        enough = np.flatnonzero(rms * np.sqrt(np.maximum(1 - share[:_MOST], 0)) <= limit)
-        count = int(enough[0]) + 1 if len(enough) else min(_MOST, len(share))
-    while True:
-        found = _measured(truth, _alternated(model, left, amounts[:, :count], names))
-        if limit is None or found.rmse <= limit or count >= min(_MOST, len(share)):
-            break
-        count = min(count + max(1, count // 8), _MOST, len(share))
-    worth = _worth(given.sequences, model, rms, found.rmse, count)
+        found = shapes_within(truth, model, limit, names)
+    worth = _worth(given.sequences, model, rms, found.rmse, found.skinning.n_shapes)
     found = found if worth > 1 else _measured(truth, model)
     return dataclasses.replace(found, worth=worth)
+
+
+def shapes_within(truth: Array, model: Skinning, limit: float, names: Any = None) -> ShapeFit:
+    """As few shapes, and 64 at most, as make the error of a model at most `limit`."""
+    left = truth - model.skin(dtype=np.float64)
+    amounts, errors = components(model, left)
+    most = min(_MOST, len(errors))
+    count = min(int((errors > limit).sum()) + 1, most)
+    while True:
+        found = _measured(truth, _alternated(model, left, amounts[:, :count], names))
+        if found.rmse <= limit or count >= most:
+            return found
+        count = min(count + max(1, count // 8), most)
 
 
 def _displaced(model: Skinning, left: Array, amounts: Any, limit: float, names: Any) -> Skinning:
@@ -188,8 +197,11 @@ def _blended(model: Skinning) -> Array:
 
 
 @serial_blas()
-def _components(model: Skinning, left: Array) -> tuple[Array, Array]:
-    """Amounts ``(F, P)`` of the principal components, and the share that the first k give back."""
+def components(model: Skinning, left: Array) -> tuple[Array, Array]:
+    """Amounts ``(F, P)`` of principal components, and root mean squares that the first leave.
+
+    They are of `left` (F, V, 3), what a model leaves, carried back to the rest pose.
+    """
     turns = _blended(model)
     size = np.linalg.norm(turns, axis=(2, 3))[..., None] / math.sqrt(3)
     back = (np.linalg.pinv(turns, rcond=_FLAT) @ left[..., None])[..., 0]
@@ -198,8 +210,8 @@ def _components(model: Skinning, left: Array) -> tuple[Array, Array]:
     values, vectors = np.linalg.eigh(rows @ rows.T)
     values = np.maximum(values[::-1], 0.0)
     constant = float(((size * mean) ** 2).sum())
-    share = (constant + np.cumsum(values)) / max(constant + float(values.sum()), 1e-300)
-    return vectors[:, ::-1], share
+    lost = 1 - (constant + np.cumsum(values)) / max(constant + float(values.sum()), 1e-300)
+    return vectors[:, ::-1], np.sqrt(3 * np.maximum(lost, 0) * (left**2).mean())
 
 
 @serial_blas()

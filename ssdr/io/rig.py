@@ -31,10 +31,10 @@ from ..quantisation import WeightStorage, quantise, weight_values
 from ..rigid import matrix_from_quaternion, quaternion_from_matrix, slerp, unflip_quaternions
 from ..shapes import Shapes
 from ..skinning import Skinning
+from ..storage.stretch import steady_axes
 from .registry import SaveReport
 from .sampling import off_frames
 from .storage_error import StorageError, frame_blocks
-from .stretch import steady_axes
 from .tables import weight_rows
 
 # frames per second in use in film, television and motion capture

@@ -18,7 +18,7 @@ from ..search.descent import Descent
 from ..search.steps import polish
 from .models_by_bones import ModelsByBones, merge_down, move_some, search_long, start_merged
 
-__all__ = ["Bounds", "fewest_bones", "polish_fewest"]
+__all__ = ["Bounds", "fewest_bones", "merge_and_polish", "polish_fewest", "start_and_polish"]
 
 _GROWTH = 1.5  # next number of bones, relative to one that misses the tolerance
 # Number of bones, relative to the proven bound, up to which a large error may be that of a bad
@@ -103,7 +103,7 @@ def climb(models: ModelsByBones, bounds: Bounds, effort: Effort) -> None:
     least, most, exact = bounds.least, bounds.most, bounds.exact
     bones = least
     while True:
-        models.attempt(bones, _climb, "start")
+        models.attempt(bones, start_and_polish, "start")
         if (bones == most or least < bones == exact) and not models.fits(bones):
             refine(models, bones, bounds, effort)
         if models.fewest is not None or bones >= most:
@@ -123,7 +123,7 @@ def descend(models: ModelsByBones, bounds: Bounds, effort: Effort) -> None:
     while (held := models.held_bones) > least:
         bones = max((low + held) // 2, least) if held - low > 1 else held - 1
         wide = models.best[held].model.with_restarted_support()
-        models.attempt(bones, partial(_merge, steps=steps), "merged", start=wide)
+        models.attempt(bones, partial(merge_and_polish, steps=steps), "merged", start=wide)
         if not models.fits(bones):
             if held - bones > 1:
                 low = bones
@@ -173,13 +173,15 @@ def polish_fewest(models: ModelsByBones, effort: Effort) -> None:
         models.attempt(held, again, "new start", until=0.0)
 
 
-def _climb(d: Descent) -> None:
+def start_and_polish(d: Descent) -> None:
+    """A new start, improved by a few moves of bones and a polish."""
     start_merged(d, 1.6)
     move_some(d, _MOVES)
     polish(d, steps=24, gain=0.01)
 
 
-def _merge(d: Descent, steps: int) -> None:
+def merge_and_polish(d: Descent, steps: int) -> None:
+    """Remove the cheapest bones, and polish the others."""
     merge_down(d)
     polish(d, steps=steps, gain=0.005)
 

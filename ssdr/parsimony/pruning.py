@@ -7,6 +7,7 @@ The search is for the highest price at which the model still holds the tolerance
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Iterator
 from typing import Literal, NamedTuple
@@ -27,7 +28,7 @@ from ..storage.size import influence_bytes
 from .report import Pruning
 from .solved_frames import SolvedFrames
 
-__all__ = ["FewerInfluences", "prune"]
+__all__ = ["FewerInfluences", "estimated_bytes", "prune"]
 
 # Number of prices to try: enough to come within a fifth of the best price.  For streamed frames,
 # where each trial is a pass over all frames, it is just enough to find a price that holds.
@@ -171,7 +172,7 @@ def prune(
     usual, endings = _schedules(frames)
     before = frames.error_of_all(skinning)
     best = Pruned(skinning, skinning, before, before, *frames.kept(skinning, before, tolerance))
-    price, low, high = _first_price(frames, fewer, tolerance, skinning), None, None
+    price, low, high = _first_price(frames, fewer, tolerance, skinning)[0], None, None
     streamed = frames.scan is not None
     for _ in range(_FEW_PRICES if streamed else _PRICES):
         trial = pruned(price, usual)
@@ -228,8 +229,8 @@ def _with_normals(d: Descent) -> None:
 
 def _first_price(
     frames: SolvedFrames, fewer: FewerInfluences, tolerance: float, skinning: Skinning
-) -> float:
-    """First price to try: the highest at which the estimated error holds the tolerance.
+) -> tuple[float, int]:
+    """First price to try, the highest at which the estimated error holds the tolerance; its bytes.
 
     The estimate adds up the squared errors of fewer influences and of fewer keys.
     """
@@ -247,7 +248,17 @@ def _first_price(
         added = (fewer.choose(price * influence)[1] - least) * unit
         holds = added + tracks.choose(price)[1] <= budget
         low, high = (price, high) if holds else (low, price)
-    return low
+    kept = np.take_along_axis(fewer.counts, fewer.choose(low * influence)[0][None], axis=0)
+    whole = frames.size(dataclasses.replace(skinning, keyframes=tracks.choose(low)[0]))
+    each = influence_bytes(skinning.n_bones, frames.problem.storage)
+    weights = skinning.n_vertices + each * int(kept.sum())
+    return low, whole.total - whole.weights + weights
+
+
+def estimated_bytes(frames: SolvedFrames, model: Model, tolerance: float) -> int:
+    """Bytes that are left after pruning a model of all frames, estimated without a new solve."""
+    fewer = FewerInfluences(*frames.with_normals(model), frames.problem.locked)
+    return _first_price(frames, fewer, tolerance, frames.skinning(model))[1]
 
 
 def _pruned(

@@ -48,7 +48,8 @@ class Pruning:
 
     Attributes
     ----------
-    what : {"bones", "influences", "keyframes"}
+    what : {"bones", "more bones", "affine bones", "shapes", "influences", "keyframes"}
+        "more bones", "affine bones" and "shapes" take the place of the fewest bones.
     before, after : int
         Number of bones, of influences of all vertices, or of keys of all bones.
     bytes_before, bytes_after : int
@@ -63,7 +64,7 @@ class Pruning:
     (2, 0.25)
     """
 
-    what: Literal["bones", "influences", "keyframes"]
+    what: str
     before: int
     after: int
     bytes_before: int
@@ -126,8 +127,9 @@ class Parsimony:
         motion.
     size : Size
     prunings : tuple of Pruning
-        Prunings of bones, influences and keyframes, in this order; if the search was stopped, the
-        last ones are missing.
+        Prunings of bones, influences and keyframes, in this order, and before those of influences
+        what takes fewer bytes than the fewest bones; if the search was stopped, the last ones are
+        missing.
     attempts : tuple of Attempt
         All attempts, in order.
     file : FileSize or None

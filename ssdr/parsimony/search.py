@@ -20,6 +20,7 @@ from ..search.tree_steps import attach_unattached
 from ..skinning import Skinning
 from ..solver.model import Model
 from ..solver.trajectories import Trajectories
+from .fewer_bytes import fewer_bytes
 from .fewest_bones import Bounds, fewest_bones, polish_fewest
 from .models_by_bones import PRUNING, ModelsByBones
 from .pruning import prune
@@ -41,6 +42,7 @@ def find_smallest(
     measure: Measure,
     written: Written | None = None,
     angle: float | None = None,
+    bytes_first: bool = False,
 ) -> Smallest:
     """Find the smallest model that holds a tolerance; if none does, that of least error.
 
@@ -55,6 +57,8 @@ def find_smallest(
         For a file that is to hold the tolerance, too.
     angle : float, optional
         Tolerance of the mean angle of drawn normals, in degrees.
+    bytes_first : bool
+        Whether fewer bytes are better than fewer bones.
 
     Raises
     ------
@@ -83,7 +87,9 @@ def find_smallest(
     def on_all_frames() -> None:
         report("all frames")
 
-    def pruned(model: Model, data: Trajectories) -> Skinning:
+    def pruned(
+        model: Model, data: Trajectories | None = None, frames: SolvedFrames = frames
+    ) -> Skinning:
         report("pruning")
         return frames.skinning_of_all(model, passes=1, entering=0, report=on_all_frames, data=data)
 
@@ -119,6 +125,10 @@ def find_smallest(
                 model = models.best[models.fewest or models.held[-1].n_bones].model
                 skinning, more = prune(frames, model, tolerance, skinning, pruned)
                 prunings += more
+                if bytes_first:
+                    skinning, prunings[1:] = fewer_bytes(
+                        models, bounds, problem.effort, tolerance, (skinning, more), pruned
+                    )
     except Stop as stop:
         reason = str(stop)
     if skinning is None:

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from ..problem.answer import finished
 from ..problem.check import check_problem
 from ..problem.check_start import refuse_parts
 from ..problem.problem import Effort, Problem
+from ..problem.scan import needs_streaming
 from ..progress import Callback
 from ..quantisation import WeightStorage
 from ..result import Decomposition
@@ -44,6 +45,7 @@ def smallest(
     tolerance: float | str,
     normals_tolerance: float | None = None,
     measure: Measure = "rmse",
+    fewest: Literal["bones", "bytes"] = "bones",
     bones: int | None = None,
     influences: int | tuple[int, WeightStorage] = 4,
     effort: Effort = "balanced",
@@ -64,7 +66,8 @@ def smallest(
 
     The result has the fewest bones found that hold the tolerance.  Then influences and keyframes
     are dropped as far as the tolerance allows, which saves bytes: those of a file, if one is
-    described.  The kind of model is that of :func:`decompose`.
+    described.  The kind of model is that of :func:`decompose`, unless the fewest bytes are asked
+    for.
 
     Parameters
     ----------
@@ -84,6 +87,9 @@ def smallest(
         Error that the tolerance bounds: the root mean square sqrt(Σ|d|² / (F V)) of the distances d
         between model and input over F frames and V vertices, or the largest of these distances.
         The solver minimises squares, so that "max" takes more bones than necessary.
+    fewest : {"bones", "bytes"}
+        "bytes": where they hold the tolerance in fewer bytes, the result has more bones with fewer
+        influences, affine bones, or fewer bones and shapes.  Frames are held in memory.
     bones : int, optional
         Largest number of bones; by default 256, or the number of vertices if that is less.
     influences : int or (int, {"uint8", "uint16", "float32"})
@@ -184,6 +190,9 @@ def smallest(
         n = problem.inputs[0].n_vertices
         most = check_whole(most, "bones", 1, n, " (the number of vertices)")
     check_choice(measure, "measure", Measure)
+    check_choice(fewest, "fewest", Literal["bones", "bytes"])
+    if fewest == "bytes" and needs_streaming(problem.sequences):
+        raise InputError("fewest", "'bones' for frames that are streamed", "'bytes'")
     parse_tolerance(tolerance, 1.0)
     _check_normals_tolerance(normals_tolerance, problem)
     _check_beside_tolerance(problem, rig, most)
@@ -192,9 +201,8 @@ def smallest(
     locked = dataclasses.replace(problem.locked, near_skin=False)
     sought = dataclasses.replace(problem, bones=most, locked=locked)
     written = None if file is None else _written(file, problem)
-    find = partial(
-        find_smallest, asked=length, measure=measure, written=written, angle=normals_tolerance
-    )
+    options: dict[str, Any] = {"written": written, "bytes_first": fewest == "bytes"}
+    find = partial(find_smallest, asked=length, measure=measure, angle=normals_tolerance, **options)
     return finished(sought, find)
 
 
@@ -202,8 +210,6 @@ def _written(file: Any, problem: Problem) -> Written:
     """Function that counts the bytes of a file with the options `file`, tried with still bones."""
     if not isinstance(file, Mapping) or file.get("compression", "none") == "none":
         raise InputError("file", "options of ssdr.save, among them a compression", repr(file))
-    if problem.locked.bone_model == "affine":
-        raise InputError("bone_model", "'rigid' or 'similarity' beside a file", "'affine'")
 
     def written(skinning: Skinning) -> tuple[int, Skinning]:
         return compact_size(skinning, **file)

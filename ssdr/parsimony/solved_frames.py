@@ -17,6 +17,7 @@ from ..errors import InputError
 from ..frames.error import largest_error, rmse
 from ..frames.normals import with_fitted_normals
 from ..metrics.normal_angles import errors_of_model
+from ..metrics.vertex_distances import distances
 from ..problem.answer import skinning_of
 from ..problem.problem import Initial, Problem
 from ..problem.scan import needs_streaming
@@ -145,6 +146,9 @@ class SolvedFrames:
         if measure is None:
             error = self.error_of_all(s, self.measure)
             return self._with_angle(error, problem.inputs, s, executor=problem.executor)
+        if s.shapes is not None:
+            found = distances(np.concatenate([x.frames(slice(None)) for x in problem.inputs]), s)
+            return found.max if measure == "max" else found.rmse
         parts = (s.rest, s.indices, s.weights, s.transforms)
         return _error(measure, problem.inputs, *parts, executor=problem.executor)
 

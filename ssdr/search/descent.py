@@ -207,7 +207,7 @@ class Descent:
         """A descent of its own on the same data, without the penalty on the weights."""
         bare = copy.copy(self)
         bare.smoothness, bare.objective, bare.records = None, Objective(self.asked), []
-        bare.best, bare.best_value = None, np.inf
+        bare.best = Lowest()
         return bare
 
     def of_all(self, few: Model) -> Model:

@@ -286,7 +286,7 @@ def smooth(d: Descent, effort: Effort, size: float, *, bones_placed: bool) -> No
         bare = d.unpenalised()
         free_bones(bare, "balanced", size, stretching=d.asked.bone_model != "rigid")
         if not d.planning:
-            d.model = bare.best_model.with_restarted_support()
+            d.model = bare.best.model.with_restarted_support()
         alternate(d, steps=steps)
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +14,7 @@ from ..parallel import chunk_bounds, run_chunks
 from ..rigid import matrix_from_quaternion, quaternion_from_matrix, slerp, unflip_quaternions
 from ..skinning import Skinning
 from .size import key_bytes, time_bytes
+from .stretch import steady_axes
 
 __all__ = ["Tracks"]
 
@@ -22,6 +25,7 @@ _SPANS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32)
 # Spans for more than _MANY frames × bones, since then each span takes a second or more.
 _FEW_SPANS, _MANY = (1, 2, 4, 8), 2_000_000
 _WHOLE_SHOTS = 8  # number of shots, from the first, whose length is a span as well
+_PRICES = 12  # bisections for the highest price that holds a tolerance
 _BLOCK = 1 << 18  # frames × bones computed at a time
 
 
@@ -30,8 +34,8 @@ class Tracks:
 
     A key is the rotation and the position of a bone's joint relative to its parent.  Without a
     hierarchy, the centroid of the vertices that a bone moves serves as its joint.  Between keys
-    positions are interpolated linearly and rotations along the shortest arc, as in game engines;
-    matrices of affine bones are interpolated linearly.
+    positions and scales are interpolated linearly and rotations along the shortest arc, as in game
+    engines; a matrix U S Vᵀ of an affine bone has a rotation U, scales S and another rotation Vᵀ.
 
     Let L be the transform of a bone relative to its parent, s the scale of the parent, and p a
     vertex in homogeneous coordinates of the bone.  If X replaces L, the vertex moves by
@@ -87,12 +91,14 @@ class Tracks:
         )  # squared scale of the parent; of affine parents its mean over directions
         linear = m[:, self.parents[hung], :, :3]
         self._size[:, hung] = np.einsum("tjab,tjab->tj", linear, linear) / 3
-        self._scale, linear = np.ones(m.shape[:2]), self.local[..., :3]
+        self._scale, linear = np.ones((*m.shape[:2], 1)), self.local[..., :3]
         if skinning.bone_model == "similarity":
-            self._scale = np.cbrt(np.linalg.det(linear))
-            linear = linear / self._scale[..., None, None]
-        if not self.affine:
-            self._turn = unflip_quaternions(quaternion_from_matrix(linear))
+            self._scale = np.cbrt(np.linalg.det(linear))[..., None]
+            linear = linear / self._scale[..., None]
+        elif self.affine:
+            linear, self._scale, within = steady_axes(linear)
+            self._within = unflip_quaternions(quaternion_from_matrix(within))
+        self._turn = unflip_quaternions(quaternion_from_matrix(linear))
         self._key_bytes = key_bytes(skinning)
         self._time_bytes = time_bytes(n_frames)
         whole = {int(n) - 1 for n in np.diff(offsets)[:_WHOLE_SHOTS] if 2 <= n <= _SPANS[-1] + 1}
@@ -153,6 +159,22 @@ class Tracks:
         transforms = np.where(whole[..., None, None], original, transforms)
         return dataclasses.replace(self.skinning, transforms=transforms, keyframes=keys)
 
+    def sparsest(self, tolerance: float, holds: Callable[[Skinning], bool]) -> Skinning | None:
+        """The skinning with fewest keys for which `holds` is true, of some; None if it never is.
+
+        The price of a byte is bisected in a range that a tolerance in the mesh's units gives.
+        """
+        low, high = 1e-12 * tolerance**2, 1e3 * tolerance**2 * self.skinning.n_vertices
+        best = None
+        for _ in range(_PRICES):
+            price = math.sqrt(low * high)
+            trial = self.play(self.choose(price)[0])
+            if holds(trial):
+                low, best = price, trial
+            else:
+                high = price
+        return best
+
     def _moments(self) -> Array:
         """Weighted second moments (F, B, 4, 4) of the vertices that move with each bone.
 
@@ -183,18 +205,18 @@ class Tracks:
         """
         bone, u = np.arange(self.local.shape[1])[None], share[..., None, None]
         local = (1 - u) * self.local[first, bone] + u * self.local[last, bone]
-        if not self.affine:
-            turn = slerp(self._turn[first, bone], self._turn[last, bone], share)
-            scale = (1 - share) * self._scale[first, bone] + share * self._scale[last, bone]
-            local[..., :3] = matrix_from_quaternion(turn) * scale[..., None, None]
+        scale = (1 - u[..., 0]) * self._scale[first, bone] + u[..., 0] * self._scale[last, bone]
+        turn = slerp(self._turn[first, bone], self._turn[last, bone], share)
+        local[..., :3] = matrix_from_quaternion(turn) * scale[..., None, :]
+        if self.affine:
+            turn = slerp(self._within[first, bone], self._within[last, bone], share)
+            local[..., :3] = local[..., :3] @ matrix_from_quaternion(turn)
         return local
 
     def _loss(self, local: Array, frames: slice) -> Array:
         """Squared error (n, B) of each bone if `local` replaces its transforms in `frames`."""
         off = local - self.local[frames]
         loss = np.einsum("tjab,tjab->tj", off @ self._moment[frames], off) * self._size[frames]
-        if self.affine:
-            loss[np.linalg.det(local[..., :3]) <= 0] = np.inf  # a reflection
         return np.asarray(np.maximum(loss, 0.0))
 
     def _span_costs(self, offsets: NDArray[np.int64]) -> list[Array]:

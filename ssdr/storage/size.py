@@ -15,8 +15,8 @@ from ..skinning import Skinning, check_skinning
 
 __all__ = ["Size", "influence_bytes", "key_bytes", "size", "time_bytes"]
 
-# Float32 numbers: rotation and translation; rotation, translation and scale; a 3×4 matrix.
-_KEY_BYTES = {"rigid": 28, "similarity": 32, "affine": 48}
+# Float32 numbers: rotation and translation; a scale, too; two rotations, translation, three scales.
+_KEY_BYTES = {"rigid": 28, "similarity": 32, "affine": 56}
 _TRANSLATION_BYTES = 12
 
 
@@ -37,10 +37,10 @@ class Size:
         its parent (2 if there are more than 256 bones).
     keys : int
         Bytes of the keys: 28 per key of a rigid bone (rotation 16, translation 12, in float32), 32
-        of a similarity bone, and 48 of an affine bone.  A key has 12 bytes less if the bone does
-        not translate relative to its parent or, for a root, does not translate at all.  It has 2
-        more (4 if there are more than 65,536 frames) for its frame number, unless the bone has a
-        key at every frame.
+        of a similarity bone, and 56 of an affine bone, which engines play as two nodes.  A key has
+        12 bytes less if the bone does not translate relative to its parent or, for a root, does not
+        translate at all.  It has 2 more (4 if there are more than 65,536 frames) for its frame
+        number, unless the bone has a key at every frame.
     shapes : int
         Bytes of shapes: 12 per displaced vertex (three float32), and 2 for its number (4 if there
         are more than 65,536 vertices) in a shape that does not displace all; 4 per amount, and 2

@@ -108,8 +108,9 @@ def test_refusals():
     ):
         with pytest.raises(ssdr.InputError, match=match):
             dataclasses.replace(model, shapes=ssdr.Shapes(*values))
-    with pytest.raises(ssdr.InputError, match=r"shapes.names: expected 3 names"):
-        ssdr.Shapes(moved, amounts, names=["a"])
+    for names in (["a"], 3):
+        with pytest.raises(ssdr.InputError, match=r"shapes.names: expected 3 names"):
+            ssdr.Shapes(moved, amounts, names=names)
     with pytest.raises(ssdr.InputError, match="shapes: expected Shapes or None"):
         dataclasses.replace(model, shapes=moved)
     frames = ssdr.MeshSequence(model.skin(), model.faces)

@@ -34,7 +34,6 @@ from .shapes import stored_amounts
 
 Compression = Literal["none", "quantized", "meshopt"]
 _SETTLES = 8
-_PRICES = 12  # bisections for the cost per key at which the tolerance is just met
 # Shares of the tolerance: a step of positions and translations, and how far a step of a rotation
 # moves the farthest vertex.  Rounding is at most half a step; leaving out keys may use the rest.
 _STEP, _TURN = 0.4, 0.3
@@ -149,16 +148,15 @@ def coarse_rig(
             "tolerance", f"at least the error of rounding, {least:.3g}, or finer weights", tolerance
         )
     offsets = np.array([0, *(clip.stop for clip in model.clips)])
-    tracks = Tracks(model, offsets)
-    low, high, best = 1e-12 * tolerance**2, 1e3 * tolerance**2 * model.n_vertices, whole
-    for _ in range(_PRICES):
-        price = math.sqrt(low * high)
-        trial = grid.round(build_rig(tracks.play(tracks.choose(price)[0]), **options))
-        if (trial.error(model)[1] or 0.0) <= tolerance:
-            low, best = price, trial
-        else:
-            high = price
-    return best, grid
+
+    def rounded(trial: Skinning) -> Rig:
+        return grid.round(build_rig(trial, **options))
+
+    def holds(trial: Skinning) -> bool:
+        return (rounded(trial).error(model)[1] or 0.0) <= tolerance
+
+    kept = Tracks(model, offsets).sparsest(tolerance, holds)
+    return whole if kept is None else rounded(kept), grid
 
 
 def encoded_quaternions(turns: NDArray[Any], bits: int) -> NDArray[np.int16]:

@@ -109,7 +109,8 @@ def write_skinning(
     title = name or skinning.name or path.stem
     rig, builder = _rounded(skinning, compression, tolerance, levels, rounding)
     if template is not None or levels:
-        refuse_shapes(skinning, "thing", "a file with a template or levels")
+        for argument, model in [("thing", skinning), *(("levels", level) for level in levels)]:
+            refuse_shapes(model, argument, "a file with a template or levels")
     if template is None:
         coarser = [(level, _level(rig, skinning, level, rounding)) for level in levels]
         _fill(builder, skinning, rig, title, coarser)

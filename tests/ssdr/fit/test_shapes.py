@@ -84,6 +84,7 @@ def test_no_shapes_where_bones_do_better():
         ({"amounts": np.ones((19, 1)), "tolerance": 1}, r"amounts: expected shape \(20, S\)"),
         ({"amounts": np.full((20, 1), np.nan), "tolerance": 1}, "amounts: expected finite"),
         ({"amounts": np.ones((20, 2)), "tolerance": 1, "names": ["a"]}, "2 names"),
+        ({"amounts": np.ones((20, 10_000)), "tolerance": 1}, "amounts: expected .*no more than"),
         ({"shapes": 10_000}, "shapes: expected .*20"),
         ({"tolerance": -1}, "tolerance: expected a length > 0"),
     ],

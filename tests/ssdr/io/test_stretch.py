@@ -13,7 +13,8 @@ from helpers import drawn
 from helpers.rig_model import largest_distance, tube
 from helpers.rig_tree import creature
 from ssdr.io.rig import build_rig
-from ssdr.io.stretch import steady_axes
+from ssdr.storage.keyframes import Tracks
+from ssdr.storage.stretch import steady_axes
 
 
 def stretched(model, seed=0):
@@ -83,6 +84,20 @@ def test_round_trip(tmp_path, model, suffix):
     if suffix == "glb":  # as a program of its own plays the two nodes
         ((positions, _, _, vertex),) = drawn.from_gltf(path)
         assert largest_distance(positions, model.skin()[:, vertex]) < 1e-5
+
+
+def test_keys_that_are_left_out_play_in_a_file_as_in_the_model(tmp_path):
+    model = stretched(tube())
+    tracks = Tracks(model, np.array([0, model.n_frames]))
+
+    def near(other):
+        return largest_distance(other.skin(), model.skin()) < 0.05
+
+    kept = tracks.sparsest(0.05, near)
+    assert kept.keyframes.mean() < 0.7
+    assert near(kept)
+    assert ssdr.save(kept, tmp_path / "a.glb").max_error < 1e-5
+    assert tracks.sparsest(0.05, lambda _: False) is None
 
 
 @pytest.mark.parametrize("compression", ["quantized", "meshopt"])

@@ -30,4 +30,4 @@ def test_size_by_hand() -> None:
         np.tile(np.eye(4)[:3], (2, 300, 1, 1)),
         bone_model="affine",
     )
-    assert parsimony.size(whole).total == 12 + (1 + 4) + 300 * 12 + 2 * 300 * 48
+    assert parsimony.size(whole).total == 12 + (1 + 4) + 300 * 12 + 2 * 300 * 56

@@ -114,7 +114,7 @@ def test_size_by_hand():
     scaled = ssdr.parsimony.size(creature(scaled=True))
     assert scaled.keys == 10 * (2 * 32 + 5 * 20)
     affine = dataclasses.replace(model, bone_model="affine")
-    assert ssdr.parsimony.size(affine).keys == 10 * (2 * 48 + 5 * 36)
+    assert ssdr.parsimony.size(affine).keys == 10 * (2 * 56 + 5 * 44)
 
 
 def test_affine_joints_do_not_turn_over_between_keys():
@@ -124,7 +124,6 @@ def test_affine_joints_do_not_turn_over_between_keys():
     local[4, 6, :, :3] = np.eye(3)  # on the straight way to it is a reflection
     moved = from_local(local, np.array(PARENTS), POSITIONS)
     tracks = _tracks(dataclasses.replace(model, transforms=moved))
-    assert np.isinf(tracks.cost[tracks.spans.index(2)][4, 6])
     keys, said = tracks.choose(1e-6)
     assert np.isfinite(said)
     assert (np.linalg.det(tracks.play(keys).transforms[..., :3]) > 0).all()

@@ -1,0 +1,162 @@
+"""Fewer bytes than the fewest rigid bones take: more bones, affine bones, or shapes beside bones.
+
+Each is estimated before it is solved in full:
+
+    more bones     do with fewer influences, which pays where weights take more bytes than keys
+    affine bones   a key takes twice the bytes, so that about half as many have to do
+    shapes         beside fewer bones, as many as the principal components of what these leave ask
+                   for, where the keys of the other bones take more bytes
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import math
+from collections.abc import Callable, Iterator
+from functools import partial
+
+import numpy as np
+
+from ..fit.shapes import components, shapes_within
+from ..problem.problem import Effort
+from ..search.steps import polish
+from ..skinning import Skinning
+from ..solver.model import Model
+from ..storage.keyframes import Tracks
+from ..storage.size import key_bytes
+from .fewest_bones import Bounds, fewest_bones, merge_and_polish, polish_fewest, start_and_polish
+from .models_by_bones import ModelsByBones
+from .pruning import estimated_bytes, prune
+from .report import Pruning
+from .solved_frames import SolvedFrames
+
+__all__ = ["fewer_bytes"]
+
+_GROWTH = 1.4  # next number of rigid bones, relative to the one before
+_LESS = 0.97  # estimated bytes, relative to the fewest so far, that are worth going on
+_POLISH = 12  # steps before bytes are estimated
+_SPARE = 0.05  # share of the bytes that affine bones may take beyond those of the rigid ones
+_SHAPED = 0.97  # share of the tolerance that shapes hold: keys that are dropped use the rest
+
+Pruned = tuple[Skinning, list[Pruning]]
+
+
+def fewer_bytes(
+    models: ModelsByBones,
+    bounds: Bounds,
+    effort: Effort,
+    tolerance: float,
+    rigid: Pruned,
+    skinning_of_all: Callable[..., Skinning],
+) -> Pruned:
+    """The model of fewest bytes that holds the tolerance, and its prunings.
+
+    Parameters
+    ----------
+    models : ModelsByBones
+        Of a search that found the fewest bones.
+    bounds : Bounds
+    effort : {"fast", "balanced", "best"}
+    tolerance : float
+    rigid : Skinning and list of Pruning
+        The pruned model of the fewest bones, which is the result if no other takes fewer bytes.
+    skinning_of_all : callable
+        As of :func:`~ssdr.parsimony.pruning.prune`; also takes the `frames` of a model.
+    """
+    frames, held = models.frames, models.best[models.held_bones].model
+    fewest, kept, best = estimated_bytes(frames, held, tolerance), None, rigid
+    bone = float(key_bytes(frames.skinning(held)).mean()) * frames.problem.n_frames
+    spare = int(_SPARE * fewest / bone)
+    found = {
+        "more bones": _more_bones(models, bounds),
+        "affine bones": _affine(models, bounds, effort, spare),
+    }
+    for what, others in found.items():
+        for one in others:
+            size = estimated_bytes(*one, tolerance)
+            if size > _LESS * fewest:
+                break
+            fewest, kept = size, (what, *one)
+
+    def stored(pruned: Pruned) -> float:
+        size, error = frames.kept(pruned[0], frames.error_of_all(pruned[0]), tolerance)
+        return size if error <= tolerance else math.inf
+
+    def changed(what: str, others: SolvedFrames, model: Model, pruned: Pruned) -> Pruned:
+        counts, sizes = (held.n_bones, model.n_bones), (frames.bytes(held), others.bytes(model))
+        errors = frames.error(held), others.error(model)
+        return pruned[0], [Pruning(what, *counts, *sizes, *errors), *pruned[1]]
+
+    if kept is not None:
+        of_all = partial(skinning_of_all, frames=kept[1])
+        pruned = prune(*kept[1:], tolerance, of_all(kept[2]), of_all)
+        best = min(best, changed(*kept, pruned), key=stored)
+    shaped = _with_shapes(models, tolerance, bone)
+    if shaped is not None:
+        best = min(best, changed("shapes", *shaped), key=stored)
+    return best
+
+
+def _more_bones(models: ModelsByBones, bounds: Bounds) -> Iterator[tuple[SolvedFrames, Model]]:
+    """Models of ever more rigid bones."""
+    bones = models.held_bones
+    while bones < bounds.most:
+        bones = min(bounds.most, max(bones + 1, math.ceil(_GROWTH * bones)))
+        if bones not in models.best:
+            models.attempt(bones, start_and_polish, "more bones")
+        last, start = partial(polish, steps=_POLISH, gain=0.005), models.best[bones].model
+        models.attempt(bones, last, "polished", start=start, until=0.0)
+        if models.best[bones].value > models.tolerance:
+            return
+        yield models.frames, models.best[bones].model
+
+
+def _affine(
+    models: ModelsByBones, bounds: Bounds, effort: Effort, spare: int
+) -> Iterator[tuple[SolvedFrames, Model]]:
+    """Affine bones, about half as many, and then the fewest that hold the tolerance."""
+    frames, problem = copy.copy(models.frames), models.frames.problem
+    most = min(models.held_bones, (models.held_bones + spare) // 2)
+    if problem.rig != "none" or problem.locked.bone_model != "rigid" or most < bounds.least:
+        return
+    locked = dataclasses.replace(problem.locked, bone_model="affine")
+    frames.problem = dataclasses.replace(problem, bones=most, locked=locked)
+    found = ModelsByBones(frames, models.report, tolerance=models.tolerance)
+    start = models.best[models.held_bones].model.with_restarted_support()
+    schedule = partial(merge_and_polish, steps=_POLISH)
+    found.attempt(most, schedule, "affine", start=start, until=0.0)
+    if found.fewest is not None:
+        yield frames, found.best[most].model
+        fewest_bones(found, Bounds(bounds.least, most, 0), effort)
+        polish_fewest(found, effort)
+        yield frames, found.best[found.held_bones].model
+
+
+def _with_shapes(
+    models: ModelsByBones, tolerance: float, bone: float
+) -> tuple[SolvedFrames, Model, Pruned] | None:
+    """Fewer bones and shapes in the place of the others, if their keys take more bytes."""
+    frames, problem, held = models.frames, models.frames.problem, models.held_bones
+    # bones, each of so many bytes, that a shape has to replace
+    each = (12 * problem.inputs[0].n_vertices + 4 * problem.n_frames) / bone
+    if held - 1 < each or frames.measure == "max" or problem.rig != "none" or problem.locked.rest:
+        return None
+    if 1 not in models.best:
+        models.attempt(1, start_and_polish, "a bone for shapes")
+    fewer = sorted(b for b in models.best if held - b >= each)
+    truth = np.concatenate([s.frames(slice(None)) for s in problem.inputs]).astype(np.float64)
+    limit, needed = _SHAPED * tolerance, {}
+    for bones in (1, fewer[len(fewer) // 2], fewer[-1]):
+        skinning = frames.skinning(models.best[bones].model)
+        errors = components(skinning, truth - skinning.skin(dtype=np.float64))[1]
+        needed[bones] = bones + each * (1 + int((errors > limit).sum()))
+    bones = min(needed, key=lambda b: needed[b])
+    if needed[bones] > held:
+        return None
+    found = shapes_within(truth, frames.skinning(models.best[bones].model), limit)
+    if frames.error_of_all(found.skinning) > tolerance:
+        return None
+    tracks = Tracks(found.skinning, problem.offsets)
+    fewer_keys = tracks.sparsest(tolerance, lambda s: frames.error_of_all(s) <= tolerance)
+    return frames, models.best[bones].model, (fewer_keys or found.skinning, [])
