@@ -10,7 +10,7 @@ import typer
 
 from ssdr.errors import InputError
 
-from .progress import progress_bar
+from .progress import logged, progress_bar
 
 __all__ = [
     "demo",
@@ -74,7 +74,7 @@ def train(
     stem = Path(config).stem + ("-ensemble" if ensemble else "") + f"-seed{chosen.train.seed}"
     folder = output or output_folder() / "runs" / stem
     begun = load_checkpoint(start) if start else None
-    with progress_bar() as show:
+    with progress_bar() as show, logged():
         if ensemble:
             path = train_ensemble(
                 clips,
