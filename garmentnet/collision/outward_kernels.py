@@ -144,7 +144,7 @@ def push_outward(
 ) -> int:
     """Move one frame of cloth, in place, until it crosses the body nowhere or nothing is gained.
 
-    It ends as it was after the round with the fewest crossings.
+    It ends as it was after the round that left the fewest crossings.
 
     points   (V, 3)  float64  in and out
     garment          tuple    of these arrays:
@@ -189,7 +189,7 @@ def push_outward(
         )
         if turn == 0:
             first = found
-        if found < best or best < 0:
+        elif found < best or best < 0:
             best, waited = found, 0
             kept[:] = points
         else:
@@ -254,7 +254,7 @@ def push_outward(
         for i in range(len(cloth)):
             a, b, c = cloth[i, 0], cloth[i, 1], cloth[i, 2]
             hot[i] = meets[i] or ring[a] >= 0 or ring[b] >= 0 or ring[c] >= 0
-    if found > best:
+    if best >= 0 and found > best:
         points[:] = kept
     return first
 
