@@ -22,8 +22,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
@@ -34,7 +32,6 @@ from garmentnet.data.parameters import SimulationParameters
 from garmentnet.data.store import ClipStore
 from garmentnet.data.virtual_bones import parameter_roles
 from garmentnet.networks.checkpoint import Checkpoint, load_checkpoint
-from garmentnet.networks.ensemble import Kernel
 from garmentnet.training.pivots import (
     Mixed,
     convex_fit,
@@ -49,14 +46,6 @@ SPLITS = {"seen": "train", "unseen": "test"}
 Array = np.ndarray
 # Prediction of the garment (f, V, 3) for a motion at some parameters.
 Answer = Callable[[str, SimulationParameters], Array]
-
-
-class Written(Kernel):
-    """The kernel as equation 4 has it: exp(−‖g(θ_i) − g(θ)‖²), σ being a part of g."""
-
-    def forward(self, pivots: Tensor, theta: Tensor) -> Tensor:
-        gap = (self.g(pivots) - self.g(theta)[..., None, :]).square().sum(-1)
-        return torch.softmax(-gap, dim=-1)
 
 
 class Clips:
@@ -106,8 +95,8 @@ def rules(grams: list[Array], theta: Array, pivots: list[int]) -> dict[str, Any]
     return {
         "nearest": nearest,
         "inverse distance": inverse_distance,
-        "kernel exp(−d), the published code": fit_kernel(known).weights,
-        "kernel exp(−d²), equation 4": fit_kernel(known, kernel=Written).weights,
+        "kernel exp(−d), the published code": fit_kernel(known, power=1).weights,
+        "kernel exp(−d²), equation 4": fit_kernel(known).weights,
     }
 
 

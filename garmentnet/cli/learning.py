@@ -10,7 +10,7 @@ import typer
 
 from ssdr.errors import InputError
 
-from .progress import progress_bar
+from .progress import logged, progress_bar
 
 __all__ = [
     "demo",
@@ -61,7 +61,7 @@ def train(
     """Train networks on a store; the same command again goes on where it was stopped."""
     from ..configs.config import load_config, override
     from ..data.store import ClipStore
-    from ..evaluation.verdict import verdict
+    from ..evaluation.verdict import validation_errors, verdict
     from ..networks.checkpoint import load_checkpoint
     from ..training.ensemble import train_ensemble
     from ..training.run import train as train_network
@@ -74,7 +74,7 @@ def train(
     stem = Path(config).stem + ("-ensemble" if ensemble else "") + f"-seed{chosen.train.seed}"
     folder = output or output_folder() / "runs" / stem
     begun = load_checkpoint(start) if start else None
-    with progress_bar() as show:
+    with progress_bar() as show, logged():
         if ensemble:
             path = train_ensemble(
                 clips,
@@ -93,8 +93,8 @@ def train(
                 callback=lambda p: show(_epoch(p), p.fraction),
                 progress=show,
             )
-        compared = "" if ensemble else verdict(path, clips, start=begun, progress=show)
-    if compared:
+        errors = {} if ensemble else validation_errors(path, clips, start=begun, progress=show)
+    if compared := verdict(errors):
         typer.echo(compared, err=True)
     typer.echo(str(path))
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 
 from ssdr.cli import progress
 
-__all__ = ["Show", "aligned", "progress_bar"]
+__all__ = ["Show", "aligned", "logged", "progress_bar"]
 
 # Function called with a text that says what is being done, and the fraction that is done.
 Show = Callable[[str, float], None]
@@ -21,6 +22,20 @@ def aligned(rows: Sequence[Sequence[str]]) -> str:
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ("  ".join(x.ljust(n) for x, n in zip(row, widths, strict=True)) for row in rows)
     return "\n".join(line.rstrip() for line in lines)
+
+
+@contextlib.contextmanager
+def logged() -> Iterator[None]:
+    """Context in which the log's lines, from the level INFO on, are written to stderr."""
+    logger, handler = logging.getLogger("garmentnet"), logging.StreamHandler(sys.stderr)
+    level = logger.level
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
 
 
 @contextlib.contextmanager

@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from ssdr import Skinning, skin
 from ssdr.checks import check_faces, check_mask
-from ssdr.kernels.closest import fit_boxes, tree_order
+from ssdr.kernels.closest import tree_order
 from ssdr.parallel import chunk_bounds, run_chunks
 
-from .crossing_kernels import count_crossings
+from .crossing_kernels import count_crossings, fit_triangles
 
 __all__ = ["DEEP", "Crossings", "find_crossings"]
 
@@ -105,10 +105,9 @@ def find_crossings(
 
     def measure(_: int, start: int, stop: int) -> None:
         posed = skin(body.rest, body.indices, body.weights, m[start:stop], dtype=np.float64)
-        boxes = np.empty((2 ** (depth + 1) - 1, 6))
+        boxes, corners = np.empty((2 ** (depth + 1) - 1, 6)), np.empty((len(triangles), 9))
         for t in range(start, stop):
-            fit_boxes(posed[t - start], triangles, depth, boxes)
-            corners = posed[t - start].take(triangles, axis=0).reshape(-1, 9)
+            fit_triangles(posed[t - start], triangles, depth, corners, boxes)
             own = v[t].take(cloth, axis=0).reshape(-1, 9)
             pairs[t], deepest[t] = count_crossings(own, corners, depth, boxes)
 

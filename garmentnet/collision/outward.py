@@ -30,7 +30,7 @@ class OutwardPush(PushOut):
     although skin that faces the other way may be nearer (but not five times as near, as where an
     arm presses on the cloth from outside).  Corners of the body that stick out
     between vertices lift the triangle before them.  Displacements are spread over the cloth, and
-    all is repeated until nothing crosses.
+    all is repeated until nothing crosses, or no fewer triangles do.
 
     Where nothing crosses, nothing is moved.  Each frame is treated by itself: the result does not
     depend on what was before it.
@@ -69,9 +69,6 @@ class OutwardPush(PushOut):
     True
     """
 
-    # Triangles are tested in pairs, so that smaller leaves pay.
-    _leaf = 2
-
     def __init__(
         self,
         body: Skinning,
@@ -80,8 +77,8 @@ class OutwardPush(PushOut):
         *,
         margin: float = MARGIN,
         pinned: ArrayLike | None = None,
-        sweeps: int = 4,
-        rounds: int = 4,
+        sweeps: int = 8,
+        rounds: int = 8,
     ) -> None:
         shape = np.asarray(rest, np.float64)
         super().__init__(

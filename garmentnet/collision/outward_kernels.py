@@ -10,10 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from ssdr.kernels.closest import fit_boxes
 from ssdr.kernels.policy import inline, kernel
 
-from .crossing_kernels import apart, box_of, edge_meets, meeting_leaves
+from .crossing_kernels import apart, box_of, edge_meets, fit_triangles, meeting_leaves, straddles
 from .kernels import closest, gap, push_children, winding
 
 # Cosine of the angle to the cloth's normal from which skin faces the way out.
@@ -23,6 +22,9 @@ _BEFORE = 0.3
 # Skin that faces the other way is taken if it is so many times nearer: what presses on the cloth
 # from outside, as an arm.
 _NEARER = 5.0
+# Rounds without fewer crossings after which what is left is taken for a part of the pose, such as
+# limbs that overlap; more would only move the cloth about.
+_PATIENCE = 4
 _PAIRS = 8192  # pairs of leaves that are looked at in a round; more than any garment had
 
 
@@ -84,54 +86,51 @@ def _want(v, x, y, z, fixed, wanted, length):
 
 
 @inline
-def _find(points, garment, scene, margin, work, crossed, inside, beyond, wanted, length):
+def _find(points, garment, scene, margin, work, hot, crossed, inside, beyond, wanted, length):
     """Number of crossings.  They mark edges and their ends, and lift cloth off corners of the body.
 
-    `beyond` is the other end of an edge that crosses, −1 without one.
+    `beyond` is the other end of an edge that crosses, −1 without one.  Triangles that are not `hot`
+    are known to cross nothing.
     """
     cloth, depth, edges, fixed, _, _, _, _, _, _ = garment
     corners, body_depth, body_boxes = scene
-    boxes, stack, pairs, own = work
-    fit_boxes(points, cloth, depth, boxes)
+    boxes, stack, pairs, own, meets = work
+    fit_triangles(points, cloth, depth, own, boxes)
     n = meeting_leaves(boxes, depth, body_boxes, body_depth, stack, pairs)
     found, count, other = 0, len(cloth), len(corners)
-    crossed[:], inside[:], beyond[:], length[:] = False, False, -1, 0.0
+    meets[:], crossed[:], inside[:], beyond[:], length[:] = False, False, False, -1, 0.0
     for w in range(n):
         for i in range((count * pairs[w, 0]) >> depth, (count * (pairs[w, 0] + 1)) >> depth):
-            for k in range(3):
-                for c in range(3):
-                    own[0, 3 * k + c] = points[cloth[i, k], c]
-            box = box_of(own, 0)
+            if not hot[i]:
+                continue
+            box = box_of(own, i)
             for j in range(
                 (other * pairs[w, 1]) >> body_depth, (other * (pairs[w, 1] + 1)) >> body_depth
             ):
                 if apart(box, corners, j):
                     continue
+                if not (straddles(own, i, corners, j) and straddles(corners, j, own, i)):
+                    continue
                 for k in range(3):
-                    p, q, square = edge_meets(own, 0, k, corners, j)
+                    p, q, square = edge_meets(own, i, k, corners, j)
                     if square > 0.0:
                         found += 1
+                        meets[i] = True
                         a, b = cloth[i, k], cloth[i, (k + 1) % 3]
                         crossed[edges[i, k]] = inside[a] = inside[b] = True
                         beyond[a], beyond[b] = b, a
-                    p, q, square = edge_meets(corners, j, k, own, 0)
+                    p, q, square = edge_meets(corners, j, k, own, i)
                     if square > 0.0:
                         found += 1
+                        meets[i] = True
                         high, low = max(p, q), min(p, q)
                         size = np.sqrt(square)
                         rise = high / size + margin
                         if high > -_NEARER * low:
                             rise = low / size - margin
-                        ux, uy, uz = (
-                            own[0, 3] - own[0, 0],
-                            own[0, 4] - own[0, 1],
-                            own[0, 5] - own[0, 2],
-                        )
-                        vx, vy, vz = (
-                            own[0, 6] - own[0, 0],
-                            own[0, 7] - own[0, 1],
-                            own[0, 8] - own[0, 2],
-                        )
+                        ax, ay, az = own[i, 0], own[i, 1], own[i, 2]
+                        ux, uy, uz = own[i, 3] - ax, own[i, 4] - ay, own[i, 5] - az
+                        vx, vy, vz = own[i, 6] - ax, own[i, 7] - ay, own[i, 8] - az
                         rise /= size
                         x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
                         for e in range(3):
@@ -143,7 +142,9 @@ def _find(points, garment, scene, margin, work, crossed, inside, beyond, wanted,
 def push_outward(
     points: Any, garment: Any, scene: Any, margin: float, reach: float, sweeps: int, rounds: int
 ) -> int:
-    """Move one frame of cloth, in place, until it crosses the body nowhere or no round is left.
+    """Move one frame of cloth, in place, until it crosses the body nowhere or nothing is gained.
+
+    It ends as it was after the round that left the fewest crossings.
 
     points   (V, 3)  float64  in and out
     garment          tuple    of these arrays:
@@ -166,25 +167,34 @@ def push_outward(
     Returns the number of crossings found in the first round.
     """
     n = len(points)
-    _, depth, _, fixed, starts, neighbours, numbers, firsts, of_vertex, faces = garment
+    cloth, depth, _, fixed, starts, neighbours, numbers, firsts, of_vertex, faces = garment
     body_depth = scene[1]
     work = (
         np.empty((2 ** (depth + 1) - 1, 6)),
         np.empty((2 * (depth + body_depth) + 8, 2), np.int64),
         np.empty((_PAIRS, 2), np.int32),
-        np.empty((1, 9)),
+        np.empty((len(cloth), 9)),
+        np.empty(len(cloth), np.bool_),
     )
+    hot, meets = np.ones(len(cloth), np.bool_), work[4]
     nodes, gaps = np.empty(2 * body_depth + 2, np.int64), np.empty(2 * body_depth + 2)
     crossed, inside = np.empty(numbers.max() + 1, np.bool_), np.empty(n, np.bool_)
     beyond, queue, ring = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
     wanted, length = np.empty((n, 3)), np.empty(n)
     field, other = np.empty((n, 3)), np.empty((n, 3))
-    first = 0
-    for turn in range(rounds):
-        found = _find(points, garment, scene, margin, work, crossed, inside, beyond, wanted, length)
+    first, best, waited, kept = 0, -1, 0, np.empty((n, 3))
+    for turn in range(rounds + 1):
+        found = _find(
+            points, garment, scene, margin, work, hot, crossed, inside, beyond, wanted, length
+        )
         if turn == 0:
             first = found
-        if found == 0:
+        elif found < best or best < 0:
+            best, waited = found, 0
+            kept[:] = points
+        else:
+            waited += 1
+        if found == 0 or waited == _PATIENCE or turn == rounds:
             break
         # Vertices inside: ends of edges that cross, and what hangs on them by edges that do not.
         head, tail = 0, 0
@@ -241,6 +251,11 @@ def push_outward(
             v = queue[at]
             for c in range(3):
                 points[v, c] += field[v, c]
+        for i in range(len(cloth)):
+            a, b, c = cloth[i, 0], cloth[i, 1], cloth[i, 2]
+            hot[i] = meets[i] or ring[a] >= 0 or ring[b] >= 0 or ring[c] >= 0
+    if best >= 0 and found > best:
+        points[:] = kept
     return first
 
 

@@ -24,10 +24,11 @@ from numpy.typing import ArrayLike, NDArray
 from ssdr import Skinning, skin
 from ssdr.checks import check_faces, check_mask, check_whole
 from ssdr.errors import InputError, is_real
-from ssdr.kernels.closest import fit_boxes, tree_order
+from ssdr.kernels.closest import tree_order
 from ssdr.parallel import chunk_bounds, run_chunks
 
 from ..data.clip_files import check_finite
+from .crossing_kernels import fit_triangles
 from .kernels import push_frame, signed_distances
 
 __all__ = ["INSIDE", "MARGIN", "PushOut", "PushedOut", "is_closed"]
@@ -238,8 +239,8 @@ class PushOut:
     def _scene(self, body: NDArray[np.float64]) -> tuple[Any, ...]:
         """The posed body as the kernels need it."""
         boxes = np.empty((2 ** (self._depth + 1) - 1, 6))
-        fit_boxes(body, self._triangles, self._depth, boxes)
-        corners = body.take(self._triangles, axis=0).reshape(-1, 9)
+        corners = np.empty((len(self._triangles), 9))
+        fit_triangles(body, self._triangles, self._depth, corners, boxes)
         return corners, self._depth, boxes
 
 

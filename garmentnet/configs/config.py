@@ -81,6 +81,7 @@ class LowOptions:
 
     hidden: int = 600
     rotation: Literal["euler", "sixd"] = "euler"
+    relative_to: Literal["frame", "joints", "auto"] = "frame"
     laplacian: float = 1.0
     dropout: float = 0.0
 

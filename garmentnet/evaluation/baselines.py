@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial import cKDTree
 
 import ssdr
@@ -23,6 +21,7 @@ from ..data.virtual_bones import VirtualBones
 from ..networks.features import PoseFeatures, transforms_in_frame
 from ..networks.low_frequency import BoneCode
 from ..networks.skinning import TorchSkinning, apply_frame, remove_frame
+from ..training.following import LinearFit
 from .methods import Method
 
 __all__ = ["BodySkinned", "MeanShape", "Ridge", "body_skinning"]
@@ -31,8 +30,6 @@ _INFLUENCES = 8  # joints per vertex, as many as engines support
 _NEIGHBOURS = 8  # body vertices from which a weight is interpolated
 # Least distance, metres, of a body vertex in its weight, so that no weight is infinite.
 _CLOSEST = 1e-4
-# Penalties per frame that are tried, from a negligible to a dominant one.
-_PENALTIES = 10.0 ** np.arange(-6, 2)
 # Approximate number of frames to which the ridge is fitted, in evenly spread clips: 200 per input.
 _FRAMES = 24000
 # Number of training frames, evenly spread, of which the mean is taken.
@@ -130,34 +127,16 @@ class Ridge(Method):
         # Fitting the bones of a clip takes most of the time.
         length = sum(bones.store.clip(n).n_frames for n in names)
         every = max(1, round(length / _FRAMES))
-        pairs = [self._pair(bones, n) for n in names[::every]]
-        x, y = (np.concatenate([p[k] for p in pairs]) for k in (0, 1))
-        self.centre, self.scale = x.mean(axis=0), np.maximum(x.std(axis=0), _STATIC.floor)
-        self.mean = y.mean(axis=0)
-        z = self._design(x)
-        gram, right = z.T @ z, z.T @ (y - self.mean)
-        checks = [self._pair(bones, n) for n in validation]
-        best = math.inf
-        for penalty in len(z) * _PENALTIES:
-            factor = cho_factor(gram + penalty * np.eye(len(gram)))
-            matrix = np.asarray(cho_solve(factor, right))
-            error = sum(
-                float(((self._design(a) @ matrix + self.mean - b) ** 2).sum()) for a, b in checks
-            )
-            if error < best:
-                best, self.matrix = error, matrix
+        known = [self._pair(bones, n) for n in names[::every]]
+        self.fit = LinearFit.of(known, [self._pair(bones, n) for n in validation])
 
     def _pair(self, bones: VirtualBones, name: str) -> tuple[Any, Any]:
         x, frame, _ = self.features(bones.store.clip(name).joints)
         local = transforms_in_frame(bones.transforms(name), frame)
         return x, self.code.numbers(local).reshape(len(x), -1)
 
-    def _design(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        z = ((x - self.centre) / self.scale).clip(-_STATIC.clamp, _STATIC.clamp)
-        return np.asarray(z)
-
     def predict(self, clip: Clip) -> NDArray[np.float32]:
         x, frame, _ = self.features(clip.joints)
-        y = (self._design(x) @ self.matrix + self.mean).reshape(len(x), *self.code.shape)
+        y = self.fit(x).reshape(len(x), *self.code.shape)
         low = self.lbs(self.code(torch.from_numpy(y).float())).double().numpy()
         return np.asarray(apply_frame(frame, low + self.high), np.float32)

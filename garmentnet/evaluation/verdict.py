@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from ..data.store import ClipStore
@@ -13,7 +13,7 @@ from .baselines import BodySkinned, MeanShape, Ridge
 from .methods import Method, Network
 from .scores import evaluate
 
-__all__ = ["ADVICE", "verdict"]
+__all__ = ["ADVICE", "validation_errors", "verdict"]
 
 _CLIPS = 8  # validation clips that are scored
 # What to do where a plain method errs less than the network.
@@ -27,15 +27,15 @@ ADVICE = {
 }
 
 
-def verdict(
+def validation_errors(
     path: Path,
     store: ClipStore,
     *,
     start: Checkpoint | None = None,
     progress: Callable[[str, float], None] | None = None,
-) -> str:
+) -> dict[str, float]:
     """Overall errors on validation clips, mm, of a network and of body skinning, ridge regression
-    and the mean shape; and what to do if one of these errs less.
+    and the mean shape, by name; none without validation clips.
 
     Parameters
     ----------
@@ -47,18 +47,13 @@ def verdict(
         Where the training started.
     progress : callable, optional
         Called with a method's name and the fraction that is done.
-
-    Returns
-    -------
-    str
-        One line, or two if the network loses; empty without validation clips.
     """
     checkpoint = load_checkpoint(path)
     config = checkpoint.networks[0].config
     held = choose_clips(store, config, "validation")[0]
     names = choose_clips(store, config)[0]
     if not held:
-        return ""
+        return {}
     bones = virtual_bones(store, config.bones, subject=None if start is None else start.subject)
     plain: list[Method] = [MeanShape(bones, names), Ridge(bones, names, held)]
     if len(store.body.faces):
@@ -66,7 +61,15 @@ def verdict(
     rows = evaluate(
         bones, [Network("network", checkpoint), *plain], held[:_CLIPS], progress=progress
     )
-    errors = {row.name: row.all.overall.rmse for row in rows}
+    return {row.name: row.all.overall.rmse for row in rows}
+
+
+def verdict(errors: Mapping[str, float]) -> str:
+    """What to say of :func:`validation_errors`: one line, or two if the network loses, with what to
+    do; empty without errors.
+    """
+    if not errors:
+        return ""
     own = errors["network"]
     text = "validation, RMSE over all vertices: " + ", ".join(
         f"{name} {error:.1f} mm" for name, error in errors.items()

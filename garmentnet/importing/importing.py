@@ -156,7 +156,7 @@ def _read(
 
 
 def _check_faces(cloth: MeshSequence, faces: NDArray[np.int32]) -> None:
-    if not np.array_equal(cloth.faces, faces):
+    if not any(np.array_equal(cloth.faces, some) for some in (faces, faces[:, ::-1])):
         expected = f"the {len(faces)} triangles of the first clip"
         raise InputError("cloth", expected, f"{len(cloth.faces)} or others")
 
@@ -183,6 +183,10 @@ def _create(
     if not is_closed(rig.body.faces):
         mesh_of = "a mesh of the body that is not closed" if len(rig.body.faces) else "no body"
         say(f"the rig has {mesh_of}: nothing can be pushed out of it")
+    faces = cloth.faces
+    if rig.is_faced(rest, faces):
+        faces = faces[:, ::-1]
+        say("the triangles of the cloth face the body: they are turned round")
     size = rest_diagonal(rig.skeleton.rest)
     if not 0.2 < size < 20:
         say(f"warning: the skeleton is {size:.3g} m large; --rig-scale makes metres of its unit")
@@ -191,7 +195,7 @@ def _create(
     return ClipStore.create(
         path,
         rest=rest,
-        faces=cloth.faces,
+        faces=faces,
         body=rig.body,
         skeleton=rig.skeleton,
         fps=cloth.fps,

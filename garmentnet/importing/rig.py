@@ -55,6 +55,14 @@ class Rig:
         x, y, z = np.ptp(self.skeleton.rest, axis=0)
         return bool(z > 1.2 * max(x, y))
 
+    def is_faced(self, rest: NDArray[np.floating], faces: NDArray[np.integer]) -> bool:
+        """Whether triangles ``(T, 3)`` of a garment at rest ``(V, 3)`` face the body."""
+        a, b, c = np.asarray(rest, np.float64)[faces].swapaxes(0, 1)
+        middle = (a + b + c) / 3
+        away = middle - self.body.rest[cKDTree(self.body.rest).query(middle)[1]]
+        away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
+        return float((np.cross(b - a, c - a) * away).sum()) < 0
+
     def check_cloth(
         self, vertices: NDArray[np.float32], *, scales: tuple[float, float] = (1.0, 1.0)
     ) -> str | None:

@@ -194,6 +194,7 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path | str, *, half: bool = Fa
         joint_names=subject.skeleton.names,
         networks=tuple(records),
         kernel=kernel is not None,
+        power=1 if kernel is None else kernel.power,
         errors=dict(checkpoint.errors),
     )
     return save_tensors(Path(path), tensors, {"checkpoint": dataclasses.asdict(document)})
@@ -218,7 +219,7 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
         kernel = None
         if d.kernel:
             with torch.device("meta"):
-                kernel = Kernel()
+                kernel = Kernel(power=d.power)
             kernel.load_state_dict(part_of(tensors, "kernel."), assign=True)
         parameters = tuple(record.parameters for record in d.networks)
         return Checkpoint(tuple(networks), parameters, kernel, d.errors)

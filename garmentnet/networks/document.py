@@ -44,7 +44,10 @@ class NetworkRecord:
 
 @dataclasses.dataclass(frozen=True)
 class Document:
-    """The JSON document of a checkpoint."""
+    """The JSON document of a checkpoint.
+
+    `power` is that of the kernel; earlier versions, whose kernels have 1, do not state it.
+    """
 
     fps: float
     garment_id: str
@@ -52,6 +55,7 @@ class Document:
     joint_names: tuple[str, ...]
     networks: tuple[NetworkRecord, ...]
     kernel: bool = False
+    power: int = 1
     errors: dict[str, Any] = dataclasses.field(default_factory=dict)
     format: str = FORMAT
     version: int = VERSION
@@ -87,10 +91,15 @@ def read_document(arrays: dict[str, Any], documents: dict[str, Any]) -> tuple[Do
     check(d.fps > 0 and all(map(math.isfinite, numbers)), f"frame rate or clamp {numbers}")
     count = len(d.networks)
     check(count == 1 or (d.kernel and count), f"{count} networks, kernel {d.kernel}")
+    check(d.power in (1, 2), f"power {d.power} of the kernel")
     known = all(r.parameters is not None for r in d.networks)
     check(known or not d.kernel, "pivots without parameters")
     skeleton = Skeleton(d.joint_names, arrays["skeleton.parents"], arrays["skeleton.rest"])
     bones = len(arrays["network.0.low.code.centres"])
+    for key, followed in arrays.items():
+        if key.endswith(".code.followed"):
+            there = ((followed >= -1) & (followed < skeleton.n_joints)).all()
+            check(there, "bones that follow a joint which does not exist")
     subject = Subject(
         _skinning(arrays, "garment", bones, None),
         _skinning(arrays, "body", skeleton.n_joints, d.joint_names),

@@ -21,14 +21,17 @@ _SQUARE = 1e-12
 class Kernel(nn.Module):
     """The RBF Ψ(θ_i, θ) of equation 4, normalised over the pivots to Ψ̄.
 
-    Ψ = exp(−‖g(θ_i) − g(θ)‖), as the published code has it.  The MLP g is the published one, with
-    one slope of the PReLU for all channels and without the batch normalisation, which in prediction
-    is an affine map that the last layer can express.
+    Ψ = exp(−‖g(θ_i) − g(θ)‖²); its width σ is a part of g.  The published code has the distance
+    itself in the place of its square.  The MLP g is the published one, with one slope of the PReLU
+    for all channels and without the batch normalisation, which in prediction is an affine map that
+    the last layer can express.
 
     Parameters
     ----------
     inputs : int
         Number of simulation parameters.
+    power : {2, 1}
+        Exponent of the distance: 2, or 1 as in the published code.
 
     Examples
     --------
@@ -37,8 +40,9 @@ class Kernel(nn.Module):
     1.0
     """
 
-    def __init__(self, inputs: int = 3) -> None:
+    def __init__(self, inputs: int = 3, *, power: int = 2) -> None:
         super().__init__()
+        self.power = power
         self.g = nn.Sequential(
             nn.Linear(inputs, HIDDEN), nn.PReLU(), nn.Linear(HIDDEN, LATENT)
         ).double()
@@ -47,7 +51,7 @@ class Kernel(nn.Module):
         """Weights ``(..., K)`` of pivots with parameters ``(..., K, P)`` at ``(..., P)``; sum 1."""
         gap = (self.g(pivots) - self.g(theta)[..., None, :]).square().sum(-1)
         # The normalised kernel is a softmax, which does not divide by 0 where every Ψ underflows.
-        return torch.softmax(-(gap + _SQUARE).sqrt(), dim=-1)
+        return torch.softmax(-((gap + _SQUARE) ** (self.power / 2)), dim=-1)
 
     def weights(self, pivots: Any, theta: Any) -> Array:
         """Result of :meth:`forward` as an array, for arrays."""

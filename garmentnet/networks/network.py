@@ -150,7 +150,8 @@ class MotionNetwork(nn.Module, PoseReader, Predictor):
         self.config, self.subject = config, subject
         garment = subject.garment
         self.lbs = TorchSkinning.of(garment)
-        code = BoneCode(garment.centroids(), config.low.rotation)
+        follows = config.low.relative_to == "joints"
+        code = BoneCode(garment.centroids(), config.low.rotation, follows=follows)
         self.low = LowFrequency(self.size, config.low.hidden, code)
         self.high: HighFrequency | DetailBasis | None = None
         bound = subject.bound
@@ -198,12 +199,13 @@ class MotionNetwork(nn.Module, PoseReader, Predictor):
     def device(self) -> torch.device:
         return next(self.low.parameters()).device
 
-    def mesh(self, z: Tensor) -> Tensor:
+    def mesh(self, z: Tensor, joints: Tensor | None = None) -> Tensor:
         """Skinned mesh ``(..., V, 3)`` of normalised bone motion, in the moving frame.
 
-        Vertices bound to the body are skinned by the virtual bones, too; see :meth:`carry`.
+        Vertices bound to the body are skinned by the virtual bones, too; see :meth:`carry`.  Joints
+        ``(..., J, 3, 4)`` of the body, in the moving frame, are needed by bones that follow them.
         """
-        return torch.as_tensor(self.lbs(self.low.code(z)))
+        return torch.as_tensor(self.lbs(self.low.code(z, joints)))
 
     def carry(self, mesh: Tensor, joints: Tensor, part: str = "low") -> Tensor:
         """Copy of `mesh` in which the vertices bound to the body are placed by its joints.
@@ -286,7 +288,7 @@ class MotionNetwork(nn.Module, PoseReader, Predictor):
         local = transforms_in_frame(np.asarray(joints)[chosen], frame)
         body = torch.from_numpy(local).float().to(self.device)
         z, low_state = self.low(x, state.low)
-        transforms = self.low.code(z[:, index])[0]
+        transforms = self.low.code(z[:, index], body[None])[0]
         low = self.carry(self.lbs(transforms), body)
         high, high_state = None, state.high
         if detail and self.high is not None:

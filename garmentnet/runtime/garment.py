@@ -26,7 +26,7 @@ from ..data.skeleton import check_joints
 from ..data.subject import Subject
 from ..io.tensors import load_arrays
 from ..networks.document import read_document
-from ..networks.features import FRAMES, PoseFeatures
+from ..networks.features import FRAMES, PoseFeatures, transforms_in_frame
 from ..networks.pose_kernels import all_rigid, moving_frame
 from .kernels import add_bones, place, skin
 from .pivot import Mixture, Pivot, read_pivot
@@ -104,6 +104,7 @@ class LiveGarment:
         self.trained_on = tuple(trained_on)
         self._push = push_of(subject) if push_out else None
         self._frame = FRAMES.index(features.frame)
+        self._follow = any((p.followed >= 0).any() for p in pivots)
         self._free, self._skin = subject.free, _skin_arrays(subject, pivots[0].high is not None)
         self._sizes = [tuple(map(len, p.start)) for p in pivots]
         self._weights = functools.lru_cache(maxsize=1)(self._weigh)
@@ -176,7 +177,9 @@ class LiveGarment:
         if state is not None and not self._owns(state):
             raise InputError("state", "one of this garment", "another garment's")
         weights, theta = self._weights(parameters)
-        (x,), _, row = self._pose.of(pose[None], None if state is None else state.pose)
+        (x,), frame, row = self._pose.of(pose[None], None if state is None else state.pose)
+        joints = transforms_in_frame(pose[None], frame) if self._follow else np.empty((1, 0, 3, 4))
+        bases = np.concatenate([joints[0], np.eye(3, 4)[None]]).reshape(-1, 12).astype(np.float32)
         bones = np.zeros((self.subject.garment.n_bones, 12), np.float32)
         hidden, detail = [], []
         for k, pivot in enumerate(self.pivots):
@@ -184,7 +187,7 @@ class LiveGarment:
             numbers = pivot.nothing
             if weights[k] > 0:
                 moved, numbers, past = pivot(x, theta, past)
-                add_bones(moved, pivot.centres, weights[k], bones)
+                add_bones(moved, pivot.centres, weights[k], pivot.followed, bases, bones)
             hidden.append(past)
             detail.append(weights[k] * numbers)
         return LiveState(row, tuple(hidden), bones, tuple(detail))

@@ -29,8 +29,11 @@ def _orthonormal(ax, ay, az, bx, by, bz):
 
 
 @kernel
-def add_bones(numbers, centres, weight, out):
-    """Add weighted transforms (B, 12), given 6D rotations and positions of the centres (B, 9)."""
+def add_bones(numbers, centres, weight, followed, bases, out):
+    """Add weighted transforms (B, 12), given 6D rotations and positions of the centres (B, 9).
+
+    They are relative to bases (N, 12), of which bone b has followed[b]; the last is the identity.
+    """
     for b in range(len(numbers)):
         ax, ay, az, bx, by, bz = _orthonormal(
             numbers[b, 0], numbers[b, 1], numbers[b, 2],
@@ -40,12 +43,14 @@ def add_bones(numbers, centres, weight, out):
             (ax, bx, ay * bz - az * by), (ay, by, az * bx - ax * bz), (az, bz, ax * by - ay * bx)
         )  # fmt: skip
         for a in range(3):
-            x, y, z = rows[a]
-            shift = x * centres[b, 0] + y * centres[b, 1] + z * centres[b, 2]
-            out[b, 4 * a] += weight * x
-            out[b, 4 * a + 1] += weight * y
-            out[b, 4 * a + 2] += weight * z
-            out[b, 4 * a + 3] += weight * (numbers[b, 6 + a] - shift)
+            j, i = followed[b], 4 * a
+            u, v, w = bases[j, i], bases[j, i + 1], bases[j, i + 2]
+            place = bases[j, i + 3] + u * numbers[b, 6] + v * numbers[b, 7] + w * numbers[b, 8]
+            for c in range(3):
+                x = u * rows[0][c] + v * rows[1][c] + w * rows[2][c]
+                place -= x * centres[b, c]
+                out[b, i + c] += weight * x
+            out[b, i + 3] += weight * place
 
 
 @kernel

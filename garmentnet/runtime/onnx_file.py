@@ -187,14 +187,22 @@ def _frame(g: _Graph, garment: LiveGarment) -> None:
     centre = g.op("MatMul", matrix, pivot.centres[:, :, None])
     place = g.op("Sub", g.shaped(g.part(numbers, 6, 9), bones, 3, 1), centre)
     all_ = g.op("Concat", matrix, place, axis=2)
-    if frame:
+    carried, follows = s.bound is not None, (pivot.followed >= 0).any()
+    moved = g.op("Sub", shifts, near) if near and (carried or follows) else shifts
+    if follows:
+        still = g.shaped(frame or g.array(np.eye(3)), 1, 3, 3)
+        turns = g.op("Concat", rotations, still, axis=0)
+        ends = g.op("Concat", moved, np.zeros((1, 3), np.float32), axis=0)
+        index = np.where(pivot.followed < 0, joints, pivot.followed)
+        all_ = g.op("MatMul", g.take(turns, index), all_)
+        place = g.op("Add", g.part(all_, 3, 4), g.shaped(g.take(ends, index), bones, 3, 1))
+        all_ = g.op("Concat", g.part(all_, 0, 3), place, axis=2)
+    elif frame:
         all_ = g.op("MatMul", frame, all_)
     rest, index, weights = s.skin(smooth=pivot.high is None)
-    carried = s.bound is not None
     dense = np.zeros((len(rest), bones + joints * carried), np.float32)
     np.add.at(dense, (np.arange(len(rest))[:, None], index), weights)
     if carried:
-        moved = g.op("Sub", shifts, near) if near else shifts
         body = g.op("Concat", rotations, g.shaped(moved, joints, 3, 1), axis=2)
         all_ = g.op("Concat", all_, body, axis=0)
     skin = g.weight(dense, min(32, max(16, g.bits)))

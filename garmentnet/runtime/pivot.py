@@ -84,6 +84,8 @@ class Pivot:
         Deviation and mean of the bone motion.
     centres : (B, 3) float32
         Points of the rest pose about which the bones rotate.
+    followed : (B,) int64
+        Joint relative to which each bone moves; -1: none, but the moving frame.
     high : Recurrent or None
         Maps motion to weights of the detail; None without detail.
     reads_body : bool
@@ -100,6 +102,7 @@ class Pivot:
     scale: Single
     shift: Single
     centres: Single
+    followed: NDArray[np.int64]
     high: Recurrent | None = None
     reads_body: bool = False
     basis: Single | None = None
@@ -144,10 +147,13 @@ class Mixture:
         Weight and bias of the MLP's first layer, slope of its PReLU, weight and bias of the last.
     pivots : (K, 3) float64
         Normalised simulation parameters of each pivot.
+    power : {2, 1}
+        Exponent of the distance.
     """
 
     layers: tuple[NDArray[np.float64], ...]
     pivots: NDArray[np.float64]
+    power: int
 
     @classmethod
     def read(cls, arrays: dict[str, Any], document: Document) -> Mixture | None:
@@ -160,12 +166,12 @@ class Mixture:
         layers = tuple(
             _take(arrays, f"kernel.{n}", s, np.float64) for n, s in zip(names, shapes, strict=True)
         )
-        return cls(layers, np.stack(rows))
+        return cls(layers, np.stack(rows), document.power)
 
     def __call__(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
         """Share of each pivot ``(K,)`` at normalised parameters ``(3,)``; the shares sum to 1."""
         gap = ((self._g(self.pivots) - self._g(theta)) ** 2).sum(-1)
-        size = np.sqrt(gap + _SQUARE)
+        size = (gap + _SQUARE) ** (self.power / 2)
         weights = np.exp(size.min() - size)
         return weights / weights.sum()
 
@@ -205,6 +211,9 @@ def read_pivot(arrays: dict[str, Any], k: int, record: NetworkRecord, subject: S
             take(f"{part}.out.bias", outputs),
         )
 
+    followed = np.full(b, -1, np.int64)
+    if config.low.relative_to == "joints":
+        followed = _take(arrays, f"{name}low.code.followed", (b,), np.int64)
     pivot = Pivot(
         np.asarray(mean, np.float64),
         _take(arrays, f"{name}features.deviation", mean.shape, np.float64),
@@ -214,6 +223,7 @@ def read_pivot(arrays: dict[str, Any], k: int, record: NetworkRecord, subject: S
         take("low.code.deviation", b, 9),
         take("low.code.mean", b, 9),
         take("low.code.centres", b, 3),
+        followed,
     )
     if not record.high:
         return pivot

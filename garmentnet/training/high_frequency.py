@@ -50,7 +50,7 @@ def _target(network: MotionNetwork, track: Track, z: Tensor, frames: Any = slice
     """
     if network.config.high.target == "detail":
         return track.detail(frames)
-    return track.mesh(frames) - network.mesh(z).cpu()
+    return track.mesh(frames) - network.mesh(z, track.joints(frames).to(z.device)).cpu()
 
 
 class HighFrequencyObjective(Objective):
@@ -116,8 +116,8 @@ class HighFrequencyObjective(Objective):
 
     def _low(self, z: Tensor, joints: Tensor) -> Tensor:
         """Low-frequency mesh ``(N, S, V, 3)``, with bound vertices placed by the body."""
-        mesh = self.network.carry(self.network.mesh(z).flatten(0, 1), joints.flatten(0, 1))
-        return mesh.unflatten(0, z.shape[:2])
+        mesh = self.network.mesh(z, joints).flatten(0, 1)
+        return self.network.carry(mesh, joints.flatten(0, 1)).unflatten(0, z.shape[:2])
 
     def squared_error(self, track: Track) -> Tensor:
         """Mean squared distance ``(F,)`` of the detail, metres².
@@ -145,7 +145,8 @@ class HighFrequencyObjective(Objective):
             frames += len(high)
         mean = total / frames
         variance = square / (3 * len(self.free) * frames) - float(mean[self.free].square().mean())
-        low = self.network.mesh(self.tracks[0].extra[:1].to(self.network.device))
+        first, device = self.tracks[0], self.network.device
+        low = self.network.mesh(first.extra[:1].to(device), first.joints(slice(1)).to(device))
         self.module.mean.copy_(mean)
         self.module.deviation.fill_(max(math.sqrt(max(variance, 0.0)), LEAST_DEVIATION))
         self.module.centre.copy_(low[0].mean(0))
@@ -199,7 +200,8 @@ class DetailObjective(CoefficientObjective):
     def _local(self, track: Track, z: Tensor, frames: object) -> Tensor:
         """True detail ``(f, n, 3)`` in the local frames of the predicted surface."""
         detail = _target(self.network, track, z, frames)[:, self.network.free].to(z.device)
-        turns = self.network.turns(self.network.low.code(z))
+        joints = track.joints(frames).to(z.device)
+        turns = self.network.turns(self.network.low.code(z, joints))
         return (turns.transpose(-1, -2) @ detail[..., None])[..., 0]
 
     @torch.no_grad()

@@ -184,7 +184,7 @@ def fit(
             saved = {"history": history, "best": best, "waited": waited}
             _save(state_file, module, optimiser, rng, best_weights, saved)
             writer(number, {"loss": value, "rate": rate, "rmse": rmse})
-            _logger.info("%s %d: loss %.5g, rmse %s", name, number, value, rmse)
+            _logger.debug("%s %d: loss %.5g, rmse %s", name, number, value, rmse)
             progress = Progress(name, number, value, best, number / epochs)
             if callback and callback(progress):
                 break

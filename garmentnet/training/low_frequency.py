@@ -94,16 +94,24 @@ class LowFrequencyObjective(Objective):
         self._position = _SkinnedNorm(skinned, shapes).to(network.device)
         self._bending = _SkinnedNorm(laplacian @ skinned, bent).to(network.device)
 
+        self._width = basis.rank + 2
+        self._followed = followed = network.low.code.followed is not None
+
         def prepared(track: Track) -> Track:
-            return dataclasses.replace(track, extra=torch.from_numpy(targets.rows(track.name)))
+            rows = torch.from_numpy(targets.rows(track.name))
+            if followed:
+                rows = torch.cat([rows.float(), track.joints().flatten(1)], dim=1)
+            return dataclasses.replace(track, extra=rows)
 
         self.tracks = [prepared(t) for t in tracks]
         self.validation = [prepared(t) for t in validation]
 
     def _squares(self, z: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
         """Mean squared distance of the vertices, and of their Laplacians, in each frame."""
-        transforms = self.network.low.code(z)
         rows = rows.to(self.network.device).float()
+        rows, behind = rows[:, : self._width], rows[:, self._width :]
+        joints = behind.unflatten(1, (-1, 3, 4)) if self._followed else None
+        transforms = self.network.low.code(z, joints)
         shape = torch.cat([torch.ones_like(rows[:, :1]), rows[:, :-2]], dim=1)
         position, bending = (t(transforms, shape) for t in (self._position, self._bending))
         position, bending = position + rows[:, -2] ** 2, bending + rows[:, -1] ** 2

@@ -169,7 +169,7 @@ def select_pivots(grams: Sequence[Array], parameters: Any, count: int) -> list[i
 
 
 def fit_kernel(
-    learned: Sequence[Mixed], *, steps: int = 600, seed: int = 0, kernel: type[Kernel] = Kernel
+    learned: Sequence[Mixed], *, steps: int = 600, seed: int = 0, power: int = 2
 ) -> Kernel:
     """Train the kernel, leaving the pivot of one training parameter set out at a time.
 
@@ -181,8 +181,8 @@ def fit_kernel(
         Number of steps of Adam.
     seed : int
         Seed of the initial weights.
-    kernel : type of Kernel
-        A subclass has another function of the distance.
+    power : {2, 1}
+        As of :class:`~garmentnet.networks.ensemble.Kernel`.
 
     Examples
     --------
@@ -192,7 +192,7 @@ def fit_kernel(
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        made = kernel(len(learned[0].theta))
+        made = Kernel(len(learned[0].theta), power=power)
     optimiser = torch.optim.Adam(made.parameters(), lr=1e-2, weight_decay=1e-3)
     sets = [[torch.from_numpy(x) for x in mixed] for mixed in learned]
     for _ in range(steps):

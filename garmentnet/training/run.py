@@ -30,6 +30,7 @@ from ..networks.detail_basis import DetailBasis
 from ..networks.features import Normaliser, PoseFeatures, PoseReader, transforms_in_frame
 from ..networks.network import MotionNetwork
 from .batches import Track, load_tracks
+from .following import with_followed
 from .high_frequency import DetailObjective, HighFrequencyObjective
 from .loop import Objective, Progress, fit
 from .low_frequency import LowFrequencyObjective
@@ -130,12 +131,15 @@ def build_network(config: Config, bones: VirtualBones, names: Sequence[str]) -> 
     network = MotionNetwork(config, bones.subject, reader.normaliser)
     # Evenly spread frames are enough for the mean and deviation of the bones' motion.
     plain = [n for n in names if not n.endswith(MIRRORED)]
-    low, frames = [], []
+    low, frames, joints = [], [], []
     for clip, some in bones.store.sample(plain, _STATISTICS):
         low.append(bones.split(clip.name, some)[0])
         frames.append(reader.features(clip.joints)[1][some])
-    transforms = bones.fit(np.concatenate(low), tolerance=1e-3)
-    network.low.code.fit(transforms_in_frame(transforms, np.concatenate(frames)))
+        joints.append(clip.joints[some])
+    transforms, frame = bones.fit(np.concatenate(low), tolerance=1e-3), np.concatenate(frames)
+    network.low.code.fit(
+        transforms_in_frame(transforms, frame), transforms_in_frame(np.concatenate(joints), frame)
+    )
     return network
 
 
@@ -198,6 +202,11 @@ def train(
         subject=None if start is None else start.subject,
         progress=progress,
     )
+    if start is None:
+        config = with_followed(config, bones, names, held)
+    elif config.low.relative_to == "auto":
+        used = start.networks[0].config.low.relative_to
+        config = dataclasses.replace(config, low=dataclasses.replace(config.low, relative_to=used))
     # The initial weights depend on the seed alone, not on what ran before.
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(o.seed)

@@ -328,6 +328,7 @@ def _network(
         "scale": blocks.array(p.scale),
         "shift": blocks.array(p.shift),
         "centres": blocks.array(p.centres),
+        "followed": p.followed.tolist(),
         "basis": basis,
         "still": still,
     }

@@ -89,6 +89,9 @@ def network(*, vertices=150, bones=9, bound=True, condition=False, detail=True, 
     code = made.low.code
     code.mean[:, [0, 4]] = 1.0
     code.mean[:, -3:] = code.centres - torch.tensor([0, 1.0, 0])
+    if code.followed is not None:
+        code.followed.copy_(torch.arange(bones) % (body.n_joints + 1) - 1)
+        code.mean[code.followed >= 0, -3:] = code.centres[code.followed >= 0]
     code.deviation[:, :-3], code.deviation[:, -3:] = 0.2, 0.05
     with torch.no_grad():
         made.low.out.weight.mul_(4)

@@ -84,7 +84,7 @@ class Garment {
     return [pose, out];
   }
 
-  // Transforms of 6D rotations and moved centres, in the moving frame.
+  // Transforms of 6D rotations and moved centres, in the moving frame or that of the joint followed.
   bones(motion) {
     const { scale, shift, centres } = this;
     const out = new Float32Array(12 * doc.virtual);
@@ -110,7 +110,10 @@ class Garment {
     const frame = place.flatMap((v, a) => [...turn.slice(3 * a, 3 * a + 3), v]);
     const out = new Float32Array(m.length + bones.length);
     out.set(m);
-    for (let b = 0; b < bones.length; b += 12) out.set(after(frame, bones.subarray(b, b + 12)), m.length + b);
+    this.followed.forEach((j, k) => {
+      const base = j < 0 ? frame : m.subarray(12 * j, 12 * j + 12);
+      out.set(after(base, bones.subarray(12 * k, 12 * k + 12)), m.length + 12 * k);
+    });
     if (numbers) this.detail = this.spread.of(numbers);
     return out;
   }

@@ -102,6 +102,21 @@ def test_the_leg_stays_under_the_cloth(depth):
     assert np.array_equal(push(clear, STILL).vertices, clear)
 
 
+def test_what_cannot_be_freed_is_not_dragged_about(rng):
+    """Vertices that are held inside the leg cross it whatever the others do."""
+    body = leg()
+    cloth, faces = sheet(0.0)
+    held = (np.abs(cloth[:, 1]) < 0.05) & (rng.random(len(cloth)) < 0.3)
+    one, many = (
+        OutwardPush(body, faces, cloth, pinned=held, rounds=n)(cloth[None], STILL) for n in (1, 40)
+    )
+    left = [find_crossings(body, faces, out.vertices, STILL).pairs for out in (one, many)]
+    assert 0 < left[1] <= left[0]
+    assert one.farthest <= many.farthest < 0.2
+    over = ~held & (np.abs(cloth[:, 1]) < 0.03) & (np.abs(cloth[:, 0]) < 0.25)
+    assert (many.vertices[0, over, 2] > 0).mean() > 0.9
+
+
 def test_pinned_vertices_stay_and_a_frame_is_a_call(rng):
     body = leg()
     cloth, faces = sheet(0.04)

@@ -9,13 +9,13 @@ torch = pytest.importorskip("torch")
 
 from garmentnet.evaluation.baselines import BodySkinned, MeanShape, Ridge
 from garmentnet.evaluation.scores import evaluate
-from garmentnet.evaluation.verdict import ADVICE, verdict
+from garmentnet.evaluation.verdict import ADVICE, validation_errors, verdict
 from garmentnet.networks.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 
 
 def test_errors_are_those_of_evaluate_and_a_loss_is_said(toy_run, toy_store, toy_bones, tmp_path):
     file = toy_run / "checkpoint.safetensors"
-    text = verdict(file, toy_store)
+    text = verdict(validation_errors(file, toy_store))
     found = {m[1]: float(m[2]) for m in re.finditer(r"(?:: |, )([a-z -]+) ([0-9.]+) mm", text)}
     assert list(found) == ["network", BodySkinned.name, MeanShape.name, Ridge.name]
     held = toy_store.names("validation")
@@ -30,6 +30,6 @@ def test_errors_are_those_of_evaluate_and_a_loss_is_said(toy_run, toy_store, toy
     bad = save_checkpoint(
         Checkpoint(broken.networks, broken.parameters, None), tmp_path / "bad.safetensors"
     )
-    said = verdict(bad, toy_store)
+    said = verdict(validation_errors(bad, toy_store))
     best = min(list(found)[1:], key=found.__getitem__)
     assert f"the network errs more than {best}: {ADVICE[best]}" in said

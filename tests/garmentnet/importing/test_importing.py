@@ -133,6 +133,21 @@ def test_the_rest_pose_is_found_later_in_a_clip_and_elsewhere(files, tmp_path):
     np.testing.assert_allclose(store.rest, cut.vertices[0], atol=1e-6)
 
 
+def test_triangles_that_face_the_body_are_turned_round(files, tmp_path):
+    tube = cloth()
+    inside_out = MeshSequence(tube.vertices, tube.faces[:, ::-1], FPS)
+    for name, mesh in (("one", inside_out), ("other", tube)):
+        ssdr.save(mesh, tmp_path / f"{name}.npz")
+    said: list[str] = []
+    pairs = [(tmp_path / f"{name}.npz", files[1]) for name in ("one", "other")]
+    store = import_clips(pairs, tmp_path / "a.clips", say=said.append)
+    a, b, c = store.rest[store.faces].swapaxes(0, 1)
+    away = (a + b + c) / 3 * [1, 0, 1]  # from the axis of the tube
+    assert (np.einsum("tc,tc->t", np.cross(b - a, c - a), away) > 0).all()
+    assert sum("turned round" in text for text in said) <= 1
+    assert len(store.names()) == 6
+
+
 def test_clips_go_to_named_splits_and_are_added_once(files, tmp_path):
     pairs = [files]
     for seed, name in enumerate(("run", "jump"), start=1):

@@ -85,6 +85,15 @@ def test_ensemble_round_trip(toy_network, toy_store, tmp_path):
     theta = SimulationParameters(bending=1.0)
     assert loaded.kernel is not None
     assert np.array_equal(loaded.weights(theta), both.weights(theta))
+    # Files of earlier versions do not state the exponent of their kernel, which is 1.
+    old = altered(
+        tmp_path / "e.safetensors", tmp_path / "old.safetensors", lambda t, d: d.pop("power")
+    )
+    earlier = Kernel(power=1)
+    earlier.load_state_dict(both.kernel.state_dict())
+    pivots = [p.normalised() for p in both.parameters]
+    expected = earlier.weights(pivots, theta.normalised())
+    assert np.array_equal(load_checkpoint(old).weights(theta), expected)
     joints = toy_store.clip("base-test-1").joints[:5]
     assert np.array_equal(loaded.predict(joints, theta), both.predict(joints, theta))
 
@@ -232,6 +241,8 @@ def test_other_safetensors(file, tmp_path):
         lambda t, d: t["network.0.low.out.bias"].fill_(float("nan")),
         lambda t, d: t["network.0.features.mean"].fill_(1e300),  # infinite in single precision
         lambda t, d: d.update(fps=float("nan")),
+        lambda t, d: d.update(power=3),
+        lambda t, d: t.update({"network.0.low.code.followed": torch.full((10,), 99)}),
         lambda t, d: d["networks"][0].update(clamp=float("inf")),
         lambda t, d: t.update({"network.0.low.code.centres": torch.zeros(10**7, 3)}),
         lambda t, d: t.update({"network.0.features.mean": torch.zeros(3)}),

@@ -53,6 +53,7 @@ def test_it_needs_no_torch():
         {"features": {"rotation": "vector", "translation": True, "velocities": False}},
         {"features": {"heading_free": False, "frame": "root", "root_motion": False}},
         {"features": {"frame": "world", "joints": ("shin_l", "spine"), "clamp": 0.0}},
+        {"low": {"relative_to": "joints"}},
     ],
     ids=str,
 )
@@ -109,7 +110,8 @@ def test_a_garment_of_real_size_whose_parameters_change(tmp_path):
 @pytest.fixture(scope="module")
 def pivots():
     """Two pivots, 0.1 m apart, and a kernel."""
-    networks = tuple(made.network(seed=s) for s in (1, 2))
+    ways = ("frame", "joints")
+    networks = tuple(made.network(seed=s, low={"relative_to": w}) for s, w in enumerate(ways, 1))
     torch.manual_seed(0)
     return Checkpoint(networks, (P(bending=0.2), P(bending=2.0)), Kernel())
 

@@ -60,6 +60,8 @@ def play(garment, joints, theta=None):
         {"detail": False, "features": {"frame": "world", "translation": True}},
         {"high": {"source": "body"}, "condition": True, "features": {"joints": ("shin_l",)}},
         {"features": {"heading_free": False, "frame": "root", "clamp": 0.0}},
+        {"low": {"relative_to": "joints"}},
+        {"low": {"relative_to": "joints"}, "features": {"frame": "world"}, "bound": False},
     ],
     ids=str,
 )

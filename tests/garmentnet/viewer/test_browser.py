@@ -70,6 +70,7 @@ def settle(browser):
         {"condition": True, "features": {"rotation": "vector", "translation": True}},
         {"features": {"heading_free": False, "frame": "root", "root_motion": False}},
         {"features": {"frame": "world", "joints": ("shin_l", "spine"), "clamp": 0.0}},
+        {"low": {"relative_to": "joints"}},
     ],
     ids=str,
 )

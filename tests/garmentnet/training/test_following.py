@@ -1,0 +1,94 @@
+"""Bones of a sleeve move relative to the arm, those of a flag relative to the body."""
+
+# ruff: noqa: E402
+import logging
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from garmentnet.configs.config import load_config, override
+from garmentnet.data.store import ClipStore
+from garmentnet.data.virtual_bones import virtual_bones
+from garmentnet.networks.checkpoint import load_checkpoint
+from garmentnet.training.following import LinearFit, with_followed
+from garmentnet.training.run import train
+from helpers import live_garment as made
+from ssdr import Skinning, skin
+
+
+def test_ridge_is_least_squares_where_nothing_is_gained_by_a_penalty(rng):
+    x = rng.normal(size=(400, 3))
+    y = x @ rng.normal(size=(3, 2)) + [1.0, 2.0]
+    fit = LinearFit.of([(x[:300], y[:300])], [(x[300:], y[300:])])
+    assert fit.error < 1e-4
+    assert np.abs(fit(x) - y).max() < 1e-3
+
+
+@pytest.fixture(scope="module")
+def sleeve(tmp_path_factory):
+    """A tube close to a leg, in three clips, and its bones."""
+    body, around, rings = made.skeleton(), 12, 14
+    turn, down = np.meshgrid(np.arange(around) * 2 * np.pi / around, np.linspace(0.95, 0.1, rings))
+    rest = np.stack([0.1 + 0.06 * np.cos(turn), down, 0.06 * np.sin(turn)], axis=-1).reshape(-1, 3)
+    k = np.arange(around * (rings - 1))
+    n = k - k % around + (k + 1) % around
+    lower = np.stack([n, k + around, n + around], 1)
+    faces = np.concatenate([np.stack([k, k + around, n], 1), lower])
+    knee = np.clip((rest[:, 1] - 0.4) / 0.2, 0, 1)[:, None]
+    legs = np.tile([[2, 3]], (len(rest), 1))
+    still = np.tile(np.eye(3, 4), (1, body.n_joints, 1, 1))
+    every = np.arange(body.n_joints)[:, None]
+    rig = Skinning(body.rest, every, np.ones(every.shape), still, bone_names=body.names)
+    store = ClipStore.create(
+        tmp_path_factory.mktemp("sleeve") / "store", rest=rest, faces=faces, body=rig, skeleton=body
+    )
+    for seed, split in enumerate(("train", "train", "validation")):
+        m = made.motion(2.0, seed=seed)
+        wave = 0.004 * np.sin(20 * rest[:, 1] + np.arange(len(m))[:, None] / 5)
+        v = skin(rest, legs, np.concatenate([knee, 1 - knee], axis=1), m)
+        v[..., 1] += wave
+        store.add(
+            f"clip-{seed}",
+            vertices=v.astype(np.float32),
+            joints=m.astype(np.float32),
+            classes=np.zeros(len(m), int),
+            split=split,
+            motion=f"clip-{seed}",
+            parameters=made.SimulationParameters(),
+            seed=seed,
+            quality={"accepted": True},
+            provenance={},
+        )
+    changes = ("bones.count=5", "bones.frames=60", "high.rank=4", "high.hidden=8", "low.hidden=16")
+    config = override(
+        load_config("rooted"),
+        [*changes, "bones.effort=fast", "features.joints=[]", "train.tensorboard=false"],
+    )
+    return store, config, virtual_bones(store, config.bones)
+
+
+def test_validation_chooses_the_joints_of_a_sleeve(sleeve, caplog):
+    store, config, bones = sleeve
+    train_names, held = store.names("train"), store.names("validation")
+    with caplog.at_level(logging.INFO, "garmentnet"):
+        found = with_followed(config, bones, train_names, held)
+    assert found.low.relative_to == "joints"
+    assert "bones move relative to the joints of the body" in caplog.text
+    assert with_followed(config, bones, train_names, []).low.relative_to == "frame"
+    fixed = override(config, ["low.relative_to=frame"])
+    assert with_followed(fixed, bones, train_names, held) == fixed
+
+
+def test_the_error_of_training_is_that_of_the_vertices(sleeve, tmp_path):
+    store, config, bones = sleeve
+    config = override(config, ["train.epochs=2", "train.high_epochs=1", "train.precision=single"])
+    model = load_checkpoint(train(store, config, tmp_path))
+    (network,), (name,) = model.networks, store.names("validation")
+    assert network.config.low.relative_to == "joints"
+    motions = model.motions(store.clip(name).joints, detail=False)
+    low = np.concatenate([m.vertices() for m in motions])
+    gap = (low - bones.split(name)[0])[:, network.free]
+    rmse = np.sqrt((gap.astype(float) ** 2).sum(-1).mean())
+    assert rmse == pytest.approx(model.errors["low, validation"], rel=0.02)
