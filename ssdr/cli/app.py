@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import importlib
 import json
 import logging
 import sys
@@ -17,17 +18,9 @@ from .. import errors
 from ..io.references import trusting
 from ..parallel import set_threads
 from ..signals import interrupt_on_signals
-from .check import check
-from .compare import compare
-from .convert import convert
-from .decompose import decompose
-from .info import info
 from .options import Options
 from .output import Output
-from .render import render
-from .smallest import smallest
 from .streams import safe_streams
-from .view import view
 
 _BAD_NAMES = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP)
 _CODES: tuple[tuple[Any, int], ...] = (
@@ -37,17 +30,24 @@ _CODES: tuple[tuple[Any, int], ...] = (
     ((errors.InputError, FileNotFoundError, PermissionError, IsADirectoryError), 2),
 )
 
-app = typer.Typer(
-    name="ssdr",
-    help="Animated meshes to skinned models: rest pose, skin weights and bones.",
-    epilog="Exit codes: 0 done, 1 unexpected or refused by check, 2 wrong usage or input, "
-    "3 bad file, 4 missing optional package, 130 interrupted.",
-    rich_markup_mode="markdown",
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-for _command in (decompose, smallest, info, check, compare, convert, render, view):
-    app.command()(_command)
+_COMMANDS = ("decompose", "smallest", "info", "check", "compare", "convert", "render", "view")
+
+
+def _program(given: Sequence[str]) -> typer.Typer:
+    """The program with the command that the arguments begin with; with all, if with none."""
+    app = typer.Typer(
+        name="ssdr",
+        help="Animated meshes to skinned models: rest pose, skin weights and bones.",
+        epilog="Exit codes: 0 done, 1 unexpected or refused by check, 2 wrong usage or input, "
+        "3 bad file, 4 missing optional package, 130 interrupted.",
+        rich_markup_mode="markdown",
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    app.callback()(_root)
+    for name in given[:1] if given[0] in _COMMANDS else _COMMANDS:
+        app.command()(getattr(importlib.import_module(f".{name}", __package__), name))
+    return app
 
 
 def _version(wanted: bool) -> None:
@@ -58,7 +58,6 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def _root(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
@@ -93,8 +92,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
         output = Output.current = Output(Options(json="--json" in given))
         warnings.showwarning = output.warn
         try:
-            given = [_sample(word) for word in given]
-            code = app(given or ["--help"], prog_name="ssdr", standalone_mode=False)
+            given = [_sample(word) for word in given] or ["--help"]
+            code = _program(given)(given, prog_name="ssdr", standalone_mode=False)
             if code == 130:  # what the parser makes of a KeyboardInterrupt
                 return _report(KeyboardInterrupt(), output)
             return code if isinstance(code, int) else 0

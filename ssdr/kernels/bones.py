@@ -53,14 +53,15 @@ def bone_moments(indices, weights, points, importance, z, u, az):
         start[j + 1] = start[j] + 3 * ((start[j + 1] + 2) // 3)
     who = np.zeros(start[n_bones], dtype=np.int64)
     a = np.zeros((4, start[n_bones]))
-    place = start.copy()
+    place = np.zeros(n_bones, dtype=np.int64)
     for i in range(len(points)):
         for q in range(indices.shape[1]):
             w = importance[i] * weights[i, q]
             if w == 0.0:
                 continue
-            k = place[indices[i, q]]
-            place[indices[i, q]] += 1
+            j = indices[i, q]
+            k = start[j] + place[j]
+            place[j] += 1
             who[k] = i
             for d in range(4):
                 a[d, k] = w * points[i, d]

@@ -32,10 +32,12 @@ def removal_cost(y, gram, rest, support, share, count, importance, cost):
     alive = np.empty(n_slots, dtype=np.uint32)
     a = np.empty((n_slots, n_slots))
     b = np.empty(n_slots)
-    p = np.ones((1, 4))
+    p = np.empty((1, 4))
+    p[0, 3] = 1.0
     ids = np.empty(n_slots, dtype=np.uint32)
     for i in range(len(rest)):
-        p[0, :3] = rest[i]
+        for c in range(3):
+            p[0, c] = rest[i, c]
         n = count[i]
         for q in range(n):
             ids[q] = support[i, q]

@@ -15,15 +15,17 @@ from ..frames.error import squared_error
 from ..frames.normals import drawn_angles, with_fitted_normals
 from ..kernels.newton import polish_vertices
 from ..kernels.policy import SHIPPED, is_cached
+from ..kernels.polish import choose_influences
 from ..parallel import get_threads
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from .alternation import bone_costs, bone_step, vertex_step
 from .gauss_newton import GaussNewton
-from .model import Model
+from .model import FREE, Model
+from .moments import transform_sums
 from .trajectories import Trajectories, gather
 
-__all__ = ["begin_compiling", "compile_kernels", "compile_polish"]
+__all__ = ["begin_compiling", "compile_kernels", "compile_second_half"]
 
 _logger = logging.getLogger(__name__)
 _ready = bool(SHIPPED)
@@ -31,7 +33,7 @@ _beside: subprocess.Popen[bytes] | None = None
 
 
 def begin_compiling() -> None:
-    """Start a process that compiles the polish into the cache, unless it is there.
+    """Start a process that compiles half of the kernels into the cache, unless they are there.
 
     A compiler uses one core: what it leaves to a second process takes no time of its own.  If the
     process fails, :func:`compile_kernels` compiles everything.
@@ -41,7 +43,7 @@ def begin_compiling() -> None:
     python = Path(sys.executable or "").name.startswith("python")
     if _ready or _beside or not python or get_threads() < 2 or is_cached(polish_vertices):
         return
-    code = f"from {__name__} import compile_polish; compile_polish()"
+    code = f"from {__name__} import compile_second_half; compile_second_half()"
     _beside = subprocess.Popen(
         [sys.executable, "-c", code],
         env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
@@ -58,27 +60,31 @@ def compile_kernels() -> float:
         return 0.0
     began = time.perf_counter()
     begin_compiling()
-    sequence, data, model = _toy()
+    _, data, model = _toy()
     vertex_step(data, model)
     bone_step(data, model)
     bone_costs(data, model)
-    parts = model.rest, model.indices, model.weights, model.transforms
-    squared_error([sequence], *parts)
-    skinning = Skinning(*parts, faces=sequence.faces)
-    drawn_angles([sequence], with_fitted_normals([sequence], skinning))
+    _, gram, _, reduced = transform_sums(data, model.transforms)
+    sums = data.products(slice(None), reduced, 0.0), data.squares(slice(None), 0.0)
+    rows = model.rest, model.indices, model.weights, model.normals
+    choose_influences(*sums, gram, *rows, 0.0, FREE.vertex_mask(data.n_vertices), 1)
     if _beside is not None:
         _beside.wait()
-    compile_polish()
+    compile_second_half()
     _ready = True
     seconds = time.perf_counter() - began
     _logger.info("kernels ready after %.2f s", seconds)
     return seconds
 
 
-def compile_polish() -> None:
-    """Load or compile the kernels of the polish, which take almost half of the time of all."""
-    _, data, model = _toy()
-    GaussNewton(data, model).step(entering=1)
+def compile_second_half() -> None:
+    """Load or compile the kernels that share few helpers with the others, half of the time."""
+    sequence, data, model = _toy()
+    GaussNewton(data, model, damping=1.0).step(entering=-1)
+    parts = model.rest, model.indices, model.weights, model.transforms
+    squared_error([sequence], *parts)
+    skinning = Skinning(*parts, faces=sequence.faces)
+    drawn_angles([sequence], with_fitted_normals([sequence], skinning))
 
 
 def _toy() -> tuple[MeshSequence, Trajectories, Model]:
