@@ -196,7 +196,7 @@ class Descent:
         if self.data.surface is not None and not free:
             few.data = dataclasses.replace(few.data, surface=self.data.surface.sampled(chosen))
         few.initial, few.records = self.start_parts.of_vertices(chosen), []
-        few.objective = Objective(few.asked)
+        few.smoothness, few.objective = None, Objective(few.asked)
         if not self.planning:
             few.model = self.model.select_vertices(chosen)
             few.set_best(self.best.model.select_vertices(chosen))
@@ -287,7 +287,9 @@ class Descent:
             try:
                 schedule(self)
             except Stop as stop:
-                self.best, self.few = self.best_of_all(), None
+                if self.few is not None:
+                    self.model, self.few = self.best_of_all().model, None
+                    self._remember_best("all vertices")
                 return str(stop)
         return "converged" if self.converged else "effort spent"
 

@@ -25,7 +25,6 @@ from ..problem.scan import Scan, needs_streaming, scan, subset
 from ..progress import Stop
 from ..result import Decomposition
 from ..sequence import MeshSequence
-from ..solver.alignment import Alignment
 from ..solver.model import Model
 from ..solver.objective import WeightSmoothness
 from ..solver.rounding import rounded_models
@@ -47,9 +46,6 @@ PASSES = {"fast": 1, "balanced": 1, "best": 4}
 def solve(problem: Problem, schedule: Schedule | None = None) -> Decomposition:
     """Solve a problem; with a `schedule` of its own instead of the effort's, in memory.
 
-    A model of representative frames is refined on as many frames as fit into memory, if these are
-    more, unless the run is stopped or out of time.
-
     Raises
     ------
     InputError
@@ -57,44 +53,45 @@ def solve(problem: Problem, schedule: Schedule | None = None) -> Decomposition:
     Cancelled
         If the callback stopped the run before there was any model.
     """
-    monitor = problem.monitor
-    streamed = schedule is None and needs_streaming(problem.sequences)
-    if streamed and problem.locked.rotations.size:
+    if schedule is None and needs_streaming(problem.sequences):
+        return _solve_streamed(problem)
+    sequences, data, initial = read_frames(problem, None)
+    d = _begin(problem, data, initial, normals=True)
+    del data  # frees the frames once they have been compressed
+    reason = d.follow(schedule or _schedule_of(problem), _report(problem, d, sequences))
+    removable, (model, records) = d.removable_bones, _rounded_best(problem, d, done=1.0)
+    reason = problem.monitor.stopped or reason
+    return outcome_of(problem, d.data, model, records, reason=reason, removable=removable)
+
+
+def _solve_streamed(problem: Problem) -> Decomposition:
+    """Solve a problem whose frames do not fit into memory.
+
+    A model of representative frames is refined on as many frames as fit into memory, if these are
+    more, unless the run is stopped or out of time; passes over all frames follow.
+    """
+    if problem.locked.rotations.size:
         raise InputError("rig.locked_joints", "() for frames that are streamed", "some")
-    few = chosen = scan_of(problem) if streamed else None
-    more = None if few is None else few.extended(problem.n_vertices)
-    sequences, data, initial = read_frames(problem, few)
+    monitor, chosen = problem.monitor, scan_of(problem)
+    alignment, more = chosen.alignment, chosen.extended(problem.n_vertices)
+    sequences, data, initial = read_frames(problem, chosen)
     # normals are solved in the last of the runs
     d = _begin(problem, data, initial, normals=more is None)
-    del data  # frees the frames once they have been compressed
-    part = (0.0, 1.0) if few is None else (SCANNED, _REPRESENTED)
-    with monitor.part(*part):
-        reason = d.follow(schedule or _schedule_of(problem), _report(problem, d, sequences))
-    later = problem
+    del data
+    with monitor.part(SCANNED, _REPRESENTED):
+        reason = d.follow(_schedule_of(problem), _report(problem, d, sequences))
+    later, done = problem, _REPRESENTED
     if d.initial.transforms is None:  # those of a start may turn out to be of other frames
         initial = dataclasses.replace(problem.initial, transforms=None)
         later = dataclasses.replace(problem, initial=initial)
-    if few is not None and more is not None and monitor.stopped is None:
-        chosen = more
-        d, sequences = _carried(later, d, few, more)
-        part = _REPRESENTED, _SETTLED
-        with monitor.part(*part):
+    if more is not None and monitor.stopped is None:
+        d, sequences = _carried(later, d, chosen, more)
+        chosen, done = more, _SETTLED
+        with monitor.part(_REPRESENTED, _SETTLED):
             last = partial(settle, effort=problem.effort)
             reason = d.follow(last, _report(problem, d, sequences))
-    removable, records = d.removable_bones, list(d.records)
-
-    def report(model: Model) -> None:
-        rmse = d.data.rmse(model.weighted_error(d.data))
-        monitor.report("round weights", iteration=d.iteration, rmse=rmse, fraction=part[1])
-
-    model = rounded(problem, d.data, d.best.model, report)
-    if problem.storage != "float32":
-        error = model.weighted_error(d.data)
-        records.append((d.iteration, monitor.elapsed, error, "round weights"))
-    alignment: Alignment = d.data
-    if few is not None and chosen is not None:
-        model, records = _passes_over_all(later, d, chosen, model)
-        alignment = few.alignment
+    removable, (model, _) = d.removable_bones, _rounded_best(problem, d, done=done)
+    model, records = _passes_over_all(later, d, chosen, model)
     reason = monitor.stopped or reason
     return outcome_of(problem, alignment, model, records, reason=reason, removable=removable)
 
@@ -153,6 +150,23 @@ def rounded(
         for best in rounded_models(data, model, problem.storage, locked=locked, rounds=rounds):
             report(best)
     return best
+
+
+def _rounded_best(problem: Problem, d: Descent, *, done: float) -> tuple[Model, list[Step]]:
+    """The best model with weights that the problem's storage holds, and the records of all steps.
+
+    `done` is the fraction of the work that is done before.
+    """
+
+    def report(model: Model) -> None:
+        rmse = d.data.rmse(model.weighted_error(d.data))
+        problem.monitor.report("round weights", iteration=d.iteration, rmse=rmse, fraction=done)
+
+    model, records = rounded(problem, d.data, d.best.model, report), list(d.records)
+    if problem.storage != "float32":
+        error = model.weighted_error(d.data)
+        records.append((d.iteration, problem.monitor.elapsed, error, "round weights"))
+    return model, records
 
 
 def _begin(problem: Problem, data: Trajectories, initial: Initial, *, normals: bool) -> Descent:
