@@ -174,7 +174,7 @@ def polish_fewest(models: ModelsByBones, effort: Effort) -> None:
 
 
 def start_and_polish(d: Descent) -> None:
-    """A new start, improved by a few moves of bones and a polish."""
+    """Make a new start; improve it by a few moves of bones and a polish."""
     start_merged(d, 1.6)
     move_some(d, _MOVES)
     polish(d, steps=24, gain=0.01)
