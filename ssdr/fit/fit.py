@@ -136,8 +136,8 @@ def checked(
     bone_model : str, optional
         By default that of the model, or rigid without one.
     **arrays
-        Further parts of a model that the fit needs: `indices` and `weights`, `transforms`, or all;
-        all None if `rest` is a model.  Without `indices`, weights are those of all bones.
+        Further parts of a model that the fit needs: `indices` and `weights`, `transforms`, or all
+        of these; None if `rest` is a model.  Without `indices`, weights are those of all bones.
     """
     sequences = as_sequences(sequence)
     n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)

@@ -141,9 +141,9 @@ def mirror_of(
 
 
 def edges_with_image(mirror: Mirror, parents: NDArray[np.integer]) -> dict[int, bool]:
-    """Whether the mirror image of each bone's edge to its parent is an edge, too.
+    """For each bone, whether the mirror image of its edge to its parent is an edge, too.
 
-    Keys are the children of the edges whose two bones have partners.
+    Keys are the bones that have a partner and whose parent has one.
     """
     edges = {b: frozenset((b, int(a))) for b, a in enumerate(parents) if a >= 0}
     there = set(edges.values())

@@ -64,7 +64,7 @@ REFINEMENT: dict[Effort, Refinement] = {
 
 @dataclasses.dataclass(frozen=True)
 class Bounds:
-    """Numbers of bones among which the fewest that hold a tolerance are searched.
+    """Bounds of the search for the fewest bones that hold a tolerance.
 
     Attributes
     ----------

@@ -160,7 +160,7 @@ class ModelsByBones:
 
     @property
     def smallest(self) -> Model | None:
-        """Model with the fewest bones that holds the tolerance, or if none does, of least error."""
+        """Model of the fewest bones that holds the tolerance; if none does, that of least error."""
         if not self.best:
             return None
         if self.fewest is not None:

@@ -84,7 +84,7 @@ class FewerInfluences:
         Returns
         -------
         (V,) int
-            Position in `models` of the chosen model.
+            Index in `models` of the chosen model.
         float
             Squared error of all vertices, weighted by importance.
         """

@@ -23,7 +23,7 @@ class Attempt:
     error : float
         Error of the attempt's best model in the mesh's units, by the measure of the tolerance.  If
         normals have a tolerance, too, it is at least the tolerance of positions times the ratio of
-        the normals' mean angle to its tolerance.
+        the mean angle of normals to the tolerance of that angle.
     iterations : int
         Number of alternations and polish steps.
     start : str

@@ -258,7 +258,7 @@ class SolvedFrames:
         return _trimmed(skinning_of(problem, frames.alignment, frames.model))
 
     def size(self, skinning: Skinning) -> Size:
-        """Size of a skinning whose weights are in the problem's storage."""
+        """Size in bytes of a skinning, with weights counted in the type `problem.storage`."""
         return size(skinning, storage=self.problem.storage)
 
     def bytes(self, model: Model) -> int:

@@ -61,7 +61,7 @@ def move_bones(
 ) -> Iterator[None]:
     """Move cheap bones, one at a time, to where the error is largest; keep each improvement.
 
-    There are `steps` moves; after `patience` moves in a row without a lower objective, it ends.
+    It ends after `steps` moves, or `patience` moves in a row that do not lower the objective.
     """
     change = partial(move_cheapest_bone, alternations=alternations)
     return tried(d, [change], steps=steps, iterations=alternations, patience=patience)
@@ -83,7 +83,7 @@ def add_and_merge(d: Descent, *, alternations: int = 3) -> Iterator[None]:
 def try_places(d: Descent, *, steps: int, patience: int, alternations: int = 3) -> Iterator[None]:
     """Add several bones and merge down to the previous number; keep the better model.
 
-    This is done `steps` times; after `patience` times in a row without a lower objective, it ends.
+    It ends after `steps` trials, or `patience` trials in a row that do not lower the objective.
     """
     change = partial(add_and_merge_bones, alternations=alternations)
     return tried(d, [change], steps=steps, iterations=alternations, patience=patience)

@@ -143,7 +143,7 @@ class Descent:
 
     @property
     def start_parts(self) -> Initial:
-        """Given parts for a start other than a given model that is only tried."""
+        """Parts of `initial` for starts that do not use a complete given model."""
         return self.initial.beside_model()
 
     @property

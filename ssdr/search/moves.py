@@ -357,7 +357,7 @@ def _with_patch(
 
 
 def _removal_costs(data: Trajectories, model: Model, locked: Locked) -> Array:
-    """Rise (B,) of the objective if that bone alone is removed; inf if the bone has to stay."""
+    """Rise (B,) of the objective by the removal of each bone alone; inf if it has to stay."""
     cost = bone_costs(data, model)
     # all bones up to the last locked one stay, since locked bones are known by their index
     cost[: len(locked.bones)] = np.inf

@@ -99,7 +99,10 @@ class Nested:
         return levels
 
     def narrowed(self, levels: list[Model], rounds: int) -> list[Model]:
-        """Levels after polish and loss of an influence in turn, down to `influences` per vertex."""
+        """Polish and drop an influence in turn until no vertex has more than `influences`.
+
+        Returns the changed levels.
+        """
         while True:
             levels = self.polish(levels, rounds)
             count = max(level.n_influences for level in levels)
@@ -132,7 +135,10 @@ class Nested:
         return [x.with_influences(min(self.influences + more, x.n_bones)) for x in levels]
 
     def swapped(self, levels: list[Model]) -> list[Model]:
-        """Copies in which a cheap bone of a random level swaps places with one of finer levels."""
+        """Copies in which two bones change places.
+
+        One is a cheap bone of a random level; the other is a bone that only finer levels have.
+        """
         k = int(self.rng.integers(1, len(levels)))
         least = levels[k + 1].n_bones if k + 1 < len(levels) else 0
         cost = bone_costs(self.data, levels[k].with_restarted_support())[least:]

@@ -121,7 +121,7 @@ def read_frames(
 ) -> tuple[list[MeshSequence], Trajectories, Initial]:
     """Read the frames that a scan chose, or all frames if `chosen` is None.
 
-    Returns them, their trajectories, and the given parts in the space of these.
+    Returns them, their trajectories, and the given parts in the space of the trajectories.
     """
     sequences, initial = problem.sequences, problem.initial
     importance = problem.frame_importance
@@ -189,7 +189,7 @@ def _schedule_of(problem: Problem) -> Schedule:
 
 
 def _report(problem: Problem, d: Descent, sequences: list[MeshSequence]) -> Callable[[str], None]:
-    """Function that reports a step to the monitor and offers it the best model of `sequences`."""
+    """Function that reports a step to the monitor and offers the best model, for `sequences`."""
     monitor = problem.monitor
 
     def report(phase: str) -> None:

@@ -102,7 +102,7 @@ def relax(d: Descent, *, steps: int = 4, polish_steps: int = 8) -> Iterator[None
 
 @step("normals", cost=4)
 def solve_normals(d: Descent) -> Iterator[None]:
-    """Solve rest normals, too, from now on, if `d.normals` and the bones are rigid.
+    """Solve rest normals, too, from now on, if these are requested and the bones are rigid.
 
     They come late, since they would lead a search for bones to models with more error.
     """

@@ -121,7 +121,8 @@ def bone_step(
     locked : Locked
     leaps : int
         Number of rounds in which rigid bones, which may be far from their optimum, first take a
-        :func:`~ssdr.solver.affine_fit.leap_rigid` and then the sweeps; 0: sweeps without a leap.
+        :func:`~ssdr.solver.affine_fit.leap_rigid` and then the sweeps.  If 0, there are sweeps
+        without a leap.
     length : float, optional
         Length of a normal treated as a point; by default that of the objective.
 
@@ -177,7 +178,7 @@ def sweep(
 
 
 def bone_costs(data: Trajectories, model: Model) -> Array:
-    """Rise (B,) of the squared error if that bone is removed and the weights are solved again."""
+    """Rise (B,) of the squared error by the removal of each bone alone, with weights re-solved."""
     n_bones = model.n_bones
     with serial_blas():
         _, gram, _, reduced = transform_sums(data, model.transforms)

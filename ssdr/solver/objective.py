@@ -57,7 +57,10 @@ _UNSEEN = math.radians(1.0) ** 2  # ν: errors of normals far below a degree are
 
 
 def strength_of(data: Trajectories, length: float) -> float:
-    """Factor with which |w|² = 1 costs as much as a vertex `length` (input units) off its path."""
+    """Factor with which |w|² = 1 costs as much as a vertex that is off by `length` in every frame.
+
+    `length` is in the input's units.
+    """
     # bounded, since the square must not overflow; near the bound the error hardly counts anyway
     return data.n_frames * min(length / data.scale, LARGEST) ** 2
 

@@ -149,7 +149,7 @@ class RestSurface:
         return np.flatnonzero(reached)
 
     def extended(self, rows: NDArray[np.intp]) -> RestSurface:
-        """The surface with further vertices, copies `rows[V:]` of its first V, which are free."""
+        """The surface of the vertices `rows`: the first V are its own, the others free copies."""
         n, more = len(rows), len(rows) - len(self.pose)
         known = self.edges.tocoo()
         edges = csr_array((known.data, (known.row, known.col)), shape=(n, n))
@@ -193,9 +193,9 @@ def central_frame(data: Trajectories, *, first: bool = False) -> int:
 
 
 def _nearest(data: Trajectories, frames: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Index pairs (P, 2): the vertices of an evenly strided subset, each with its nearest in it.
+    """Index pairs (P, 2): each vertex of an evenly strided subset, and its nearest neighbour in it.
 
-    Distances are those of the positions in all `frames`.
+    Neighbours are nearest by their positions in all of `frames`.
     """
     some = np.arange(0, data.n_vertices, max(1, data.n_vertices // _MOST_EDGES))
     paths = np.concatenate([data.frame(t)[some] for t in frames], axis=1)

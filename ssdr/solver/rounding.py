@@ -86,7 +86,7 @@ def rounded_models(
 
 @serial_blas()
 def _rounded(data: Trajectories, model: Model, storage: WeightStorage, locked: Locked) -> Model:
-    """A copy with rounded weights; units of free ones then move between bones to lower errors."""
+    """A copy with rounded weights; unless locked, units then move between bones to lower errors."""
     indices, stored = quantise(model.indices, model.weights, storage)
     out = dataclasses.replace(model.copy(), indices=indices, weights=weight_values(stored))
     _, gram, _, reduced = transform_sums(data, out.transforms)

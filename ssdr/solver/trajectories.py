@@ -67,7 +67,8 @@ class Trajectories(Alignment):
     surface : RestSurface or None
         Surface that the rest pose is to resemble; None if it is free.
     slack : float
-        Added to the squared error in the objective: far below it, a decrease is worth nothing.
+        Constant added to the squared error in the objective, so that a decrease far below it is
+        worth nothing.
     """
 
     z: Array
@@ -288,7 +289,7 @@ def _reduce(x: Array, energy: float, rank: int) -> tuple[Array, Array | None]:
 
 
 def frame_scale_of(importance: Array | None, n_frames: int) -> Array:
-    """Square roots (F,) of the frames' importance relative to its mean; 1 if that is None."""
+    """Square roots (F,) of frames' importance, scaled to mean 1; all 1 if `importance` is None."""
     return np.ones(n_frames) if importance is None else np.sqrt(importance / importance.mean())
 
 

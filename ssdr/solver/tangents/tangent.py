@@ -62,7 +62,10 @@ class Tangent(ABC):
 
     @abstractmethod
     def pullback(self, gradient: Array) -> Array:
-        """Gradient by x, from that by the stacked transforms (3F, 4B): the transpose of `image`."""
+        """Gradient by x, computed from the gradient (3F, 4B) by the stacked transforms.
+
+        This is the transpose of :meth:`image`.
+        """
 
     @abstractmethod
     def move(self, model: Model, x: Array) -> None:
