@@ -132,7 +132,10 @@ def to_world(local: ArrayLike, parents: NDArray[Any]) -> Array:
 
 
 def rest_offsets(parents: NDArray[Any], positions: ArrayLike) -> Array:
-    """Offsets (B, 3) of joints from their parents' joints in the rest pose; roots' positions."""
+    """Offsets (B, 3) of joints from their parents' joints in the rest pose.
+
+    The offset of a root is its position.
+    """
     c = np.asarray(positions, dtype=np.float64)
     return np.asarray(c - np.where((np.asarray(parents) >= 0)[:, None], c[parents], 0.0))
 
@@ -162,7 +165,7 @@ def rest_diagonal(rest: ArrayLike) -> float:
 
 
 def joint_gaps(transforms: ArrayLike, parents: NDArray[Any], positions: ArrayLike) -> Array:
-    """Distances (..., B) between the places to which bone and parent move a joint; 0 at roots."""
+    """Distances (..., B) between the points to which bone and parent move a joint; 0 at roots."""
     m = np.asarray(transforms, dtype=np.float64)
     above = np.where(np.asarray(parents) >= 0, parents, np.arange(len(parents)))
     apart = m - m[..., above, :, :]

@@ -149,7 +149,7 @@ class RestSurface:
         return np.flatnonzero(reached)
 
     def extended(self, rows: NDArray[np.intp]) -> RestSurface:
-        """The surface of the vertices `rows`: the first V are its own, the others free copies."""
+        """The surface of vertices `rows`: the first V as here, then copies, which are free."""
         n, more = len(rows), len(rows) - len(self.pose)
         known = self.edges.tocoo()
         edges = csr_array((known.data, (known.row, known.col)), shape=(n, n))
