@@ -32,7 +32,7 @@ __all__ = ["BoneFit", "fit_bones"]
 # Sweeps, and steps of all bones together after them.  With one such step, bones that overlap widely
 # take hundreds of sweeps; two cost a third more where one would do.
 _SWEEPS, _STEPS = 5, 2
-# A frame's transforms are replaced if another start reaches less than this part of its squared
+# A frame's transforms are replaced if another start reaches less than this fraction of its squared
 # error.
 _STUCK = 0.9
 # Rounds of restarts; each frees the first and the last of a row of stuck frames.
@@ -95,10 +95,10 @@ def fit_bones(
         Rest pose.  A skinning brings the weights and the number of bones, too; it need not have the
         same frames.
     indices, weights : (V, K) int and float arrays, optional
-        Skin weights; there are as many bones as the largest index says.  Without `indices`, weights
+        Skin weights; the largest index determines the number of bones.  Without `indices`, weights
         are those of all bones, (V, B) and possibly sparse.
     bone_model : {"rigid", "similarity", "affine"}, optional
-        By default that of the skinning, or rigid.
+        By default that of the skinning, or rigid without one.
     from_transforms : bool
         Whether to start from the transforms of a skinning, which must then be of these frames.  By
         default each bone starts from a fit to the vertices that it moves most.
@@ -203,10 +203,10 @@ def _sweep_until_still(
 
 
 def _from_neighbours(data: Trajectories, model: Model, locked: Locked, most: int) -> bool:
-    """Solve frames again from the bones of the frames beside them, and keep what is far better.
+    """Solve frames again from the bones of their neighbours (in place); keep what is far better.
 
-    If bones overlap widely, a frame's own start may end in a poor minimum.  The model is changed
-    in place; returns whether any frame was improved.
+    If bones overlap widely, a frame's own start may end in a poor minimum.  Returns whether any
+    frame was improved.
     """
     u, c = bone_sums(data, model)
     flat = stack_blocks(u)
@@ -230,7 +230,7 @@ def _from_neighbours(data: Trajectories, model: Model, locked: Locked, most: int
         for shift in (1, -1):
             trial = model.copy()
             near = np.clip(frame + shift, 0, frame[-1])
-            # the whole mesh's own rotation, which was removed, may be another in the frame beside
+            # the alignment may have rotated the neighbouring frame differently
             turn = data.rotation.swapaxes(1, 2) @ data.rotation[near]
             trial.transforms = np.einsum("tab,tjbc->tjac", turn, model.transforms[near])
             trial.transforms[:, mask] = model.transforms[:, mask]

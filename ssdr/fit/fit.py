@@ -29,7 +29,7 @@ from ..solver.trajectories import Array, Trajectories, gather
 
 __all__ = ["Fit", "FitInput", "checked", "fit_of"]
 
-_MOST_BONES = 1 << 16  # the largest index decides how many there are; no more take memory
+_MOST_BONES = 1 << 16  # bound of the number that the largest index implies, as each takes memory
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -68,13 +68,13 @@ class FitInput:
     sequences : list of MeshSequence
         The shots.
     skinning : Skinning
-        The model; parts that are fitted have any values if arrays were given.
+        The model; the parts to be fitted have arbitrary values if arrays were given.
     rest, indices, weights : (V, 3) float64, (V, K) int32, (V, K) float64
         Those of the model; rows of weights sum to 1.
     faces : (T, 3) int32
-        Those of the sequence or, without any, of the model.
+        Triangles of the sequence or, if it has none, of the model.
     prefix : str
-        What stands before the names of the model's arrays in errors.
+        Prefix of the names of the model's arrays in error messages.
     """
 
     sequences: list[MeshSequence]
@@ -90,7 +90,7 @@ class FitInput:
         return sum(len(s) for s in self.sequences)
 
     def transforms(self) -> Array:
-        """The model's transforms, checked to be of its bone model and of these frames."""
+        """Check that the transforms suit the bone model and these frames, and return them."""
         kind = self.skinning.bone_model
         return check_transforms(self.skinning.transforms, self.n_frames, kind, self.prefix)
 
@@ -99,7 +99,8 @@ class FitInput:
     ) -> tuple[FitInput, Array | None, NDArray[np.intp], NDArray[np.intp]]:
         """These arguments for the vertices that differ in some frame, or in one of `kept` (V, ...).
 
-        Returns also their importance, these vertices (U,), and which of them stands for each (V,).
+        Also returns the importance of these U vertices, their indices (U,), and for each vertex the
+        position (V,) among them of the one that stands for it.
         """
         label = told_apart(labels_of(self.sequences), *kept)
         sequences, importance, first, row = without_copies(self.sequences, label, importance)
@@ -126,17 +127,17 @@ class FitInput:
 def checked(
     sequence: Any, rest: Any, bone_model: BoneModel | None = None, /, **arrays: Any
 ) -> FitInput:
-    """Check the arguments of a fit.
+    """Check the arguments of a fit, and return them as a FitInput.
 
     Parameters
     ----------
     sequence : MeshSequence, list of them, or (F, V, 3) array
     rest : (V, 3) array, Skinning, or a result that has one
     bone_model : str, optional
-        By default that of the model, or rigid.
+        By default that of the model, or rigid without one.
     **arrays
-        Further parts of a model that the fit needs: `indices` and `weights`, `transforms`, or all;
-        None where `rest` is a model.  Without `indices`, weights are those of all bones.
+        Further parts of a model that the fit needs: `indices` and `weights`, `transforms`, or all
+        of these; None if `rest` is a model.  Without `indices`, weights are those of all bones.
     """
     sequences = as_sequences(sequence)
     n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
@@ -176,7 +177,7 @@ def _model(
     n_frames: int,
     bone_model: BoneModel,
 ) -> Skinning:
-    """A model of the given arrays; what is missing has any values."""
+    """A model of the given arrays; missing parts have arbitrary values."""
     for name, value in arrays.items():
         if value is None and name != "indices":
             wanted = "an array beside the rest pose, or a Skinning for it"

@@ -52,12 +52,12 @@ def fit_rest_pose(
         sparse.
     transforms : (F, B, 3, 4) array, optional
     bone_model : {"rigid", "similarity", "affine"}, optional
-        What the transforms are; by default those of the skinning, or rigid.
+        Kind of the transforms; by default that of the skinning, or rigid without one.
     locked_vertices : mask or indices, optional
         Vertices that keep their rest position.
     rest_pose : {"surface", "free"}
-        "surface": edges resemble those of `rest`, as in :func:`decompose`.  "free":
-        the least error alone.
+        With "surface", edges are to resemble those of `rest`, as in :func:`decompose`; with
+        "free", only the error counts.
 
     Returns
     -------
@@ -104,7 +104,7 @@ def fit_rest_pose(
 
 
 def _solve_rest_pose(data: Trajectories, model: Model, locked: Locked) -> None:
-    """Solve the rest pose (in place): at once if it is free, else until the objective settles."""
+    """Solve the rest pose (in place), once if it is free, else until the objective settles."""
     vertex_step(data, model, locked=dataclasses.replace(locked, rest=True))  # sets the errors
     objective, before = Objective(locked), np.inf
     for _ in range(_STEPS if data.surface is not None else 1):

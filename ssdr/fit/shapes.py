@@ -1,4 +1,4 @@
-"""``ssdr.fit_shapes``: displacements of the rest pose that give what bones leave."""
+"""``ssdr.fit_shapes``: displacements of the rest pose that reproduce what bones do not."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ __all__ = ["ShapeFit", "components", "fit_shapes", "shapes_within"]
 
 Array = NDArray[np.float64]
 
-_PULL = 1e-9  # towards displacements of 0, relative to the sum of squared amounts
+_PULL = 1e-9  # pull towards displacements of 0, relative to the sum of squared amounts
 _FLAT = 0.1  # singular values of a blended matrix below this share of the largest are not inverted
 _ROUNDS = 8  # alternations
-_SETTLED = 1e-3  # fall of the error by which they end
+_SETTLED = 1e-3  # relative fall of the error below which they end
 _MOST = 64  # shapes that are tried for a tolerance
-_SURELY_BONES = 0.3  # worth by half the bones below which that of more bones is not asked
+_SURELY_BONES = 0.3  # a worth below this, found with half the bones, is not checked with more bones
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class ShapeFit(Fit):
-    """A model with shapes, or without where bones are the better use of bytes, and its error.
+    """A model with shapes, or without them if bones use the bytes better, and its error.
 
     Attributes
     ----------
@@ -45,8 +45,8 @@ class ShapeFit(Fit):
     displaced : int
         Number of displacements that are not 0.
     worth : float or None
-        Bones that a shape replaces, over the bones whose bytes it takes.  Without given amounts, a
-        model gets shapes where this is above 1.
+        Number of bones that a shape replaces, divided by the number of bones that take the bytes of
+        a shape.  Unless amounts are given, a model gets shapes only if this is above 1.
 
     Examples
     --------
@@ -70,18 +70,18 @@ def fit_shapes(
     amounts: Any = None,
     names: Any = None,
 ) -> ShapeFit:
-    """Shapes of a model, which are added to its rest pose before bones move it.
+    """Fit shapes to a model: displacements of its rest pose, added before bones move it.
 
-    With `amounts`, as of the expressions of a face, a vertex is displaced in the shapes of those
-    frames in which it is farther than the tolerance from its place; all others have none.  Without,
-    amounts and displacements are found in turns, beginning with the principal components of what
-    bones leave, carried back to the rest pose.
+    If `amounts` are given, such as those of facial expressions, a shape displaces the vertices that
+    are farther than the tolerance from their place in a frame in which the shape has an amount.
+    Otherwise amounts and displacements are solved in turns.  They start from the principal
+    components of the residual that bones leave, mapped back to the rest pose.
 
-    A shape takes the bytes of many bones, and where more bones would do as well, none is made: with
-    s the share of what bones leave that k shapes give back, and with g the fall of the logarithm of
-    the squared error for each further bone, a shape replaces −ln(1 − s) / (k g) bones.  g is taken
-    from a quick search with half the bones or, where these decide nothing, with more bones, of the
-    same bytes as the shapes.
+    A shape takes the bytes of many bones; if more bones would do as well, no shape is made.  Let s
+    be the fraction of the squared residual that k shapes remove, and g the fall of the logarithm of
+    the squared error per further bone.  A shape then replaces −ln(1 − s) / (k g) bones.  g is taken
+    from a quick search with half the bones or, if that is not decisive, with additional bones that
+    take as many bytes as the shapes.
 
     Parameters
     ----------
@@ -94,9 +94,9 @@ def fit_shapes(
         A length, or a share of the diagonal such as ``"0.1%"``.  With `amounts` it is the largest
         distance of a vertex from its place, without them the root mean square.
     shapes : int, optional
-        Number of shapes, without `amounts` or a tolerance.
+        Number of shapes; only without `amounts` and a tolerance.
     amounts : (F, S) array, optional
-        Amount of each shape in every frame; that of an expression is 1 in its own.
+        Amount of each shape in every frame; that of an expression is 1 in the expression's frame.
     names : sequence of str, optional
         Names of the shapes.
 
@@ -113,7 +113,7 @@ def fit_shapes(
     References
     ----------
     Displacements by a threshold, as corrections of a skin: Kavan et al., "Compressed skinning for
-    facial blendshapes", 2024, section 2.  Components of what is carried back to the rest pose:
+    facial blendshapes", 2024, section 2.  Components of residuals mapped back to the rest pose:
     Kavan, Sloan and O'Sullivan, "Fast and efficient skinning of animated meshes", 2010.
 
     Examples
@@ -159,7 +159,7 @@ def fit_shapes(
 
 
 def shapes_within(truth: Array, model: Skinning, limit: float, names: Any = None) -> ShapeFit:
-    """As few shapes, and 64 at most, as make the error of a model at most `limit`."""
+    """Fit as few shapes as bring the error of a model down to `limit`, but at most 64."""
     left = truth - model.skin(dtype=np.float64)
     amounts, errors = components(model, left)
     most = min(_MOST, len(errors))
@@ -172,7 +172,7 @@ def shapes_within(truth: Array, model: Skinning, limit: float, names: Any = None
 
 
 def _displaced(model: Skinning, left: Array, amounts: Any, limit: float, names: Any) -> Skinning:
-    """Model with the displacements that a tolerance asks for."""
+    """Model with displacements where the tolerance `limit` requires them."""
     far = np.linalg.norm(left, axis=2) > limit
     keep = (np.abs(amounts) > 0).T.astype(np.float64) @ far > 0
     start = np.zeros((1 + len(keep), model.n_vertices, 3))
@@ -198,9 +198,10 @@ def _blended(model: Skinning) -> Array:
 
 @serial_blas()
 def components(model: Skinning, left: Array) -> tuple[Array, Array]:
-    """Amounts ``(F, P)`` of principal components, and root mean squares that the first leave.
+    """Amounts ``(F, P)`` of principal components, and the RMS error that the first of them leave.
 
-    They are of `left` (F, V, 3), what a model leaves, carried back to the rest pose.
+    The components are those of the residual `left` (F, V, 3) of a model, mapped back to the rest
+    pose.
     """
     turns = _blended(model)
     size = np.linalg.norm(turns, axis=(2, 3))[..., None] / math.sqrt(3)
@@ -243,7 +244,7 @@ def _alternated(model: Skinning, left: Array, amounts: Array, names: Any) -> Ski
 def _worth(
     sequences: list[MeshSequence], model: Skinning, rms: float, left: float, count: int
 ) -> float:
-    """Bones that one of `count` shapes replaces, over those whose bytes it takes."""
+    """`worth` of :class:`ShapeFit` for `count` shapes that lower the RMSE from `rms` to `left`."""
     bones = model.n_bones
     each = float(key_bytes(model).mean()) * model.n_frames
     cost = (12 * model.n_vertices + 4 * model.n_frames) / each

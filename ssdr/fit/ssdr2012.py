@@ -1,4 +1,4 @@
-"""The method of 2012: bones and weights in turns, from a start, with a rest pose that is kept."""
+"""The method of 2012: bones and weights in turns, from a start, with the rest pose held."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ def ssdr2012(
     rng: int | np.random.Generator = 0,
     callback: Callback | None = None,
 ) -> Fit:
-    """Decompose by the block coordinate descent of Le and Deng 2012, to compare others with.
+    """Decompose by the block coordinate descent of Le and Deng 2012, as a baseline.
 
-    The rest pose is kept.  From the start of :func:`initialize`, an iteration fits every rigid bone
+    The rest pose is held.  From the start of :func:`initialize`, an iteration fits every rigid bone
     in turn to the weights, by weighted Kabsch problems, and then the weights of every vertex to the
     bones, a convex QP of which the K largest weights are kept and solved for again.  The best model
     of all iterations is returned.  :func:`decompose` descends further.  Differences from the paper:

@@ -39,7 +39,7 @@ def initialize(
 ) -> Skinning:
     """Make bones and weights to start from, by motion alone.
 
-    For each bone asked for, farthest-point sampling of the trajectories finds eight patches of
+    For each requested bone, farthest-point sampling of the trajectories finds eight patches of
     vertices, and each patch is fitted by Kabsch in every frame.  Let E_ij be the squared error of
     vertex i if it moves with patch j.  The bones are patches chosen one by one, each to lower
     Σ_i min_j E_ij most (greedy facility location), and refitted to the vertices that they fit best.
@@ -98,7 +98,7 @@ def started(
     rng: int | np.random.Generator,
     bone_model: BoneModel = "rigid",
 ) -> tuple[Trajectories, Model, Locked]:
-    """Check the arguments of :func:`initialize`; return the frames, the start, and what it keeps.
+    """Check the arguments of :func:`initialize`; return frames, start, and its locked parts.
 
     Frames and start are in the solver's space.
     """
@@ -121,7 +121,7 @@ def started(
 def fitted_skinning(
     sequences: list[MeshSequence], data: Trajectories, model: Model, locked: Locked
 ) -> Skinning:
-    """A model of the solver, in the space of the sequences."""
+    """Convert a model of the solver to a skinning in the space of the sequences."""
     rest, transforms = data.to_world(model.rest, model.transforms)
     found = Skinning(
         rest,

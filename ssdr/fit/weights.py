@@ -79,11 +79,12 @@ def fit_weights(
         as much as an error of this length at one vertex in every frame.  With 0 there is no such
         cost.
     vertex_importance : (V,) array, optional
-        Factors of the squared errors beside `prior` and `smoothness`; on their scale the mean is 1.
+        Factors of the squared errors, scaled to a mean of 1; the costs of `prior` and `smoothness`
+        are not multiplied by them.
     frame_importance : (F,) array, optional
         Factors of the squared errors, above 0.
     bone_model : {"rigid", "similarity", "affine"}, optional
-        What the transforms are; by default those of the skinning, or rigid.
+        Kind of the transforms; by default that of the skinning, or rigid without one.
     iterations : int
         Most sweeps over the mesh if `smoothness` couples the vertices.
 
@@ -184,7 +185,7 @@ def _check_allowed(allowed: Any, n_vertices: int, n_bones: int) -> NDArray[np.bo
 def _check_prior(
     prior: Any, length: Any, n_vertices: int, n_bones: int
 ) -> tuple[Array | None, float]:
-    """Prior weights (V, B), or None, and the length beside them."""
+    """Check the prior; return its weights (V, B), or None, and its length."""
     if prior is None:
         if length is not None:
             raise InputError("prior_length", "None without a prior", repr(length))

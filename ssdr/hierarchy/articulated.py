@@ -1,4 +1,4 @@
-"""What bones with joints can tell and do, shared by the models that have them."""
+"""Methods of models whose bones may have parents and joints."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["Articulated"]
 
 
 class Articulated:
-    """Base of a model whose bones may hang on joints."""
+    """Base class of models whose bones may have parents and joints."""
 
     transforms: Any
     parents: Any
@@ -50,7 +50,7 @@ class Articulated:
     def joint_gaps(self) -> NDArray[np.float64]:
         """Distances ``(F, B)`` between the points to which a bone and its parent move their joint.
 
-        0 at roots, and 0 up to rounding where the joints are rigid.
+        They are 0 at roots, and 0 up to rounding where the joints are rigid.
 
         Raises
         ------
@@ -72,14 +72,14 @@ class Articulated:
     def joint_freedom(self, least_turn: float = 1.0) -> tuple[Freedom, ...]:
         """How far the motion determines each joint: "point", "line", "nothing" or "root".
 
-        If a bone turns about a single axis of its parent, its joint may be anywhere on a line; if
-        it does not turn, anywhere.  What motion leaves open is placed where the skin of the two
-        bones meets.
+        If a bone rotates about a single axis of its parent, its joint may be anywhere on a line; if
+        it does not rotate, anywhere.  A joint that the motion leaves open is placed where the skin
+        of the two bones meets.
 
         Parameters
         ----------
         least_turn : float
-            Degrees, root mean square over the frames; smaller turns do not count.
+            Smallest rotation that counts, in degrees (root mean square over the frames).
 
         Raises
         ------
@@ -105,8 +105,8 @@ class Articulated:
         Parameters
         ----------
         local_rotations : (f, B, 3, 3) or (f, B, 4) array
-            Rotation of each joint relative to its parent, as a matrix or a quaternion xyzw of
-            length 1.  The first axis may be left out for a single frame.
+            Rotation of each joint relative to its parent, as a matrix or a unit quaternion xyzw.
+            The first axis may be left out for a single frame.
         root : (f, R, 3) array, optional
             Positions of the joints of the R roots, in the order of the bones;
             those of the rest pose by default.

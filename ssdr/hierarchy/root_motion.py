@@ -1,4 +1,4 @@
-"""A root joint with the ground track and the heading of a whole model as its motion."""
+"""A root joint whose motion is the ground track and the heading of a model."""
 
 from __future__ import annotations
 
@@ -57,9 +57,9 @@ def with_root(model: Skinning, *, moving: bool = True) -> Skinning:
 def ground_motion(model: Skinning) -> Array:
     """Ground track and heading of a model in each frame: (F, 3, 4) transforms [R | T].
 
-    R turns about the up axis and T is horizontal. They map the rest pose to the vertices of the
+    R rotates about the up axis and T is horizontal. They map the rest pose to the vertices of the
     frame with the least sum of squared horizontal distances. Sums over vertices are computed once
-    for each bone. Where no turn fits better than another, the heading is that of the frame before.
+    for each bone. If no rotation fits better than another, the previous frame's heading is taken.
 
     References
     ----------
@@ -87,7 +87,10 @@ def ground_motion(model: Skinning) -> Array:
 
 
 def _headings(turn: NDArray[np.complex128], least: float) -> NDArray[np.complex128]:
-    """Unit complex numbers; where a length is at most `least`, the one before, at first 1."""
+    """Scale complex numbers to modulus 1.
+
+    One of modulus `least` or less becomes the previous result, or 1 if there is none.
+    """
     known = np.abs(turn) > least
     last = np.maximum.accumulate(np.where(known, np.arange(len(turn)), -1))
     unit = np.where(known, turn, 1) / np.where(known, np.abs(turn), 1)

@@ -43,7 +43,7 @@ Freedom = Literal["root", "point", "line", "nothing"]
 
 
 def check_parents(parents: ArrayLike, n_bones: int) -> NDArray[np.int32]:
-    """Parents (B,) as int32, −1 at roots, checked for cycles and indices out of range."""
+    """Check parents (B,) for cycles and indices out of range; return them as int32, −1 at roots."""
     array = np.asarray(parents)
     if array.shape != (n_bones,) or array.dtype.kind not in "iu":
         raise InputError(
@@ -64,7 +64,7 @@ def parents_first(parents: NDArray[Any]) -> NDArray[np.int64]:
     Raises
     ------
     InputError
-        If the parents go round in a circle.
+        If the parents form a cycle.
     """
     return np.argsort(depths(parents), kind="stable")
 
@@ -75,7 +75,7 @@ def depths(parents: NDArray[Any]) -> NDArray[np.int64]:
     Raises
     ------
     InputError
-        If the parents go round in a circle.
+        If the parents form a cycle.
     """
     depth = np.zeros(len(parents), dtype=np.int64)
     at = np.asarray(parents, dtype=np.int64).copy()
@@ -132,7 +132,10 @@ def to_world(local: ArrayLike, parents: NDArray[Any]) -> Array:
 
 
 def rest_offsets(parents: NDArray[Any], positions: ArrayLike) -> Array:
-    """Offsets (B, 3) of joints from their parents' joints in the rest pose; roots: positions."""
+    """Offsets (B, 3) of joints from their parents' joints in the rest pose.
+
+    The offset of a root is its position.
+    """
     c = np.asarray(positions, dtype=np.float64)
     return np.asarray(c - np.where((np.asarray(parents) >= 0)[:, None], c[parents], 0.0))
 
@@ -162,7 +165,7 @@ def rest_diagonal(rest: ArrayLike) -> float:
 
 
 def joint_gaps(transforms: ArrayLike, parents: NDArray[Any], positions: ArrayLike) -> Array:
-    """Distances (..., B) between the places to which bone and parent move a joint; 0 at roots."""
+    """Distances (..., B) between the points to which bone and parent move a joint; 0 at roots."""
     m = np.asarray(transforms, dtype=np.float64)
     above = np.where(np.asarray(parents) >= 0, parents, np.arange(len(parents)))
     apart = m - m[..., above, :, :]
@@ -197,8 +200,8 @@ def local_of_pose(
 ) -> Array:
     """Local transforms (f, B, 3, 4) of f poses, from local rotations and the offsets at rest.
 
-    `rotations` are matrices or quaternions; `root` are the positions of the roots, None: as at
-    rest.
+    `rotations` are matrices or quaternions.  `root` are the positions of the roots; None stands for
+    those at rest.
     """
     n_bones = len(parents)
     wanted = f"shape (f, {n_bones}, 3, 3) or (f, {n_bones}, 4)"

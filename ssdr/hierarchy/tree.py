@@ -36,12 +36,12 @@ class Tree:
 
     @property
     def roots(self) -> NDArray[np.intp]:
-        """Bones without a parent."""
+        """Indices of the bones without a parent."""
         return np.flatnonzero(self.parents < 0)
 
     @property
     def non_roots(self) -> NDArray[np.intp]:
-        """Bones with a parent."""
+        """Indices of the bones with a parent."""
         return np.flatnonzero(self.parents >= 0)
 
     @property
@@ -100,7 +100,7 @@ class Tree:
     def contract(self, bone: int, into: int, points: dict[int, Array]) -> Tree:
         """A copy without `bone`, whose neighbour `into` is connected with its other neighbours.
 
-        `points` are the joints between these neighbours and `into`.  The numbers of bones after
+        `points` are the joints between these neighbours and `into`.  The indices of bones after
         `bone` decrease by 1.
         """
         parents, joints = self.parents.copy(), self.points.copy()

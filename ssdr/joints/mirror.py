@@ -25,7 +25,7 @@ __all__ = [
 Array = NDArray[np.float64]
 _MOST_POINTS = 4000  # most vertices by which planes are compared
 _ROUNDS = 12  # most rounds of pairing vertices with their images and fitting the plane to the pairs
-# Share of the pairs, the closest, to which a plane is fitted: a bent arm must not turn the plane.
+# Share of the pairs, the closest, to which a plane is fitted: a bent arm must not tilt the plane.
 _KEPT = 0.8
 # Largest distances of an image from the nearest vertex, in diagonals: the median, and the quantile
 # _NEARLY_ALL.
@@ -48,8 +48,8 @@ class Mirror:
     gap : float
         Mean distance between a vertex's image and the vertex nearest to it.
     partners : (B,) int array
-        The bone that mirrors each bone: the bone itself if it lies in the middle, -1 if there is
-        none.
+        Index of the bone that mirrors each bone: its own if it lies in the middle, -1 if no bone
+        does.
     sides : (B,) int array
         1 for bones on the side to which `normal` points, -1 on the other side, 0 in the middle.
 
@@ -141,9 +141,9 @@ def mirror_of(
 
 
 def edges_with_image(mirror: Mirror, parents: NDArray[np.integer]) -> dict[int, bool]:
-    """Whether the mirror image of each bone's edge to its parent is an edge, too.
+    """For each bone, whether the mirror image of its edge to its parent is an edge, too.
 
-    Keys are the children of the edges whose two bones have partners.
+    Keys are the bones that have a partner and whose parent has one.
     """
     edges = {b: frozenset((b, int(a))) for b, a in enumerate(parents) if a >= 0}
     there = set(edges.values())
@@ -209,7 +209,7 @@ def _fitted(
 def _partners(dense: Array, near: NDArray[np.intp]) -> NDArray[np.int64]:
     """Partners (B,) of the bones, -1 for none, by comparing weights with their mirror images.
 
-    `dense` (V, B) are the weights; `near` (V,) is the vertex nearest to each vertex's image.
+    `dense` (V, B) are the weights; `near` (V,) is the index of the vertex nearest to each image.
     """
     from scipy.optimize import linear_sum_assignment
 

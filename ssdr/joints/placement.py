@@ -63,7 +63,7 @@ def fit_joints(transforms: Array, prior: Array, *, away: float = _AWAY) -> tuple
     ----------
     transforms : (F, B, 3, 4) array
     prior : (B, B, 3) array
-        Places that decide what the motion leaves open.
+        Positions that decide where the motion leaves a joint open.
     away : float
         Weight, per frame, of the squared distance from `prior`.
 
@@ -212,7 +212,7 @@ def step_with_joint_penalty(
 def refit_joints(transforms: Array, tree: Tree) -> Tree:
     """A copy of the tree with the joints of smallest gaps.
 
-    Where the motion leaves a joint open, it stays as near to its present place as it can.
+    Where the motion leaves a joint open, the new position is the one nearest to the old.
     """
     points = tree.points.copy()
     for j in tree.non_roots:

@@ -11,7 +11,7 @@ from .policy import kernel
 def inward_range(
     block: Any, centre: Any, rotation: Any, factor: Any, out: Any, first: int, last: int
 ) -> None:
-    """Turn and scale frames about their centres, for vertices first..last.
+    """Rotate and scale frames about their centres, for vertices first..last.
 
     block     (F, V, 3)  real     positions, in
     centre    (F, 3)     float64  origin of each frame, in

@@ -22,8 +22,8 @@ def bone_moments(indices, weights, points, importance, z, u, az):
     weights     (V, K)      float64  its weight, 0 in unused influences, in
     points      (V, 4)      float64  p̃: rest positions (p, 1), or rest normals (n, 0), in
     importance  (V,)        float64  factor of each vertex's error, in
-    z           (V, r)      float64  trajectories, compressed to r numbers, in
-    u           (B, B, 10)  float64  Σ_i w_j w_k p̃p̃ᵀ for j <= k, its upper triangle, added to
+    z           (V, r)      float64  trajectories, compressed to r coefficients, in
+    u           (B, B, 10)  float64  upper triangle of Σ_i w_j w_k p̃p̃ᵀ for j <= k, added to
     az          (4, B, r)   float64  Σ_i w_j p̃ z_i, added to
     """
     n_bones = az.shape[1]
@@ -139,7 +139,7 @@ def horn(s, r):
 
 @inline
 def quaternion_matrix(w, x, y, z, r):
-    """Set r to the rotation matrix of a quaternion of any length except 0."""
+    """Set r to the rotation matrix of a quaternion of any norm except 0."""
     n = 1.0 / np.sqrt(w * w + x * x + y * y + z * z)
     w, x, y, z = w * n, x * n, y * n, z * n
     r[0, 0] = 1.0 - 2.0 * (y * y + z * z)

@@ -20,7 +20,7 @@ def chain_image(transforms, order, parents, points, turns, shifts, moved, out):
 
     transforms  (F, B, 3, 4)  float64  bones, in
     order       (B,)          int64    bones, parents before children, in
-    parents     (B,)          int64    parent of each bone, −1 of a root, in
+    parents     (B,)          int64    parent of each bone, −1 for a root, in
     points      (B, 3)        float64  joints in the rest pose, in
     turns       (F, B, 3)     float64  ω, in
     shifts      (F, B, 3)     float64  τ of the roots, in; other rows are not read
@@ -61,10 +61,10 @@ def chain_image(transforms, order, parents, points, turns, shifts, moved, out):
 def chain_pullback(transforms, order, parents, points, g, turns, shifts, moved):
     """Apply the transpose of :func:`chain_image`; g is overwritten.
 
-    g       (F, B, 6)  float64  gradient in the tangents, in
-    turns   (F, B, 3)  float64  gradient in ω, out
-    shifts  (F, B, 3)  float64  gradient in τ of the roots, 0 elsewhere, out
-    moved   (B, 3)     float64  gradient in δc, added to
+    g       (F, B, 6)  float64  gradient by the tangents, in
+    turns   (F, B, 3)  float64  gradient by ω, out
+    shifts  (F, B, 3)  float64  gradient by τ of the roots, 0 elsewhere, out
+    moved   (B, 3)     float64  gradient by δc, added to
     """
     n_bones = len(parents)
     a = np.empty(3)

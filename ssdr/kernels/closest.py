@@ -123,15 +123,15 @@ def fit_boxes(vertices: Any, triangles: Any, depth: int, boxes: Any) -> None:
 def farthest(
     points: Any, vertices: Any, triangles: Any, depth: int, boxes: Any, hints: Any, lead: int
 ) -> tuple[float, int]:
-    """Largest squared distance of any point to the triangles, and the number of this point.
+    """Largest squared distance of any point to the triangles, and the index of this point.
 
     points     (n, 3)                  float64  positions of the points, in
     vertices   (V, 3)                  float64  positions of the triangles' corners, in
     triangles  (T, 3)                  int32    vertices of triangles in the tree's order, in
     depth                              int      number of levels below the root
     boxes      (2**(depth + 1) - 1, 6)  float64  from :func:`fit_boxes`, in
-    hints      (n,)                    int64    a triangle likely to be near each point, updated
-    lead                               int      the point that is searched first
+    hints      (n,)                    int64    index of a triangle likely near each point, updated
+    lead                               int      index of the point that is searched first
 
     The search for a point ends as soon as a triangle is found nearer to it than the largest
     distance so far, so that most searches are short if the first point is far from the triangles.

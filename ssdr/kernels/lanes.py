@@ -1,8 +1,8 @@
 """Small dense problems of many vertices at once: errors, Gauss–Newton systems, factors, inverses.
 
 The last axis of all arrays is over LANES vertices, so that one instruction works on several of
-them.  Loops over it have a constant length, which needs no code for what would be left over, and
-read few other arrays: the compiler leaves loops alone that read more.
+them.  Loops over it have a constant length, which needs no code for a remainder, and read few other
+arrays: the compiler does not vectorise loops that read more.
 
 All vertices have K influences here, some with a weight of 0 that is no unknown: its row of the
 matrix is that of the identity.  Symbols are those of :mod:`.weights`.  ``blocks`` (N, 16) are the
@@ -142,9 +142,9 @@ def blend(blocks, w, p, turned, mean):
 
 @inline
 def joint_system(along, pull, w, free, p, fixed, h, f, turned, mean, slope, a, g):
-    """Write the Gauss–Newton matrix a and half gradient g, given :func:`forms`, :func:`blend`.
+    """Set the Gauss–Newton matrix a and half gradient g from :func:`forms` and :func:`blend`.
 
-    Points before `fixed` do not move.
+    Points with an index below `fixed` do not move.
     """
     n_keep = len(f)
     for q in range(n_keep):
@@ -204,7 +204,8 @@ def joint_system(along, pull, w, free, p, fixed, h, f, turned, mean, slope, a, g
 def factor(a, n, ridge, least, scale, bad):
     """Scale a to a unit diagonal, add `ridge` and factor it into LDLᵀ (in place).
 
-    The diagonal receives 1/D, or 0 where a pivot is not above `least`; there `bad` is 1.
+    The diagonal receives 1/D, or 0 where a pivot is not above `least`.  `bad` is set to 1 for a
+    vertex with such a pivot, and to 0 for all others.
     """
     for k in range(LANES):
         bad[k] = 0.0

@@ -104,15 +104,15 @@ def pull_back_to_vertices(
     first: int,
     last: int,
 ) -> None:
-    """Add up the gradients of vertices first..last in their rest positions and weights.
+    """Add up the gradients by the rest positions and weights of vertices first..last.
 
     rest        (V, 3)        float     rest positions, in
     indices     (V, K)        int32     bone of each influence, in
     weights     (V, K)        float     its weight, in
     transforms  (F, B, 3, 4)  float     transforms of the bones, in
-    gradient    (F, V, 3)     float     gradient in the positions, in
-    to_rest     (V, 3)        float64   gradient in `rest`, added to for first..last
-    to_weights  (V, K)        float64   gradient in `weights`, added to for first..last
+    gradient    (F, V, 3)     float     gradient by the positions, in
+    to_rest     (V, 3)        float64   gradient by `rest`, added to for first..last
+    to_weights  (V, K)        float64   gradient by `weights`, added to for first..last
 
     ``float`` is float32 or float64, the same type for all five arrays.
     """
@@ -146,13 +146,13 @@ def pull_back_to_bones(
     first: int,
     last: int,
 ) -> None:
-    """Add up the gradients of frames first..last in their transforms.
+    """Add up the gradients by the transforms of frames first..last.
 
     rest           (V, 3)        float     rest positions, in
     indices        (V, K)        int32     bone of each influence, in
     weights        (V, K)        float     its weight, 0 in unused influences, in
-    gradient       (F, V, 3)     float     gradient in the positions, in
-    to_transforms  (F, B, 3, 4)  float64   gradient in the transforms, added to for first..last
+    gradient       (F, V, 3)     float     gradient by the positions, in
+    to_transforms  (F, B, 3, 4)  float64   gradient by the transforms, added to for first..last
 
     ``float`` is float32 or float64, the same type for all four arrays.
     """

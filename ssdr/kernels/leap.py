@@ -10,7 +10,7 @@ from .policy import inline, kernel
 
 @inline
 def value_of(m, target, flat, stacked, product):
-    """Set product (3, 4B) to bones m (B, 3, 4) times flat; return the value that they have."""
+    """Set product (3, 4B) to bones m (B, 3, 4) times flat; return their error up to a constant."""
     n_bones = len(m)
     for j in range(n_bones):
         for c in range(3):
@@ -51,10 +51,11 @@ def leap_bones(transforms, target, u, flat, still, scale, damping):
     u           (B, B, 4, 4)  float64  Σ_i w_j w_k q̃q̃ᵀ, about the centre of j, then that of k, in
     flat        (4B, 4B)      float64  u in the order of the stacked transforms, in
     still       (B,)          bool     bones that do not move, in
-    scale       (B, 6)        float64  unit of each unknown: a turn and a shift in the bone's axes
+    scale       (B, 6)        float64  unit of each unknown: a rotation and a translation in
+                                       the bone's axes, in
 
-    Where its bones then have less error, a frame starts from those of the one before.  `damping` is
-    added to the diagonal of the matrix.  No error rises.
+    A frame starts from the bones of the previous frame if these have less error than its own.
+    `damping` is added to the diagonal of the matrix.  No error rises.
     """
     n_bones = transforms.shape[1]
     size = 6 * n_bones

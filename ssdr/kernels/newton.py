@@ -26,9 +26,9 @@ from .vertices import store
 
 @inline
 def gather(first, last, y, gram4, indices, weights, locked, ids, w, free, count, along, blocks):
-    """Load the influences of vertices first..last, and what the sums over frames say about them.
+    """Load the influences of vertices first..last, and the sums over frames for their bones.
 
-    The lanes that are left repeat the last vertex.
+    Lanes without a vertex repeat the last one.
     """
     n_keep = len(w)
     for lane in range(LANES):
@@ -90,7 +90,7 @@ def polish_vertices(
     normals       (V, P-1, 3)   float64  rest normals, updated
     normal_error  (V,)          float64  squared error of the normals, as of unit vectors, out
     hold          (V, 4)        float64  pull (μ, m) on each rest position, in
-    length        float                  that of a normal as a point
+    length        float                  length of a normal treated as a point, in
     locked        (V,)          bool     vertices whose weights are not changed, in
     inverse       (V, D, D)     float64  inverse of the Gauss–Newton matrix, out
     gradient      (V, D)        float64  half gradient of the error, out

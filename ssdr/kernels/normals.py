@@ -8,7 +8,7 @@ from typing import Any
 from .policy import kernel
 
 _FLAT = 1e-9  # least area of a triangle, relative to the square of its longest edge
-_CANCELLED = 1e-9  # least length of a sum of unit normals times angles in radians
+_CANCELLED = 1e-9  # least norm of a sum of unit normals times angles in radians
 
 
 @kernel
@@ -17,7 +17,7 @@ def normals_range(frames: Any, faces: Any, corners: Any, out: Any, first: int, l
 
     frames   (F, V, 3)  float64  vertices, in
     faces    (T, 3)     int32    triangles, in
-    corners  (T, 3)     int32    number of the normal at each corner, in
+    corners  (T, 3)     int32    index of the normal at each corner, in
     out      (F, N, 3)  float64  unit normals, written for frames first..last; 0 where no triangle
                                  has an area, or the sum cancels
     """
@@ -112,7 +112,7 @@ def angles_range(normals: Any, drawn: Any, out: Any, first: int, last: int) -> N
     """Compute the angles between two sets of normals in frames first..last.
 
     normals  (F, N, 3)  float64  unit normals, 0 where they are unknown, in
-    drawn    (F, N, 3)  float64  vectors of any length, in
+    drawn    (F, N, 3)  float64  vectors of any norm, in
     out      (F, N)     float64  angles in degrees, written for frames first..last: -1 where the
                                  normal is unknown, 90 where the vector is 0
     """

@@ -2,7 +2,7 @@
 
 A wheel of a platform holds an extension module with the machine code of all kernels
 (``.ci/kernels.py`` makes it).  It is in the installed package, and so as trusted as its code.
-Where there is none for these sources, this Python and this processor, Numba is imported and
+If there is none for these sources, this Python and this processor, Numba is imported and
 compiles each kernel when it is first called.  Neither contracts nor reorders arithmetic, so that
 both have the same bits.
 
@@ -39,7 +39,7 @@ def code_file(level: str) -> Path:
 
 
 def _load() -> dict[str, Any]:
-    """Functions of the best machine code for this processor; none if none has shipped."""
+    """Functions by name from the best shipped machine code that this processor can run, if any."""
     core = "core" if np.__version__ < "2" else "_core"
     has = importlib.import_module(f"numpy.{core}._multiarray_umath").__cpu_features__
     for level, features in LEVELS.items():

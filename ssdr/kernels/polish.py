@@ -28,7 +28,7 @@ def choose_influences(y, x2, gram, rest, indices, weights, normals, length, lock
     indices   (V, K)        int32    bone of each influence, updated
     weights   (V, K)        float64  its weight, descending, updated
     normals   (V, P-1, 3)   float64  rest normals, in
-    length    float                  that of a normal as a point
+    length    float                  length of a normal treated as a point, in
     locked    (V,)          bool     vertices that are left as they are, in
 
     Up to `entering` bones, those of smallest gradient, are tried.  Such a bone joins the vertex's

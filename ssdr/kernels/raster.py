@@ -14,7 +14,7 @@ def raster_triangles(points, faces, depth, index, first, last) -> None:
     points  (V, 3)  float64  x and y in pixels, then nearness, in
     faces   (T, 3)  int32    vertices of triangles, in
     depth   (H, W)  float64  nearness of the nearest triangle so far, updated
-    index   (H, W)  int32    number of that triangle, updated
+    index   (H, W)  int32    index of that triangle, updated
 
     Nearness is larger for nearer points and linear over the screen.  It is NaN behind the camera;
     triangles with such a vertex are left out.
@@ -59,7 +59,7 @@ def raster_balls(balls, depth, index, first, last) -> None:
     balls  (N, 5)  float64  x, y and radius in pixels, nearness of the centre, and how much larger
                             the nearness of the ball's nearest point is, in
     depth  (H, W)  float64  nearness of the nearest ball so far, updated
-    index  (H, W)  int32    number of that ball, updated
+    index  (H, W)  int32    index of that ball, updated
     """
     width = depth.shape[1]
     for k in range(balls.shape[0]):

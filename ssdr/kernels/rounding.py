@@ -32,15 +32,15 @@ def move_units(
     pairs         (B, B, 10)   float64  coefficients of p̃ᵀ G_jk p̃, in
     rest          (V, 3)       float64  rest positions, updated where `move_rest`
     indices       (V, K)       int32    bone of each influence, updated
-    weights       (V, K)       float64  weights, whole units of 1/steps, descending, updated
+    weights       (V, K)       float64  weights, multiples of a unit 1/steps, descending, updated
     error         (V,)         float64  squared error of the positions, out
     normals       (V, P-1, 3)  float64  rest normals, updated
     normal_error  (V,)         float64  squared error of the normals, as of unit vectors, out
     hold          (V, 4)       float64  pull (μ, m) on each rest position, in
-    length        float                 that of a normal as a point
+    length        float                 length of a normal treated as a point, in
     locked        (V,)         bool     vertices whose weights are not changed, in
     move_rest     bool                  whether each move is judged at its best rest position
-    steps         int                   units of a vertex
+    steps         int                   number of units of a vertex
 
     One unit moves at a time, from the influence and to the bone for which the error falls most,
     until no move lowers it.  A vertex never has more than K influences.

@@ -173,7 +173,7 @@ def apply_vertex_step(step, rest, normals, indices, weights, length, locked, mov
     normals       (V, P-1, 3) float64  rest normals, updated
     indices       (V, K)      int32    bone of each influence, updated
     weights       (V, K)      float64  its weight, descending, updated
-    length        float                that of a normal as a point
+    length        float                length of a normal treated as a point, in
     locked        (V,)        bool     vertices whose weights are not changed, in
     """
     n_keep = indices.shape[1]
@@ -227,9 +227,9 @@ def tangent_pullback(transforms, g, scale, out):
     """Apply the transpose of :func:`tangent_image`.
 
     transforms  (F, B, 3, 4)  float64  bones, in
-    g           (3F, 4, B)    real     gradient in the entries of the transforms, in
+    g           (3F, 4, B)    real     gradient by the entries of the transforms, in
     scale       (F,)          float64  root of each frame's importance, in
-    out         (F, B, 6)     float64  gradient in the tangents (ω, τ), out
+    out         (F, B, 6)     float64  gradient by the tangents (ω, τ), out
     """
     for t in range(len(transforms)):
         s = scale[t]

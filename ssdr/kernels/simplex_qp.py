@@ -15,8 +15,8 @@ __all__ = [
     "simplex_qp",
 ]
 
-# This part of the mean diagonal is added to the diagonal, since bones that move alike make a matrix
-# singular.
+# This fraction of the mean diagonal is added to the diagonal, since bones that move alike make a
+# matrix singular.
 RIDGE = 1e-13
 
 
@@ -163,13 +163,13 @@ def invert(a, n, full, row):
 
 @inline
 def cheapest_to_drop(h, w, n, a, full, row, scale):
-    """Positions of the two weights that are cheapest to remove, and the rise by the cheapest.
+    """Indices of the two weights cheapest to remove, and the rise of the error by the first.
 
-    The last of the n weights is no candidate. A position is -1 if there is no such weight.
+    The last of the n weights is no candidate.  An index is −1 if there is no such weight.
 
     Removing weight q raises the error by w_q² / P_qq, where P is the inverse of h restricted to
-    changes of the weights that keep their sum.  This is exact if the other weights stay positive,
-    and less than the rise if not.
+    changes of the weights that keep their sum.  This is exact if the other weights stay positive;
+    otherwise the error rises more.
     """
     last = n - 1
     for q in range(last):

@@ -71,9 +71,9 @@ def form_of(pairs, indices, w, n, form):
 
 @inline
 def best_point(form, last, g, pull, p, a, b):
-    """Move p to the minimum of the polynomial `form` minus 2 p̃ᵀg, with p̃ = (p, last).
+    """Move p to the minimum of the polynomial `form` minus 2 p̃ᵀg, plus the error of the pull.
 
-    The error of the pull is added; g is Σ_j w_j y_j.
+    p̃ is (p, last), and g is Σ_j w_j y_j.  The pull acts only if `last` is 1.
     """
     x, y, z, mu = p[0], p[1], p[2], last * pull[0]
     a[0, 0], a[1, 1], a[2, 2] = form[0] + mu, form[1] + mu, form[2] + mu
@@ -91,7 +91,7 @@ def best_point(form, last, g, pull, p, a, b):
 def place(x2, y, pairs, pull, ids, w, n, move_rest, p, form, g, m, a, b):
     """Move the points p to their best places under the weights; return the error with the pull.
 
-    The rest position moves only where `move_rest`.
+    The rest position moves only if `move_rest`.
     """
     form_of(pairs, ids, w, n, form)
     e = 0.0
@@ -114,7 +114,10 @@ def place(x2, y, pairs, pull, ids, w, n, move_rest, p, form, g, m, a, b):
 
 @inline
 def point_error(x2, y, form, ids, w, n, p):
-    """Squared error of one point p (4,) under weights whose polynomial is `form`."""
+    """Squared error of one point p (4,) under given weights.
+
+    `form` (10,) holds the coefficients of the error's quadratic form in p, see :func:`form_of`.
+    """
     e = x2
     for c in range(4):
         for q in range(n):
@@ -165,7 +168,7 @@ def solve_vertices(
     normals       (V, P-1, 3)  float64  rest normals, updated
     normal_error  (V,)         float64  squared error of the normals, as of unit vectors, out
     hold          (V, 4)       float64  pull (μ, m) on each rest position, in
-    length        float                 that of a normal as a point
+    length        float                 length of a normal treated as a point, in
     locked        (V,)         bool     vertices whose weights are not changed, in
 
     The weights over all bones start from the support of the previous call.  Bones enter the support

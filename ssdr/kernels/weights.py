@@ -1,4 +1,4 @@
-"""The problem in the weights of one vertex, wᵀHw − 2fᵀw, that its rest position and normal set.
+"""The problem wᵀHw − 2fᵀw in the weights w of one vertex, for a given rest position and normal.
 
 A vertex i has the rest position p, with p̃ = (p, 1), and the weights w.  Its squared error is x2_i
 − 2 fᵀw + wᵀHw, with H_jk = p̃ᵀ G_jk p̃ and f_j = p̃ᵀ y_ij for bones j and k.  Here G_jk = Σ_t
@@ -42,7 +42,7 @@ def monomials(p, m):
 
 @inline
 def hessian_row(gram, j, m, row):
-    """Set `row` to row j of H for one vertex, given the monomials m of its rest position."""
+    """Set `row` to row j of H for one vertex, given the monomials m of its points."""
     for k in range(gram.shape[2]):
         row[k] = (
             gram[j, 9, k]
@@ -63,7 +63,7 @@ def hessian_row(gram, j, m, row):
 
 @inline
 def pulled(y, j, p):
-    """The linear coefficient f_j = Σ p̃ᵀ y_j, over the points p̃, of the weight of bone j."""
+    """Linear coefficient f_j = Σ p̃ᵀ y_j of the weight of bone j, summed over the points p̃."""
     value = y[0, 3, j]
     for d in range(3):
         value += y[0, d, j] * p[0, d]

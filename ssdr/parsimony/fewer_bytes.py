@@ -3,9 +3,9 @@
 Each is estimated before it is solved in full:
 
     more bones     do with fewer influences, which pays where weights take more bytes than keys
-    affine bones   a key takes twice the bytes, so that about half as many have to do
-    shapes         beside fewer bones, as many as the principal components of what these leave ask
-                   for, where the keys of the other bones take more bytes
+    affine bones   a key takes twice the bytes, so that about half as many bones have to suffice
+    shapes         replace bones whose keys take more bytes; their number is that of the principal
+                   components which the error of the other bones requires
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from .solved_frames import SolvedFrames
 
 __all__ = ["fewer_bytes"]
 
-_GROWTH = 1.4  # next number of rigid bones, relative to the one before
-_LESS = 0.97  # estimated bytes, relative to the fewest so far, that are worth going on
+_GROWTH = 1.4  # next number of rigid bones, relative to the previous one
+_LESS = 0.97  # estimated bytes, relative to the fewest so far, up to which a series continues
 _POLISH = 12  # steps before bytes are estimated
 _SPARE = 0.05  # share of the bytes that affine bones may take beyond those of the rigid ones
 _SHAPED = 0.97  # share of the tolerance that shapes hold: keys that are dropped use the rest
@@ -62,7 +62,7 @@ def fewer_bytes(
     rigid : Skinning and list of Pruning
         The pruned model of the fewest bones, which is the result if no other takes fewer bytes.
     skinning_of_all : callable
-        As of :func:`~ssdr.parsimony.pruning.prune`; also takes the `frames` of a model.
+        As in :func:`~ssdr.parsimony.pruning.prune`; also takes the `frames` of a model.
     """
     frames, held = models.frames, models.best[models.held_bones].model
     fewest, kept, best = estimated_bytes(frames, held, tolerance), None, rigid
@@ -99,7 +99,7 @@ def fewer_bytes(
 
 
 def _more_bones(models: ModelsByBones, bounds: Bounds) -> Iterator[tuple[SolvedFrames, Model]]:
-    """Models of ever more rigid bones."""
+    """Yield models of more and more rigid bones, as long as these hold the tolerance."""
     bones = models.held_bones
     while bones < bounds.most:
         bones = min(bounds.most, max(bones + 1, math.ceil(_GROWTH * bones)))
@@ -115,7 +115,7 @@ def _more_bones(models: ModelsByBones, bounds: Bounds) -> Iterator[tuple[SolvedF
 def _affine(
     models: ModelsByBones, bounds: Bounds, effort: Effort, spare: int
 ) -> Iterator[tuple[SolvedFrames, Model]]:
-    """Affine bones, about half as many, and then the fewest that hold the tolerance."""
+    """Yield a model of about half as many affine bones, then one of the fewest that suffice."""
     frames, problem = copy.copy(models.frames), models.frames.problem
     most = min(models.held_bones, (models.held_bones + spare) // 2)
     if problem.rig != "none" or problem.locked.bone_model != "rigid" or most < bounds.least:
@@ -136,7 +136,10 @@ def _affine(
 def _with_shapes(
     models: ModelsByBones, tolerance: float, bone: float
 ) -> tuple[SolvedFrames, Model, Pruned] | None:
-    """Fewer bones and shapes in the place of the others, if their keys take more bytes."""
+    """A model in which shapes replace bones whose keys take more bytes.
+
+    Returns None if shapes do not pay or the model misses the tolerance.
+    """
     frames, problem, held = models.frames, models.frames.problem, models.held_bones
     # bones, each of so many bytes, that a shape has to replace
     each = (12 * problem.inputs[0].n_vertices + 4 * problem.n_frames) / bone

@@ -64,7 +64,7 @@ REFINEMENT: dict[Effort, Refinement] = {
 
 @dataclasses.dataclass(frozen=True)
 class Bounds:
-    """Numbers of bones among which the fewest that hold a tolerance are searched.
+    """Bounds of the search for the fewest bones that hold a tolerance.
 
     Attributes
     ----------
@@ -174,7 +174,7 @@ def polish_fewest(models: ModelsByBones, effort: Effort) -> None:
 
 
 def start_and_polish(d: Descent) -> None:
-    """A new start, improved by a few moves of bones and a polish."""
+    """Make a new start; improve it by a few moves of bones and a polish."""
     start_merged(d, 1.6)
     move_some(d, _MOVES)
     polish(d, steps=24, gain=0.01)

@@ -34,7 +34,7 @@ _RECHECK, _RECHECK_NORMALS = 0.97, 0.5
 # vertex, and largest error, relative to the tolerance, at which the reweighting is tried.
 _LEVEL_ROUNDS, _LEVEL_FLOOR, _LEVELLED = 6, 0.05, 2.0
 # For the estimate of the work that is done: the fraction at which pruning begins, and the least
-# number of attempts that are taken to share equally what is left until then.
+# number of attempts among which the work that is left until then is divided equally.
 PRUNING, _FOLLOWING = 0.95, 4
 
 
@@ -46,7 +46,7 @@ Report = Callable[[str, bool], None]
 
 
 def start_merged(d: Descent, factor: float) -> None:
-    """Start with `factor` times the bones asked for and merge them down."""
+    """Start with `factor` · `d.bones` bones and merge them down to `d.bones`."""
     if not d.rigid_joints:
         merged_start(d, 10, 6, factor=factor)
         return
@@ -58,7 +58,7 @@ def start_merged(d: Descent, factor: float) -> None:
 
 
 def merge_down(d: Descent) -> None:
-    """Remove the cheapest bones until as many are left as are asked for."""
+    """Remove the cheapest bones until `d.bones` are left."""
     if d.rigid_joints:
         remove_bones(d)
     else:
@@ -75,7 +75,7 @@ def move_some(d: Descent, count: int) -> None:
 
 
 def search_long(d: Descent, moves: int, trials: int) -> None:
-    """A long search around a model."""
+    """Search for long around the present model."""
     if d.rigid_joints:
         polish(d, steps=30, gain=0.005)
         move_some(d, trials)
@@ -87,13 +87,13 @@ def search_long(d: Descent, moves: int, trials: int) -> None:
 
 
 def solve_normals_lightly(d: Descent) -> None:
-    """A short polish with normals in the objective."""
+    """Polish briefly with normals in the objective."""
     solve_normals(d)
     polish(d, steps=12, gain=0.005)
 
 
 def polish_reweighted(d: Descent) -> None:
-    """A few steps after the importance of vertices has changed."""
+    """Make a few steps after the importance of vertices has changed."""
     if not d.rigid_joints:
         alternate(d, steps=2)
     polish(d, steps=4)
@@ -118,13 +118,13 @@ class ModelsByBones:
         Model of least error for each number of bones, by the measure of `frames`.
     attempts : list of Attempt
     held : list of Model
-        Each model that held the tolerance with fewer bones than all before.
+        Each model that held the tolerance with fewer bones than all previous ones.
     records : list of Record
         One for each model of `held`.
     iteration : int
         Number of alternations and polish steps so far.
     fraction : float
-        Estimated part of the work that is done.
+        Estimated fraction of the work that is done.
     """
 
     def __init__(
@@ -160,7 +160,7 @@ class ModelsByBones:
 
     @property
     def smallest(self) -> Model | None:
-        """Model with the fewest bones that holds the tolerance, else the model of least error."""
+        """Model of the fewest bones that holds the tolerance; if none does, that of least error."""
         if not self.best:
             return None
         if self.fewest is not None:
@@ -177,7 +177,7 @@ class ModelsByBones:
         initial: Initial | None = None,
         until: float | None = None,
     ) -> None:
-        """Run a schedule, and keep its best model if no other with as many bones is as good.
+        """Run a schedule, and keep its best model if no other with its number of bones is as good.
 
         Parameters
         ----------

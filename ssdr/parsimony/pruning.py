@@ -31,7 +31,7 @@ from .solved_frames import SolvedFrames
 __all__ = ["FewerInfluences", "estimated_bytes", "prune"]
 
 # Number of prices to try: enough to come within a fifth of the best price.  For streamed frames,
-# where each trial is a pass over all frames, it is just enough to find a price that holds.
+# where each trial is a pass over all frames, it is just enough to find one at which it holds.
 _PRICES, _FEW_PRICES = 12, 3
 # Factors to the next price, until one price holds the tolerance and another does not.
 _DEARER, _CHEAPER = 2.0, 0.25
@@ -45,7 +45,7 @@ _DAMPING = 1e-3  # initial damping of these steps, as in the solver
 
 
 class FewerInfluences:
-    """Series of models, each with one influence per vertex fewer than the one before.
+    """Series of models, each with one influence per vertex fewer than the previous one.
 
     Pruning chooses for each vertex the model that gives it its rest position and weights.
 
@@ -84,7 +84,7 @@ class FewerInfluences:
         Returns
         -------
         (V,) int
-            Position in `models` of the chosen model.
+            Index in `models` of the chosen model.
         float
             Squared error of all vertices, weighted by importance.
         """
@@ -108,7 +108,7 @@ class FewerInfluences:
 
 @step("polish")
 def polish_weights(d: Descent, *, polish_steps: int = _AFTERWARDS) -> Iterator[None]:
-    """Polish under the present influences."""
+    """Polish without changing which bones influence a vertex."""
     # given a damping, the polish keeps the supports
     newton = GaussNewton(d.data, d.model, locked=d.locked, damping=_DAMPING)
     newton.run(polish_steps, entering=False)
@@ -118,7 +118,7 @@ def polish_weights(d: Descent, *, polish_steps: int = _AFTERWARDS) -> Iterator[N
 class Pruned(NamedTuple):
     """A skinning with fewer influences, one that has fewer keys as well, and their errors.
 
-    `bytes` and `kept_error` are those of the second or, if it has a file, of that.
+    `bytes` and `kept_error` are those of the second or, if a file is described, of its file.
     """
 
     fewer: Skinning
@@ -143,9 +143,9 @@ def prune(
     """Drop influences and keyframes of a model while its error stays within the tolerance.
 
     It searches for the largest λ at which the minimum of squared error + λ · bytes still meets the
-    tolerance, and returns the smallest model that it found: if a file is asked for, the one whose
-    file is the smallest.  At the end normals are solved, too, and triangles of the rest pose that
-    are turned over are turned back, as far as the tolerance allows with as few bytes.
+    tolerance, and returns the smallest model that it found: if a file is described, the one whose
+    file is the smallest.  At the end normals are solved, too, and flipped triangles of the rest
+    pose are unfolded, if the tolerance still holds with about as few bytes.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def prune(
         A model that holds the tolerance.
     tolerance : float
     skinning : Skinning
-        That model for all frames.
+        The same model for all frames.
     skinning_of_all : callable
         Makes a skinning of all frames from a model and the trajectories that it was solved with.
 
@@ -202,7 +202,7 @@ def prune(
 
 
 def _schedules(frames: SolvedFrames) -> tuple[Schedule, list[Schedule]]:
-    """Steps after influences are dropped, and those that are tried at the end."""
+    """Steps after influences are dropped, and alternatives that are tried in turn at the end."""
     polishes = frames.measure == "rmse"  # a polish may raise the largest error
 
     def usual(d: Descent) -> None:
@@ -230,9 +230,10 @@ def _with_normals(d: Descent) -> None:
 def _first_price(
     frames: SolvedFrames, fewer: FewerInfluences, tolerance: float, skinning: Skinning
 ) -> tuple[float, int]:
-    """First price to try, the highest at which the estimated error holds the tolerance; its bytes.
+    """First price to try, and the estimated bytes at that price.
 
-    The estimate adds up the squared errors of fewer influences and of fewer keys.
+    It is the highest price at which the estimated error holds the tolerance.  The estimate adds up
+    the squared errors of fewer influences and of fewer keys.
     """
     data = frames.data
     left = tolerance**2 - frames.error_of_all(skinning, "rmse") ** 2

@@ -36,7 +36,7 @@ class Curve:
     Attributes
     ----------
     bones : (N,) int64
-        Numbers of bones, ascending.
+        Bone count of each model, ascending.
     bytes : (N,) int64
         Size of each model by :func:`size`, if every frame is a key of every bone.
     rmse : (N,) float64
@@ -143,7 +143,7 @@ def curve(
     counts = _numbers_of_bones(problem.bones)
     models = ModelsByBones(frames, report, expected=len(counts))
     _fill(models, counts, effort)
-    # among errors near zero, one may be larger than the one before by a rounding error
+    # among errors near zero, one may be larger than the previous one by a rounding error
     rmse = np.minimum.accumulate([models.best[bones].value for bones in counts])
     stored = np.array([frames.bytes(models.best[bones].model) for bones in counts], dtype=np.int64)
     diagonal = max(s.diagonal() for s in problem.sequences)
@@ -160,7 +160,7 @@ def _fill(models: ModelsByBones, counts: list[int], effort: Effort) -> None:
     """Find a model for every number of bones in `counts`.
 
     Bones are merged from the largest number down.  Then, from the smallest number up, a model with
-    more error than the one before is replaced by a copy of that one with bones added.
+    more error than the previous, smaller one is replaced by a copy of that one with bones added.
     """
     moves, steps = _STEPS[effort]
 

@@ -22,8 +22,8 @@ class Attempt:
     bones : int
     error : float
         Error of the attempt's best model in the mesh's units, by the measure of the tolerance.  If
-        normals have a tolerance, too, it is at least as large a part of the tolerance of positions
-        as their mean angle is of theirs.
+        normals have a tolerance, too, it is at least the tolerance of positions times the ratio of
+        the mean angle of normals to the tolerance of that angle.
     iterations : int
         Number of alternations and polish steps.
     start : str
@@ -44,7 +44,7 @@ class Attempt:
 
 @dataclasses.dataclass(frozen=True)
 class Pruning:
-    """Number, bytes and error before and after one kind of pruning.
+    """Count, bytes and error before and after one kind of pruning.
 
     Attributes
     ----------
@@ -88,10 +88,11 @@ class FileSize:
         Bytes of the whole file, with its triangles and textures.
     error : float
         Error of the vertices in the file, measured on all frames of the input, in the mesh's units,
-        by the measure of the tolerance.  It is inf, and there are no bytes, if the weights of the
-        file are too coarse for its own tolerance.
+        by the measure of the tolerance.  It is inf, and `bytes` is 0, if the weights of the file
+        are too coarse for its own tolerance.
     normals : float or None
-        Mean angle, in degrees, of the normals that engines draw of the file; None without any.
+        Mean angle, in degrees, between the normals that engines draw of the file and those of the
+        input; None if the input has none.
 
     Examples
     --------
@@ -111,7 +112,7 @@ class Parsimony:
     Attributes
     ----------
     tolerance : float
-        Tolerance asked for, in the mesh's units.
+        Requested tolerance, in the mesh's units.
     measure : {"rmse", "max"}
     normals_tolerance : float or None
         Tolerance of the mean angle of drawn normals, in degrees; that angle is `normals.mean` of
@@ -119,7 +120,7 @@ class Parsimony:
     error : float
         Error of the result, measured on all frames.
     held : bool
-        Whether all tolerances are held, in the `file`, too, if there is one.
+        Whether all tolerances hold, also in the `file` if there is one.
     bones, influences : int
         Number of bones of the result, and largest number of influences at a vertex.
     least_bones : int
@@ -127,13 +128,13 @@ class Parsimony:
         motion.
     size : Size
     prunings : tuple of Pruning
-        Prunings of bones, influences and keyframes, in this order, and before those of influences
-        what takes fewer bytes than the fewest bones; if the search was stopped, the last ones are
-        missing.
+        Prunings of bones, influences and keyframes, in this order.  A model that takes fewer bytes
+        than the fewest bones is recorded before the influences.  If the search was stopped, the
+        last prunings are missing.
     attempts : tuple of Attempt
         All attempts, in order.
     file : FileSize or None
-        Size of the compact file for which the model was chosen; None if none was described.
+        Size of the compact file for which the model was chosen; None if no file was described.
 
     Examples
     --------

@@ -54,7 +54,7 @@ def find_smallest(
         The tolerance, in the mesh's units.
     measure : {"rmse", "max"}
     written : Written, optional
-        For a file that is to hold the tolerance, too.
+        Counts the bytes of a file that is to hold the tolerance, too, and decodes it.
     angle : float, optional
         Tolerance of the mean angle of drawn normals, in degrees.
     bytes_first : bool
@@ -102,7 +102,7 @@ def find_smallest(
             bones = problem.start.n_bones
             models.attempt(bones, _begin_with_model, "given", initial=frames.initial)
         # If frames are streamed, the search solves representative ones, and if weights are stored
-        # in integers or the model in a file, it knows no rounding.  It is then repeated with a
+        # in integers or the model in a file, it ignores the rounding.  It is then repeated with a
         # stricter tolerance until the rounded model holds the tolerance on all frames.
         for _ in range(_RETRIES):
             fewest_bones(models, bounds, problem.effort)
@@ -139,7 +139,7 @@ def find_smallest(
 
 
 def _usable_tolerance(frames: SolvedFrames, asked: float) -> float:
-    """The tolerance within the range of what can be computed."""
+    """The tolerance `asked`, clipped to the range in which errors can be computed."""
     data = frames.data
     check_squarable(data.centre, "vertices")
     largest = max(float(np.abs(data.centre).max()), data.scale)
@@ -165,7 +165,7 @@ def _least_bones(frames: SolvedFrames, tolerance: float) -> tuple[int, int]:
 
 
 def _kept_error(frames: SolvedFrames, skinning: Skinning, tolerance: float) -> float:
-    """Error of a skinning or, if it holds the tolerance, the larger of its and its file's."""
+    """Error of a skinning; if it holds the tolerance, the larger of this and its file's error."""
     return frames.kept(skinning, frames.error_of_all(skinning), tolerance)[1]
 
 

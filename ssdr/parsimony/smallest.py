@@ -65,9 +65,8 @@ def smallest(
     """Find the smallest model of an animated mesh that holds a tolerance.
 
     The result has the fewest bones found that hold the tolerance.  Then influences and keyframes
-    are dropped as far as the tolerance allows, which saves bytes: those of a file, if one is
-    described.  The kind of model is that of :func:`decompose`, unless the fewest bytes are asked
-    for.
+    are dropped as far as the tolerance allows, which saves bytes (of the `file`, if one is
+    described).  The kind of model is that of :func:`decompose`, unless `fewest` is "bytes".
 
     Parameters
     ----------
@@ -88,8 +87,8 @@ def smallest(
         between model and input over F frames and V vertices, or the largest of these distances.
         The solver minimises squares, so that "max" takes more bones than necessary.
     fewest : {"bones", "bytes"}
-        "bytes": where they hold the tolerance in fewer bytes, the result has more bones with fewer
-        influences, affine bones, or fewer bones and shapes.  Frames are held in memory.
+        With "bytes", the result has more bones with fewer influences, affine bones, or fewer bones
+        and shapes, if these hold the tolerance in fewer bytes.  Frames are then held in memory.
     bones : int, optional
         Largest number of bones; by default 256, or the number of vertices if that is less.
     influences : int or (int, {"uint8", "uint16", "float32"})
@@ -103,8 +102,8 @@ def smallest(
         As in :func:`decompose`; a skeleton cannot be kept.
     start : Skinning, Decomposition, Start, MeshSequence or int, optional
         A model to begin from, such as a checkpoint, with at most `bones` bones: if it holds the
-        tolerance, the result is no larger.  All else, as in :func:`decompose`, may give a rest pose
-        only.
+        tolerance, the result is no larger.  Any other kind of start, as in :func:`decompose`, may
+        give a rest pose only.
     vertex_importance : (V,) array, optional
         Guides the solver as in :func:`decompose`.  Each value must be at least 1e-4 of the largest,
         since the tolerance bounds the error without importance.
@@ -113,8 +112,8 @@ def smallest(
     rest_pose : {"surface", "free"}
         As in :func:`decompose`.
     normals : bool
-        As in :func:`decompose`.  Without a tolerance of their own, normals are part of the last
-        steps only where these hold the tolerance and cost no bytes.
+        As in :func:`decompose`.  If normals have no tolerance of their own, the last steps solve
+        them only if the result then holds the tolerance and takes no more bytes.
     rng : int or numpy.random.Generator
         The same seed gives the same bits, whatever the number of threads.
     file : mapping, optional
@@ -123,8 +122,9 @@ def smallest(
         file, too, and of the models that pruning tries the one with the smallest file is chosen:
         each is written to a temporary file, and measured as a reader decodes it.
     time_limit : float, optional
-        Most seconds for this call, without compilation.  When they are over, the smallest model so
-        far that holds the tolerance is returned without pruning, or else the model of least error.
+        Most seconds for this call, without compilation.  After these, the smallest model so far
+        that holds the tolerance is returned without pruning; if none does, the model of least
+        error.
     checkpoint : path, optional
         As in :func:`decompose`; holds the smallest model so far that holds the tolerance.
     callback : callable, optional
@@ -207,7 +207,10 @@ def smallest(
 
 
 def _written(file: Any, problem: Problem) -> Written:
-    """Function that counts the bytes of a file with the options `file`, tried with still bones."""
+    """Function that counts the bytes of a file with the options `file`, and decodes it.
+
+    It is first tried with bones that do not move, to check the options.
+    """
     if not isinstance(file, Mapping) or file.get("compression", "none") == "none":
         raise InputError("file", "options of ssdr.save, among them a compression", repr(file))
 

@@ -47,7 +47,7 @@ class SolvedFrames:
     measure : {"rmse", "max"}
         Error that the tolerance of the search bounds.
     written : Written, optional
-        For the file of a skinning.
+        Counts the bytes of the file of a skinning, and decodes it.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class SolvedFrames:
         Length that counts as much as a degree of the mean angle of drawn normals; 0 if that has no
         tolerance.
     slack : float
-        Squared error within the tolerance, where normals have one, too; else 0.
+        Squared error that the tolerance allows if normals have a tolerance, too; otherwise 0.
     """
 
     def __init__(
@@ -112,7 +112,7 @@ class SolvedFrames:
     def with_normals(self, model: Model) -> tuple[Trajectories, Model]:
         """The trajectories and a model, with normals if these have a tolerance and bones are rigid.
 
-        Like the step :func:`~ssdr.search.steps.solve_normals`, which later steps need.
+        Both are as the step :func:`~ssdr.search.steps.solve_normals` leaves them.
         """
         if not self.degree or self.problem.locked.bone_model != "rigid":
             return self.data, model
@@ -120,13 +120,16 @@ class SolvedFrames:
         return data, with_rest_normals(data, model)
 
     def larger(self, error: float, angle: float | None) -> float:
-        """The larger of an error of positions and a mean angle of normals, where that counts."""
+        """The larger of an error of positions and a mean angle of normals, converted to a length.
+
+        The angle counts only if normals have a tolerance.
+        """
         return max(error, self.degree * (angle or 0.0))
 
     def error(self, model: Model, measure: Measure | None = None) -> float:
         """Error of a model on the frames that the search solves, in the mesh's units.
 
-        It is that of positions alone if its `measure` is given.
+        If `measure` is given, it is that of positions alone.
         """
         if measure is None:
             error = self.error(model, self.measure)
@@ -141,7 +144,7 @@ class SolvedFrames:
         return _error(measure, self.problem.inputs, *self.problem.for_inputs(*skin), transforms)
 
     def error_of_all(self, s: Skinning, measure: Measure | None = None) -> float:
-        """Error of a skinning, measured on all frames; arguments and result as of :meth:`error`."""
+        """Error of a skinning, measured on all frames; `measure` is that of :meth:`error`."""
         problem = self.problem
         if measure is None:
             error = self.error_of_all(s, self.measure)
@@ -153,7 +156,7 @@ class SolvedFrames:
         return _error(measure, problem.inputs, *parts, executor=problem.executor)
 
     def _inputs(self) -> list[MeshSequence]:
-        """The frames that the search solves, with all vertices of the caller's."""
+        """The frames that the search solves, with all vertices of the caller's mesh."""
         rows, (first, *_) = self.problem.rows, self.problem.inputs
         if self.scan is None:
             return self.problem.inputs
@@ -172,7 +175,10 @@ class SolvedFrames:
         return self.larger(error, None if found is None else found.mean)
 
     def file(self, skinning: Skinning) -> FileSize | None:
-        """Bytes of the file of a skinning, and its errors on all frames; None without a file."""
+        """Bytes of the file of a skinning, and its errors on all frames.
+
+        Returns None if no file is described.
+        """
         if self.written is None:
             return None
         try:
@@ -188,7 +194,11 @@ class SolvedFrames:
         return FileSize(size, self.error_of_all(decoded, self.measure), angle)
 
     def kept(self, skinning: Skinning, error: float, tolerance: float) -> tuple[int, float]:
-        """Bytes of a skinning and its `error` or, if it holds the tolerance, those of its file."""
+        """Bytes and error that decide whether a skinning is kept.
+
+        They are those of its file if `error` holds the tolerance and a file is described, and
+        otherwise its own; the error is `error` at least.
+        """
         file = self.file(skinning) if error <= tolerance else None
         if file is None:
             return self.size(skinning).total, error
@@ -209,7 +219,7 @@ class SolvedFrames:
     ) -> Skinning:
         """Convert a model to a skinning of all frames; streamed frames are solved in passes.
 
-        Weights are rounded to what the problem's storage holds.
+        Weights are rounded to the type `problem.storage`.
 
         Parameters
         ----------
@@ -220,7 +230,8 @@ class SolvedFrames:
         entering : int
             Number of bones that may enter the support of a vertex in a pass.
         report : callable
-            Called after a round and within a pass, which is the last if it raises Stop.
+            Called after each round of rounding and within each pass; one in which it raises Stop
+            is the last.
         data : Trajectories, optional
             Copy of the trajectories with which the model was solved.
         """
@@ -247,7 +258,7 @@ class SolvedFrames:
         return _trimmed(skinning_of(problem, frames.alignment, frames.model))
 
     def size(self, skinning: Skinning) -> Size:
-        """Size of a skinning whose weights are in the problem's storage."""
+        """Size in bytes of a skinning, with weights counted in the type `problem.storage`."""
         return size(skinning, storage=self.problem.storage)
 
     def bytes(self, model: Model) -> int:

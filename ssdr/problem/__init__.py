@@ -1,1 +1,1 @@
-"""Between a call and its solution: checked arguments, progress, choice of frames, the answer."""
+"""Before and after the solver: argument checks, the problem, choice of frames, and the answer."""

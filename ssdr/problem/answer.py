@@ -49,7 +49,7 @@ def skinning_of(
 ) -> Skinning:
     """Convert a model to a skinning in the input's space, with the faces and names of the input.
 
-    `sequences` are the frames of the model; all frames by default.  Its normals are those of the
+    `sequences` are the frames of the model, by default all frames.  Its normals are those of the
     rest pose, if the input has any: :func:`with_normals` fits better ones.
     """
     skin = dataclasses.replace(model, transforms=model.transforms[:0])
@@ -125,7 +125,10 @@ def outcome_of(
 
 
 def with_normals(problem: Problem, skinning: Skinning) -> tuple[Skinning, NormalErrors | None]:
-    """A copy of the skinning with fitted rest normals, and their errors; None without any."""
+    """A copy of the skinning with fitted rest normals, and the errors of its normals.
+
+    The errors are None if no normal of the input is known.
+    """
     sequences, executor = problem.inputs, problem.executor
     fitted = with_fitted_normals(sequences, skinning, executor=executor)
     return fitted, errors_of_model(sequences, fitted, executor=executor)

@@ -60,8 +60,8 @@ def check_problem(
 ) -> Problem:
     """Check the arguments of ``decompose``, or of a function that offers some of them.
 
-    With `most_bones`, `bones` may be None without a model, too: then there are that many, or as
-    many as there are vertices that differ if these are fewer.
+    If `most_bones` is given, `bones` may be None even without a model.  The number of bones is then
+    `most_bones`, or the number of vertices that differ if that is smaller.
 
     Raises
     ------
@@ -132,7 +132,7 @@ def check_problem(
 
 
 def _check_stored(influences: Any) -> tuple[int, WeightStorage]:
-    """Largest number of influences, and the type in which their weights are stored."""
+    """Check `influences`; return their largest number, and the type in which weights are stored."""
     if not (isinstance(influences, tuple) and len(influences) == 2):
         return check_influences(influences), "float32"
     count, storage = influences
@@ -145,7 +145,7 @@ def _is_kind(rig: Any) -> bool:
 
 
 def _count_bones(bones: Any, n_vertices: int, rig: Any, start: Any) -> int:
-    """Number of bones: that of the given skeleton or model, or else `bones`."""
+    """Check and return the number of bones: of the skeleton or model if any, otherwise `bones`."""
     known, what = None, "bones"
     if isinstance(rig, Skeleton):
         check_skeleton(rig)

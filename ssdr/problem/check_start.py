@@ -44,9 +44,9 @@ _TURNED = 1e-6  # change of a rotation's entries from which a locked joint count
 
 
 def as_start(start: Any, n_frames: int) -> Any:
-    """A `Start` of the number of one of the frames, or of a mesh; of a result, its model.
+    """Convert a frame index or a mesh to a `Start`, and a result to its model.
 
-    Anything else is returned as it is.
+    Anything else is returned unchanged.
     """
     if is_whole(start):
         return Start(rest_frame=check_whole(start, "start", 0, n_frames - 1))
@@ -58,7 +58,7 @@ def as_start(start: Any, n_frames: int) -> Any:
 def check_start(
     start: Skinning | Start | None, shape: tuple[int, int, int, int], bone_model: BoneModel
 ) -> tuple[Initial, Locked]:
-    """Parts of a model to begin from, and which of them are kept.
+    """Check a start; return the parts of a model that it gives, and which of them are locked.
 
     `shape` is (F, V, B, K).
     """
@@ -246,7 +246,7 @@ def _largest(skeleton: Skinning, influences: int) -> Skin:
 
 
 def extra_parents(rig: Skeleton, n_vertices: int) -> tuple[int, ...]:
-    """Parents of the bones added to a skeleton; −1 if a bone goes where the error is largest."""
+    """Parent of each bone to add to a skeleton; −1 if the bone goes where the error is largest."""
     named = rig.extra_bones if isinstance(rig.extra_bones, Mapping) else {"": rig.extra_bones}
     parents: list[int] = []
     for name, count in named.items():
@@ -286,7 +286,7 @@ def _locked_rotations(skeleton: Skinning, names: Any, n_frames: int) -> Array:
 
 
 def _single_joint(skeleton: Skinning, name: Any, argument: str) -> int:
-    """Index of the joint called `name`; InputError unless exactly one joint has that name."""
+    """Index of the joint called `name`; raises InputError unless exactly one has that name."""
     names = skeleton.names()
     found = [k for k, known in enumerate(names) if known == name]
     if len(found) != 1:

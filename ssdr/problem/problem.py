@@ -1,4 +1,4 @@
-"""Problem to solve: the checked arguments of a call, among them what it begins from."""
+"""Problem to solve: the checked arguments of a call, with the parts that it starts from."""
 
 from __future__ import annotations
 
@@ -36,25 +36,27 @@ class Initial:
     rest : (V, 3) array or None
         Rest pose.
     rest_frame : int or None
-        Frame from which the rest pose is solved if `rest` is None; None until it is chosen.
+        Index of the frame from which the rest pose is solved if `rest` is None; None until it is
+        chosen.
     skin : Skin or None
     transforms : (F, B0, 3, 4) array or None
         Transforms of the first B0 bones.
     is_model : bool
-        Whether the parts are a whole model to improve, of which nothing is locked.
+        Whether the parts are a complete model to improve, of which nothing is locked.
     tree : Tree or None
         Parents and joints of the given bones; bones that are added come after these.
     keeps_tree : bool
-        Whether the tree is that of a skeleton, so that its parents are kept.
+        Whether the tree is that of a skeleton, so that its parents must not change.
     tree_pose : (V, 3) array or None
         Rest pose that fits the joints of `tree`; it is used if `rest` is None.
     nearest_bone : (V,) array or None
-        For a skeleton of another mesh, the bone nearest each vertex, which moves it at the start.
+        For a skeleton of another mesh, the index of the bone that is nearest to each vertex and
+        moves it at the start.
     skeleton_skin : Skin or None
         For a skeleton of the same mesh, its weights, used as a start.
     extra_parents : tuple of int
-        Parents of the bones that are added to a skeleton; −1 if a bone goes where the error is
-        largest.
+        Index of the parent, in a skeleton, of each bone to add.  −1 does not stand for a root, but
+        for a bone whose parent is open: it goes where the error is largest.
     """
 
     rest: Array | None = None
@@ -74,7 +76,10 @@ class Initial:
         return data.frame(self.rest_frame or 0) if self.rest is None else self.rest.copy()
 
     def beside_model(self) -> Initial:
-        """Parts for starts that are tried beside a whole model; without one, these parts."""
+        """Parts for starts that do not use a complete given model.
+
+        If there is such a model, this is `rest_frame` alone; otherwise these are all parts.
+        """
         return Initial(rest_frame=self.rest_frame) if self.is_model else self
 
     def of_vertices(self, kept: NDArray[np.intp]) -> Initial:
@@ -127,7 +132,8 @@ class Problem:
     inputs : list of MeshSequence
         The shots as the caller gave them.
     rows : (V0,) array or None
-        Vertex of `sequences` for each of `inputs`; None if no two coincide in every frame.
+        Index of the vertex of `sequences` for each vertex of `inputs`; None if no two coincide in
+        every frame.
     bones, influences : int
     storage : {"float32", "uint16", "uint8"}
         Type in which the weights will be stored.
@@ -136,20 +142,20 @@ class Problem:
     names : tuple of str
         Names of the bones of a given skeleton.
     locked : Locked
-        Parts that are kept, and the bone model.
+        Parts that must not change, and the bone model.
     initial : Initial
         Parts that the caller gave, in the input's space and for all frames.
     start : Skinning or None
-        A whole model to go on from.
+        A complete model to continue from.
     smoothness : float
-        Length in the mesh's units.
+        Smoothness of the weights, as a length in the mesh's units; 0 if they are not penalised.
     rest_pose : {"surface", "free"}
     normals : bool
         Whether normals are part of the objective.
     vertex_importance : (V,) array or None
-        With copies, the sum of theirs.
+        Importance of each vertex of `sequences`: the sum over the copies of one.
     weighted : bool
-        Whether the caller gave an importance.
+        Whether the caller gave an importance of vertices or frames.
     frame_importance : (F,) array or None
     rng : numpy.random.Generator
     monitor : Monitor
@@ -178,7 +184,7 @@ class Problem:
 
     @functools.cached_property
     def executor(self) -> Executor:
-        """Executor of loops over the frames: Dask workers if frames are streamed and some exist."""
+        """Executor of loops over frames: Dask workers if there are any and frames are streamed."""
         return executor_for(self.sequences) if needs_streaming(self.sequences) else Local()
 
     @property
@@ -191,7 +197,7 @@ class Problem:
 
     @property
     def copies(self) -> int:
-        """Number of vertices of `inputs` that stand for another of theirs."""
+        """Number of vertices of `inputs` that are copies of another one."""
         return self.inputs[0].n_vertices - self.n_vertices
 
     @property
@@ -200,18 +206,19 @@ class Problem:
         return np.cumsum([0, *[len(s) for s in self.sequences]])
 
     def for_inputs(self, *arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
-        """Arrays (V, ...) of the problem's vertices for those of `inputs`."""
+        """Expand arrays (V, ...) of the vertices of `sequences` to those (V0, ...) of `inputs`."""
         return arrays if self.rows is None else tuple(array[self.rows] for array in arrays)
 
     def with_rest_surface(
         self, data: Trajectories, initial: Initial
     ) -> tuple[Trajectories, Initial]:
-        """Copies of `data`, uncompressed, with what the rest pose is to resemble, and of `initial`.
+        """Copies of `data` with a reference surface, and of `initial` with a rest frame.
 
-        That is the rest pose of `initial`, of its skeleton, or else its rest frame, which is chosen
-        unless the caller named it.  That of a model that is tried beside others does not count, as
-        it may be a crumpled mesh.  Bones that stretch need a rest frame in which no part is without
-        size, even if the rest pose is free.
+        `data` must be uncompressed.  The surface is the rest pose of `initial`, or otherwise its
+        skeleton's, or otherwise the rest frame, which is chosen unless the caller named it.  There
+        is no surface if the rest pose is free or locked.  A start model that is only tried beside
+        other starts is no reference, since it may be crumpled.  Bones that stretch need a rest
+        frame in which every part has a size, even if the rest pose is free.
         """
         keeps_to = self.rest_pose == "surface" and len(data.faces) > 0
         pose = initial.tree_pose if initial.rest is None or self.tries_model else initial.rest
@@ -226,7 +233,7 @@ class Problem:
 
     @property
     def tries_model(self) -> bool:
-        """Whether a whole model was given that is tried beside other starts."""
+        """Whether a complete model was given that is only tried beside other starts."""
         bound = self.rig == "rigid" or self.initial.keeps_tree or self.smoothness > 0
         return self.initial.is_model and not bound
 

@@ -50,7 +50,7 @@ class Scan:
     chosen : (S,) int64
         Representative frames, ascending; the first frame is one of them.
     nearest : (F,) int64
-        For each frame, the position in `chosen` of the most similar one.
+        For each frame, the index in `chosen` of the most similar chosen frame.
     extended_evenly : bool
         Whether evenly spread frames were added, so that each chosen frame stands for itself alone.
     """
@@ -74,7 +74,7 @@ class Scan:
     def extended(self, n_vertices: int) -> Scan | None:
         """A copy with further chosen frames, evenly spread, as many as fit into memory.
 
-        None if fewer than twice the frames chosen so far fit.
+        Returns None if fewer than twice the frames chosen so far fit.
         """
         n_frames = len(self.nearest)
         count = min(_SETTLED // (24 * n_vertices), _MOST_SETTLED, n_frames)
@@ -161,7 +161,7 @@ def subset(
     *,
     executor: Executor | None = None,
 ) -> MeshSequence:
-    """Read the frames with the numbers `frames`, ascending, into one sequence in memory."""
+    """Read the frames with the indices `frames`, ascending, into one sequence in memory."""
     first = sequences[0]
     spans = spans_of(sum(len(s) for s in sequences))
     bounds = [np.searchsorted(frames, span) for span in spans]

@@ -1,4 +1,4 @@
-"""Steps of a descent that change which bones there are, or which influences, on trial."""
+"""Steps of a descent that add, remove and move bones, or exchange influences."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ CHANGES: tuple[Change, ...] = (exchange_bones, alternate_some, exchange_influenc
 
 @step("merge", cost=20)
 def merge(d: Descent, *, steps: int = 3, alternations: int = 4) -> Iterator[None]:
-    """Remove excess bones, in each step the cheapest third of the excess, and alternate.
+    """Remove the bones in excess of `d.bones`, a third of them in each step, and alternate.
 
-    The cheapest bones are those whose removal raises the objective least; `steps` are expected for
-    0.6 excess bones per bone asked for.
+    The cheapest bones go first: those whose removal raises the objective least.  `steps` only
+    estimates how many steps this takes, for 1.6 times `d.bones` bones.
     """
     while d.model.n_bones > d.bones:
         d.model = merge_bones(d.data, d.model, d.bones, alternations, d.locked)
@@ -59,9 +59,9 @@ def merge(d: Descent, *, steps: int = 3, alternations: int = 4) -> Iterator[None
 def move_bones(
     d: Descent, *, steps: int = 16, patience: int = 4, alternations: int = 4
 ) -> Iterator[None]:
-    """Move one of the cheapest bones to where the error is largest; keep the better model.
+    """Move cheap bones, one at a time, to where the error is largest; keep each improvement.
 
-    It ends after `patience` moves in a row without a lower objective.
+    It ends after `steps` moves, or `patience` moves in a row that do not lower the objective.
     """
     change = partial(move_cheapest_bone, alternations=alternations)
     return tried(d, [change], steps=steps, iterations=alternations, patience=patience)
@@ -69,9 +69,10 @@ def move_bones(
 
 @step("add and merge", cost=20)
 def add_and_merge(d: Descent, *, alternations: int = 3) -> Iterator[None]:
-    """Add several bones where the error is largest, and merge down to the number before.
+    """Add several bones where the error is largest, and merge down to the previous number.
 
-    The model is kept in any case, since its worth shows only after it is relaxed and searched.
+    The result is kept even if its objective is higher, since it is judged only after a relaxation
+    and a search.
     """
     d.model = add_and_merge_bones(d.data, d.model, d.rng, d.locked, alternations=alternations)
     d.iteration += alternations
@@ -80,9 +81,9 @@ def add_and_merge(d: Descent, *, alternations: int = 3) -> Iterator[None]:
 
 @step("add and merge", cost=20)
 def try_places(d: Descent, *, steps: int, patience: int, alternations: int = 3) -> Iterator[None]:
-    """Add several bones and merge down to the number before; keep the better model.
+    """Add several bones and merge down to the previous number; keep the better model.
 
-    It ends after `patience` changes in a row without a lower objective.
+    It ends after `steps` trials, or `patience` trials in a row that do not lower the objective.
     """
     change = partial(add_and_merge_bones, alternations=alternations)
     return tried(d, [change], steps=steps, iterations=alternations, patience=patience)
@@ -90,9 +91,9 @@ def try_places(d: Descent, *, steps: int, patience: int, alternations: int = 3) 
 
 @step("search", cost=60)
 def search(d: Descent, *, steps: int, gain: float = 1e-3) -> Iterator[None]:
-    """Change the model in one of several ways, polish, and keep the better model.
+    """Try `steps` changes of the model, polish each, and keep each that lowers the objective.
 
-    A trial is a success if it lowers the objective by the share `gain`.
+    A trial counts as a success if it lowers the objective by more than the fraction `gain`.
     """
     return tried(d, CHANGES, polished_value, steps=steps, gain=gain)
 
@@ -114,14 +115,15 @@ def tried(
     d : Descent
     changes : sequence of Change
     polished : callable, optional
-        Polishes a trial (in place), which has to beat a given objective; returns its objective.
+        Polishes a trial (in place) and returns its objective; the last argument is the objective
+        that the trial has to beat.
     steps : int
     gain : float
         Relative decrease of the objective that makes a trial a success.
     iterations : int
-        Alternations or polish steps of a trial.
+        Number of alternations or polish steps of a trial.
     patience : int, optional
-        Failures in a row after which no further change is tried; by default all are.
+        Number of failures in a row that ends the search; by default all `steps` are tried.
     """
     last_turn, misses, failures = list(range(-len(changes), 0)), [0] * len(changes), 0
     for k in range(steps):
@@ -151,7 +153,10 @@ def tried(
 
 
 def polished_value(d: Descent, trial: Model, base: float) -> float:
-    """Polish a trial (in place), once more if it is close above `base`; return its objective."""
+    """Polish a trial (in place) and return its objective.
+
+    It is polished a second time if its objective is at most 2 % above `base`.
+    """
     polish_steps(d.data, trial, STEPS_OF_A_TRIAL, d.locked)
     value = d.value(trial)
     if base <= value < _CLOSE * base:

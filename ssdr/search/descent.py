@@ -1,9 +1,9 @@
-"""A decomposition in progress: the present model, the best one so far, and what a step may use.
+"""A decomposition in progress, or descent: its data, its present model, and its best one so far.
 
 A step is a function of a descent, such as :func:`~ssdr.search.steps.polish`, and a schedule a
-function that calls steps one after another.  The best model with exactly the number of bones asked
-for is kept apart from the model that the next step starts from.  The latter may have more bones,
-more influences or, after a change, more error.
+function that calls steps one after another.  The next step starts from the present model, which may
+have more bones, more influences or, after a change, more error than the best model.  The latter has
+exactly the requested number of bones.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from .vertex_sample import model_of_all
 
 __all__ = ["ALTERNATIONS_OF_ALL", "Descent", "Schedule", "step"]
 
-# Alternations on all vertices after a sample, and polish steps if the descent is stopped there.
+# Alternations on all vertices after a sample, and polish steps if the descent is stopped on it.
 ALTERNATIONS_OF_ALL, _STEPS_AFTER_STOP = 8, 8
 
 # Objective, relative to the squared motion, below which only rounding errors are left.
@@ -46,16 +46,17 @@ _EXPECTED = 60
 
 @dataclasses.dataclass
 class Work:
-    """What is done of a schedule.
+    """Progress of a schedule.
 
     Attributes
     ----------
     iteration : int
         Number of alternations and polish steps so far.
     done, expected : float
-        Work that is done and that of the whole schedule, in alternations.
+        Work done so far and work of the whole schedule, in units of one alternation.
     plan : list of (phase, number of steps) or None
-        Steps of a schedule while it is planned: they change nothing then.
+        Steps of the schedule, collected while it is only planned and steps change nothing; None
+        while it is followed.
     report : callable or None
         Called with the phase after each step.
     """
@@ -76,7 +77,7 @@ class Descent:
     bones, influences : int
     rng : numpy.random.Generator
     locked : Locked
-        Parts that are kept, and the bone model.
+        Parts that must not change, and the bone model.
     initial : Initial
         Parts that the caller gave, in the solver's space.
     smoothness : WeightSmoothness or None
@@ -91,14 +92,14 @@ class Descent:
     ----------
     data : Trajectories
     few : Descent or None
-        Descent on a sample of the vertices while one is in progress, with models of its own.
+        Descent on a sample of the vertices, with models of its own; None unless it is in progress.
     model : Model
-        Model that the next step starts from; it may have more bones than asked for.  There is none
-        before the first step that makes one.
+        The present model, from which the next step starts; it may have more than `bones` bones.
+        The attribute does not exist before the first step that makes a model.
     best : Lowest
-        Model of lowest objective so far with exactly the number of bones asked for.
+        Model of lowest objective so far with exactly `bones` bones.
     work : Work
-        What is done of the schedule, shared with a descent on a sample.
+        Progress of the schedule, shared with a descent on a sample.
     converged : bool
         True if the last step ended by its own stopping test.
     records : list of (iteration, elapsed, squared error, phase)
@@ -137,12 +138,12 @@ class Descent:
 
     @property
     def locked(self) -> Locked:
-        """Parts that the present step keeps, and the bone model that it uses."""
+        """Parts that are locked in the present step, and its bone model."""
         return dataclasses.replace(self.asked, bone_model="rigid") if self._rigid else self.asked
 
     @property
     def start_parts(self) -> Initial:
-        """Parts for a new start."""
+        """Parts of `initial` for starts that do not use a complete given model."""
         return self.initial.beside_model()
 
     @property
@@ -166,7 +167,7 @@ class Descent:
 
     @property
     def removable_bones(self) -> int:
-        """Number of bones that the best model could lose, one at a time, without more error.
+        """Number of bones of the best model that could each be removed without raising the error.
 
         In a tree only bones without children count.
         """
@@ -178,7 +179,10 @@ class Descent:
         return int(removable.sum())
 
     def best_of_all(self) -> Lowest:
-        """Best model so far of all vertices, made from a sample in progress if that is better."""
+        """Best model of all vertices so far.
+
+        If a sample is in progress, its best model is fitted to all vertices and taken if better.
+        """
         best = copy.copy(self.best)
         if self.few is not None:
             model = self.of_all(self.few.best.model)
@@ -187,9 +191,9 @@ class Descent:
         return best
 
     def sample(self, chosen: NDArray[np.intp], *, free: bool) -> Descent:
-        """A descent on the chosen vertices that starts from the present and the best model.
+        """Begin a descent on the chosen vertices from the present and the best model; return it.
 
-        Its rest pose is free, or else keeps to a coarse surface.
+        Its rest pose is free if `free`; otherwise it is held by a coarse surface.
         """
         few = copy.copy(self)
         few.data, few.asked = self.data.select_vertices(chosen), self.asked.select_vertices(chosen)
@@ -204,14 +208,14 @@ class Descent:
         return few
 
     def unpenalised(self) -> Descent:
-        """A descent of its own on the same data, without the penalty on the weights."""
+        """A separate descent on the same data, with no penalty on the weights and no best model."""
         bare = copy.copy(self)
         bare.smoothness, bare.objective, bare.records = None, Objective(self.asked), []
         bare.best = Lowest()
         return bare
 
     def of_all(self, few: Model) -> Model:
-        """Model of all vertices made from one of the sample in progress, by eight alternations."""
+        """Model of all vertices, made by eight alternations from `few`, a model of the sample."""
         parts, locked = self.start_parts, self.locked
         rest = parts.first_pose(self.data)
         model = model_of_all(few, rest, self._chosen)
@@ -226,19 +230,25 @@ class Descent:
         return self.objective.value(self.data, model)
 
     def below(self, limit: float, *, expected: bool) -> bool:
-        """Whether the present objective is below `limit`; `expected` while steps are planned."""
+        """Whether the present model's objective is below `limit`.
+
+        While steps are only planned, `expected` is returned.
+        """
         return expected if self.planning else self.value(self.model) < limit
 
     # --- what steps change ---------------------------------------------------------------------
 
     def begin_with(self, model: Model) -> None:
-        """Take a copy of `model` as the present one and, with the bones asked for, as the best."""
+        """Make a copy of `model` the present model.
+
+        If it has the requested number of bones, it also becomes the best, whatever its objective.
+        """
         self.model = model.copy()
         if model.n_bones == self.bones:
             self.set_best(model)
 
     def set_best(self, model: Model) -> None:
-        """Take a copy of `model` as the best, whatever its objective."""
+        """Make a copy of `model` the best model, whatever its objective."""
         self.best = Lowest()
         self.best.offer(model, self.value(model))
 
@@ -249,7 +259,7 @@ class Descent:
 
     @contextlib.contextmanager
     def rigid_bones(self) -> Iterator[None]:
-        """Use rigid bones, even if another bone model was asked for."""
+        """Context in which steps use rigid bones, whatever bone model was requested."""
         self._rigid = True
         try:
             yield
@@ -270,8 +280,8 @@ class Descent:
         ----------
         schedule : Schedule
         report : callable, optional
-            Called with the phase of each step that was made; it raises :class:`~ssdr.progress.Stop`
-            to end the descent.
+            Called with the phase after each step; it raises :class:`~ssdr.progress.Stop` to end
+            the descent.
 
         Returns
         -------
@@ -299,7 +309,7 @@ class Descent:
         return min(1.0, self.work.done / self.work.expected)
 
     def after_step(self, phase: str) -> None:
-        """Remember the best model and report the step.
+        """Update the best model and report the step.
 
         Raises
         ------
@@ -343,8 +353,8 @@ def step(
     phase : str
         Name of the step in reports.
     cost : float
-        Time of a step, in alternations; used only to estimate the time left.  The number of steps
-        is the argument `steps` of the function, or else 1.
+        Time of a step in units of one alternation; used only to estimate the time left.  The number
+        of steps is the argument `steps` of the function or, if it has none, 1.
     """
 
     def decorate(generator: Steps[P]) -> Callable[Concatenate[Descent, P], None]:

@@ -107,7 +107,7 @@ REBUILDS = (  # size below which the numbers hold, and the numbers
 )
 TRIALS_OF_A_REBUILD = 6
 LARGE = 2e8  # size from which on "balanced" makes no trials: each would take many seconds
-# Least vertices for each bone of a sample on which influences are relaxed; 60 are overfitted.
+# Fewest vertices per bone in a sample on which influences are relaxed; 60 are overfitted.
 RELAXED_VERTICES = 128
 # From this number of bones on there are several starts with few trials each, because alternations
 # alone put many bones in better places, and after some starts no rebuild helps.

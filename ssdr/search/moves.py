@@ -52,8 +52,8 @@ _ADDED = (2, 6)
 # Polish steps at each number of influences: drawn between this and twice as many.  Three are one
 # step that lets bones enter supports and two that settle them.
 _FEWEST_STEPS = 3
-# Number of vertices in the patch of a new bone, relative to the average bone's: for a moved bone,
-# and for an added bone, where it is drawn because motions have parts of all sizes.
+# Vertex count of a new bone's patch, relative to V/B: for a moved bone, and the values among which
+# that of an added bone is drawn, because motions have parts of all sizes.
 _PATCH_SIZE, _PATCH_SIZES = 0.5, (0.25, 0.5, 1.0)
 _FEWEST_VERTICES = 4  # in a patch: a rotation needs three that are not on a line
 # Gauss–Newton rounds on a vertex from which a bone is removed on trial: after these, nine of ten
@@ -67,7 +67,7 @@ _ROUNDS = 2
 def merge_bones(
     data: Trajectories, model: Model, bones: int, alternations: int, locked: Locked
 ) -> Model:
-    """Remove a third of the bones in excess of `bones`, the cheapest ones, then alternate.
+    """Remove the cheapest third of the bones in excess of `bones` from a copy, then alternate.
 
     The cheapest bones are those whose removal raises the objective least.
     """
@@ -88,10 +88,11 @@ def move_cheapest_bone(
     *,
     alternations: int,
 ) -> Model | None:
-    """Move one of the cheapest bones to the patch with most error; None if no bone can move.
+    """Move one of the cheapest bones to the patch with most error.
 
     The cheapest bones are those whose removal raises the objective least.  The moved bone is fitted
-    by Kabsch to a patch of V/(2B) vertices, for V vertices and B bones.
+    by Kabsch to a patch of V/(2B) vertices, for V vertices and B bones.  Returns None if no bone
+    can move or no error is left.
     """
     if not float(data.importance @ model.error) > 0:
         return None
@@ -116,9 +117,9 @@ def add_and_merge_bones(
     *,
     alternations: int,
 ) -> Model:
-    """Add two to six bones where the error is largest, then merge down to the number before.
+    """Add two to six bones where the error is largest, then merge down to the previous number.
 
-    It alternates `alternations` times after each step, which takes a tenth of the time of a change
+    `alternations` alternations follow the addition and each merge: a tenth of the time of a change
     that polishes.  Several bones added at once find places that a single bone would not keep.
     """
     least, most = _ADDED
@@ -134,7 +135,7 @@ def add_and_merge_bones(
 def exchange_bones(
     data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
 ) -> Model:
-    """Add one or two bones, polish, then remove as many of the cheapest bones.
+    """Add one or two bones, polish, then remove the same number of the cheapest bones.
 
     The cheapest bones, whose removal raises the objective least, are chosen only after the polish,
     when the new bones have taken over vertices from the old ones.  Until then each vertex has one
@@ -178,7 +179,7 @@ def add_bone(data: Trajectories, model: Model, *, alternations: int, locked: Loc
 def exchange_influences(
     data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
 ) -> Model:
-    """Polish with one or two more influences per vertex, then drop as many.
+    """Polish with one or two more influences per vertex, then drop the same number.
 
     Each vertex drops the influences whose removal raises its error least.  Since the model changes
     little, its objective is usually lower afterwards.
@@ -191,7 +192,7 @@ def exchange_influences(
 def polish_then_drop_influence(
     data: Trajectories, model: Model, locked: Locked, *, steps: int
 ) -> Model:
-    """Polish `steps` times (in place); return a copy with one influence per vertex less.
+    """Polish `steps` times (in place); return a copy with one influence fewer per vertex.
 
     With few influences the choice of bones for each vertex leads to many poor minima.  With more
     influences there are fewer poor minima, and their bones are close to those of a good model.
@@ -206,8 +207,8 @@ def polish_then_drop_influence(
 def drop_influence(data: Trajectories, model: Model, locked: Locked) -> None:
     """Remove from each vertex with K influences the one that it needs least (in place).
 
-    Each removal is tried, with the other weights and the rest position solved again, and that of
-    least error is made.  It is often not the removal of the smallest weight.
+    Each removal is tried, with the other weights and the rest position solved again, and the one of
+    least error is made.  Often this is not the removal of the smallest weight.
     """
     k, keep = model.n_influences, locked.vertex_mask(data.n_vertices)
     length, hold = normal_length(data, model), rest_pulls(data, model, locked)
@@ -250,7 +251,7 @@ def drop_influence(data: Trajectories, model: Model, locked: Locked) -> None:
 
 
 def _draw_influences(model: Model, rng: np.random.Generator) -> tuple[int, int, int]:
-    """Return the number of influences; draw how many to add and how many polish steps to make."""
+    """Influences per vertex, a random number of influences to add, and one of polish steps."""
     k, n_bones = model.n_influences, model.n_bones
     extra = min(int(rng.integers(1, _MOST_WIDER + 1)), max(0, n_bones - k))
     return k, extra, int(rng.integers(_FEWEST_STEPS, 2 * _FEWEST_STEPS + 1))
@@ -259,7 +260,7 @@ def _draw_influences(model: Model, rng: np.random.Generator) -> tuple[int, int, 
 def _with_fewer_influences(
     data: Trajectories, model: Model, locked: Locked, *, influences: int, steps: int
 ) -> Model:
-    """Polish and drop one influence per vertex, repeatedly until each has at most `influences`."""
+    """Polish (in place) and drop an influence per vertex, repeatedly, down to `influences`."""
     while model.n_influences > influences:
         polish_steps(data, model, steps, locked)
         drop_influence(data, model, locked)
@@ -356,7 +357,7 @@ def _with_patch(
 
 
 def _removal_costs(data: Trajectories, model: Model, locked: Locked) -> Array:
-    """Rise (B,) of the objective when each bone is removed; inf for bones that have to stay."""
+    """Rise (B,) of the objective by the removal of each bone alone; inf if it has to stay."""
     cost = bone_costs(data, model)
     # all bones up to the last locked one stay, since locked bones are known by their index
     cost[: len(locked.bones)] = np.inf

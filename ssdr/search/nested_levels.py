@@ -1,4 +1,4 @@
-"""Search for models of several numbers of bones in which a coarser one has some bones of a finer.
+"""Search for nested levels: models of several bone counts, the coarser with bones of the finer.
 
 The levels share the transforms: the bones are sorted so that a level of B bones uses the first B.
 Each level has weights and a rest pose of its own.  With E_l the squared error of level l, and E*_l
@@ -6,8 +6,8 @@ that of an independent model with as many bones, the objective is Σ_l (E_l / E*
 large p makes depend mostly on the largest ratio.
 
 To move the bones of all levels at once, the vertices of all levels are stacked into one mesh.  The
-importance of its vertices is that of their level, the derivative of the objective by E_l.  A
-Gauss–Newton step on this mesh keeps the influences, which each level chooses among its own bones.
+importance of each vertex is multiplied by the derivative of the objective by its level's E_l.  A
+Gauss–Newton step on this mesh keeps the influences; each level chooses them between such steps.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from .vertex_sample import model_of_all, motion_sample, sample_size
 __all__ = ["Nested", "nested_models"]
 
 _POWER = 6  # p of the objective
-_WIDER = 4  # influences beyond those asked for, with which the search begins
+_WIDER = 4  # influences beyond the requested number, with which the search begins
 _STEPS = 3  # Gauss–Newton steps between two choices of influences
-_ROUNDS, _ROUNDS_OF_A_TRIAL = 3, 2  # how often both are done at each number of influences
+_ROUNDS, _ROUNDS_OF_A_TRIAL = 3, 2  # rounds of steps and choice at each number of influences
 _MOST_WIDER = 3  # most influences that a trial adds
 _SWAPS = 0.2  # share of the trials that exchange two bones
 _CHEAPEST = 3  # number of cheapest bones among which a swap draws
@@ -40,7 +40,7 @@ _CHEAPEST = 3  # number of cheapest bones among which a swap draws
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Nested:
-    """Search for nested levels: its data, the errors to compare with, and its random numbers.
+    """Search for nested levels: its data, the errors to compare with, and its random generator.
 
     Attributes
     ----------
@@ -65,7 +65,10 @@ class Nested:
         return float((self.ratios(levels) ** (_POWER / 2)).sum())
 
     def polish(self, levels: list[Model], rounds: int) -> list[Model]:
-        """Move all bones together `rounds` times, after each level has chosen its influences."""
+        """Choose the influences of each level (in place), then move all bones; `rounds` times.
+
+        Returns the moved levels.
+        """
         n, damping = self.data.n_vertices, 1e-3
         stacked = self.data.select_vertices(np.tile(np.arange(n), len(levels)))
         if self.data.surface is not None:
@@ -96,7 +99,10 @@ class Nested:
         return levels
 
     def narrowed(self, levels: list[Model], rounds: int) -> list[Model]:
-        """Levels with at most `influences` bones per vertex, by polishing and dropping in turns."""
+        """Polish and drop an influence in turn until no vertex has more than `influences`.
+
+        Returns the changed levels.
+        """
         while True:
             levels = self.polish(levels, rounds)
             count = max(level.n_influences for level in levels)
@@ -110,7 +116,7 @@ class Nested:
     def search(
         self, levels: list[Model], trials: int, report: Callable[[float], None]
     ) -> list[Model]:
-        """Levels after `trials` changes, of which those that lower the objective are kept."""
+        """Try `trials` changes, keep each that lowers the objective, and return the levels."""
         value = self.value(levels)
         for k in range(trials):
             if self.rng.random() < _SWAPS:
@@ -125,11 +131,14 @@ class Nested:
         return levels
 
     def widened(self, levels: list[Model], more: int) -> list[Model]:
-        """Copies with up to `more` further influences per vertex."""
+        """Copies with `influences` + `more` influences per vertex, at most one per bone."""
         return [x.with_influences(min(self.influences + more, x.n_bones)) for x in levels]
 
     def swapped(self, levels: list[Model]) -> list[Model]:
-        """Copies in which a bone of a level changes places with one that only finer levels have."""
+        """Copies in which two bones change places.
+
+        One is a cheap bone of a random level; the other is a bone that only finer levels have.
+        """
         k = int(self.rng.integers(1, len(levels)))
         least = levels[k + 1].n_bones if k + 1 < len(levels) else 0
         cost = bone_costs(self.data, levels[k].with_restarted_support())[least:]
@@ -143,7 +152,7 @@ class Nested:
     def reordered(self, levels: Sequence[Model], order: NDArray[np.intp]) -> list[Model]:
         """Copies whose bone j is the present bone ``order[j]``.
 
-        Vertices that lose a bone are solved again.
+        A level with vertices that lose a bone is solved again.
         """
         transforms, place = levels[0].transforms[:, order], np.argsort(order)
         out = []
@@ -170,7 +179,7 @@ def nested_models(
     rng: np.random.Generator,
     report: Callable[[float], None],
 ) -> list[Model]:
-    """Models of the given numbers of bones, of which each has the first bones of the one before.
+    """Models with `counts` bones, each with the first bones of the previous, finer one.
 
     Parameters
     ----------
@@ -178,9 +187,9 @@ def nested_models(
     finest : Model
         A model of ``counts[0]`` bones.
     counts : sequence of int
-        Numbers of bones, descending.
+        Bone counts, descending.
     targets : (L,) array
-        Squared errors of independent models with these numbers of bones.
+        Squared errors of independent models with `counts` bones.
     influences : int
     trials : int
         Number of changes that are tried; each is kept if it lowers the objective.
@@ -202,7 +211,7 @@ def nested_models(
 
 
 def _removed(search: Nested, finest: Model, counts: Sequence[int]) -> list[Model]:
-    """Levels made by removing bones one by one, each time the one that raises the error least."""
+    """Levels made by removing bones one by one, always the one whose loss costs least error."""
     data, model = search.data, finest.with_restarted_support()
     optimise_vertices(data, model)
     left, gone, kept = list(range(counts[0])), [], {counts[0]: model}
@@ -225,7 +234,7 @@ def _removed(search: Nested, finest: Model, counts: Sequence[int]) -> list[Model
 
 
 def _solved_for_all(data: Trajectories, few: Model, rest: Array, chosen: NDArray[np.intp]) -> Model:
-    """Solve a model of all vertices, from one of a sample."""
+    """Model of all vertices, solved from `few`, a model of the vertices `chosen`."""
     model = model_of_all(few, rest, chosen)
     vertex_step(data, model)
     for _ in range(2):

@@ -31,8 +31,8 @@ from ..solver.vertex_newton import newton_vertices
 
 __all__ = ["ENTERING", "AllFrames", "carried"]
 
-# Gauss–Seidel sweeps of the bones in a pass.  Before, the first, which begins with transforms of
-# other frames, leaps.
+# Gauss–Seidel sweeps of the bones in a pass, and leaps before them in the first pass, which begins
+# with transforms of other frames.
 _SWEEPS, _FIRST_LEAPS = 24, 1
 _ROUNDS = 3  # Gauss–Newton rounds on a vertex
 ENTERING = 3  # number of bones that may enter a vertex's support in a pass
@@ -42,18 +42,18 @@ _GAIN = 2e-3  # relative decrease of the objective below which a pass is the las
 def carried(
     model: Model, nearest: NDArray[np.int64], ratio: float, initial: Initial, locked: Locked
 ) -> Model:
-    """A copy of a model for all frames, each with the transforms of the most similar solved frame.
+    """Copy of a model for other frames, each with the transforms of the most similar solved frame.
 
     Parameters
     ----------
     model : Model
     nearest : (F,) int
-        Position, among the model's frames, of the one most similar to each frame.
+        Index, among the model's frames, of the one most similar to each frame.
     ratio : float
         Scale of the model's space, divided by the scale of the new space.
     initial : Initial
         Given parts in the new space; its transforms replace those of locked bones, or of all bones
-        if it is a whole model to go on from.
+        if it is a complete model to continue from.
     locked : Locked
     """
     transforms = model.transforms[nearest]
@@ -89,7 +89,7 @@ class AllFrames:
     importance : (F,) array or None
         Importance of the frames.
     executor : Executor, optional
-        Executor that processes the spans of frames; by default in this process.
+        Executor that processes the spans of frames; by default it runs in this process.
     """
 
     def __init__(
@@ -110,7 +110,7 @@ class AllFrames:
         self.passes = 0
         ratio = data.scale / self.alignment.scale
         self.model = carried(model, scan.nearest, ratio, initial, locked)
-        # all that is kept of the trajectories of all frames
+        # trajectories of all frames, without their positions
         self.space = Trajectories(
             z=data.z[:, :0],
             q=None,
@@ -130,8 +130,8 @@ class AllFrames:
     def improve(self, most: int, *, entering: int, report: Report | None = None) -> Iterator[float]:
         """Make at most `most` passes, until one gains little; yield the objective after each.
 
-        A pass after which the objective is not lower is taken back, and is not among them.  One in
-        which `report` raises Stop is completed and is the last.  The arguments are those of
+        A pass that does not lower the objective is undone, and nothing is yielded.  A pass in which
+        `report` raises Stop is completed and is the last.  `entering` and `report` are those of
         :meth:`pass_over`.
         """
         last, stopped = math.inf, False

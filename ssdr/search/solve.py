@@ -39,12 +39,12 @@ __all__ = ["PASSES", "SCANNED", "read_frames", "rounded", "scan_of", "solve"]
 # Fractions of the work that are done after the scan, after the run on representative frames, and
 # after the run on more frames, as measured for sequences of the paper's size.
 SCANNED, _REPRESENTED, _SETTLED = 0.05, 0.3, 0.5
-# Most passes over all frames.  At the paper's size the first one ends where a second one stays.
+# Most passes over all frames.  At the paper's size a second pass gains nothing.
 PASSES = {"fast": 1, "balanced": 1, "best": 4}
 
 
 def solve(problem: Problem, schedule: Schedule | None = None) -> Decomposition:
-    """Solve a problem; with a `schedule` of its own instead of the effort's, in memory.
+    """Solve a problem; a given `schedule` replaces that of the effort, with all frames in memory.
 
     Raises
     ------
@@ -116,7 +116,10 @@ def scan_of(problem: Problem) -> Scan:
 def read_frames(
     problem: Problem, chosen: Scan | None
 ) -> tuple[list[MeshSequence], Trajectories, Initial]:
-    """Read the chosen frames, or all; return them, their trajectories, and the parts for them."""
+    """Read the frames that a scan chose, or all frames if `chosen` is None.
+
+    Returns them, their trajectories, and the given parts in the space of the trajectories.
+    """
     sequences, initial = problem.sequences, problem.initial
     importance = problem.frame_importance
     if chosen is not None:
@@ -135,12 +138,12 @@ def read_frames(
 def rounded(
     problem: Problem, data: Trajectories, model: Model, report: Callable[[Model], None]
 ) -> Model:
-    """The model with weights that the problem's storage holds.
+    """The model with its weights rounded to the type `problem.storage`.
 
-    It is made in rounds, after each of which `report` is called and may raise Stop.
+    After each round of polish steps `report` is called; if it raises Stop, the rounds end.
     """
     locked = problem.locked
-    if problem.smoothness > 0:  # which an exchange of units would not know
+    if problem.smoothness > 0:  # the rounding would ignore this penalty
         locked = locked.with_weights(data.n_vertices)
     if problem.storage == "float32":
         return model
@@ -170,7 +173,7 @@ def _rounded_best(problem: Problem, d: Descent, *, done: float) -> tuple[Model, 
 
 
 def _begin(problem: Problem, data: Trajectories, initial: Initial, *, normals: bool) -> Descent:
-    """A descent on the frames of `data`, whose rest pose keeps to the surface that it may have."""
+    """A descent on the frames of `data`; a reference surface is chosen unless `data` has one."""
     if data.surface is None:
         data, initial = problem.with_rest_surface(data, initial)
     smoothness = WeightSmoothness.build(data, problem.sequences[0].faces, problem.smoothness)
@@ -200,7 +203,7 @@ def _schedule_of(problem: Problem) -> Schedule:
 
 
 def _report(problem: Problem, d: Descent, sequences: list[MeshSequence]) -> Callable[[str], None]:
-    """Function that reports each step on the frames `sequences`, and offers the best model."""
+    """Function that reports a step to the monitor and offers the best model, for `sequences`."""
     monitor = problem.monitor
 
     def report(phase: str) -> None:
@@ -216,10 +219,10 @@ def _report(problem: Problem, d: Descent, sequences: list[MeshSequence]) -> Call
 def _carried(
     problem: Problem, first: Descent, few: Scan, more: Scan
 ) -> tuple[Descent, list[MeshSequence]]:
-    """A descent that goes on from the model of the representative frames with more frames.
+    """Begin a descent on more frames from the model of the representative ones; release `first`.
 
     Representative frames are few and extreme; solved on these alone, the weights follow motion that
-    other frames do not have.
+    other frames do not have.  Returns the descent and its frames.
     """
     first.release()
     sequences, data, initial = read_frames(problem, more)
@@ -236,10 +239,13 @@ def _carried(
 def _passes_over_all(
     problem: Problem, d: Descent, chosen: Scan, model: Model
 ) -> tuple[Model, list[Step]]:
-    """Make passes over all frames, until one gains little, from a model of the chosen frames."""
+    """Make passes over all frames from a model of the chosen ones, until a pass gains little.
+
+    Returns the model and a record of each pass.
+    """
     monitor, most, locked = problem.monitor, PASSES[problem.effort], problem.locked
     if d.smoothness is not None or problem.storage != "float32":
-        # a pass knows neither penalty nor rounding, so that it must keep the weights
+        # a pass ignores penalty and rounding, so it must not change the weights
         locked = locked.with_weights(d.data.n_vertices)
     frames = AllFrames(
         problem.sequences,

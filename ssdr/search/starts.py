@@ -1,4 +1,4 @@
-"""Steps of a descent that make a model: from motion, from parts of a model, from a whole model."""
+"""Steps of a descent that make a model: from motion, from given parts, from a complete model."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ __all__ = [
     "start_from_model",
 ]
 
-# Number of frames that a quick start uses if there are at least twice as many, and of alternations
-# on them: 64 frames tell which bones there are, and 16 alternations place them.
+# A quick start uses 64 frames if there are at least twice as many, and alternates 16 times on them:
+# that is enough to find the bones and to place them.
 _FEW_FRAMES, _FEW_ALTERNATIONS = 64, 16
 # Gauss–Seidel sweeps, and leaps of all bones together, for bones that start with the transforms of
 # another frame.  Without leaps, it would take many sweeps to move a bone far.
@@ -40,8 +40,8 @@ _FIRST_SWEEPS, _FIRST_LEAPS = 6, 2
 def start(d: Descent, *, factor: float = 1.0, influences: int | None = None) -> Iterator[None]:
     """Make bones from motion, or take those that the caller gave, and solve their first weights.
 
-    There are `factor` times the bones asked for; a merge removes the excess.  If the factor is
-    above 1, all bones are made from motion, unless the caller locked some.
+    There are `factor` · `d.bones` bones; a later merge removes the excess.  If the factor is above
+    1, the caller's bones are used only if some of them are locked.
     """
     d.model = _first_model(d, factor, influences)
     vertex_step(d.data, d.model, locked=d.locked)
@@ -50,7 +50,11 @@ def start(d: Descent, *, factor: float = 1.0, influences: int | None = None) -> 
 
 @step("quick", cost=8)
 def quick_start(d: Descent, *, influences: int | None = None) -> Iterator[None]:
-    """Make a first model from all frames or, if there are many, from 64, then fit it to all."""
+    """Make a first model.
+
+    If there are 128 frames or more, and the caller gave no bones, the model is made from 64 frames
+    and then fitted to all.
+    """
     data, initial = d.data, d.start_parts
     if data.n_frames < 2 * _FEW_FRAMES or initial.transforms is not None:
         d.model = _first_model(d, 1.0, influences, quick=True)
@@ -95,11 +99,11 @@ def _first_model(
 
 @step("start", cost=8)
 def start_from_model(d: Descent) -> Iterator[None]:
-    """Start from a whole model that the caller gave.
+    """Start from a complete model that the caller gave.
 
-    Its transforms are taken to be of other frames if the bones have less error when each is fitted
-    to the vertices that it moves most.  In that case the bones are fitted anew to the weights, and
-    a later step attaches them to their joints again.
+    If its error is lower when each bone is fitted to the vertices that it moves most, its
+    transforms are taken to belong to other frames.  They are then fitted anew, with weights and
+    rest pose held, and a later step attaches the bones to their joints again.
     """
     data, initial = d.data, d.initial
     own = _initial_model(d, None)
@@ -142,19 +146,22 @@ def _patches_of_weights(d: Descent, rest: Array, skin: Skin) -> Array:
 
 
 def _fit_motion(d: Descent, model: Model) -> None:
-    """Fit bones that are far from where they belong (in place), and compute the errors."""
+    """Fit the transforms from a poor first guess, and recompute the vertex errors (in place).
+
+    Weights and rest pose are held.
+    """
     fit_motion(d.data, model, locked=d.locked, sweeps=_FIRST_SWEEPS, leaps=_FIRST_LEAPS)
     _measure_error(d, model)
 
 
 def _measure_error(d: Descent, model: Model) -> None:
-    """Compute the error of every vertex (in place), without moving anything."""
+    """Recompute the error of every vertex (in place); the rest of the model does not change."""
     every = np.ones(d.data.n_vertices, dtype=bool)
     vertex_step(d.data, model, locked=dataclasses.replace(d.locked, rest=True, weights=every))
 
 
 def first_model(d: Descent, *, influences: int | None = None) -> None:
-    """Make a usable model early, without excess bones and before the frames are compressed."""
+    """Make a usable first model, without excess bones, and then compress the frames."""
     quick_start(d, influences=influences)
     alternate(d, steps=20, gain=0.01)
     compress(d)
@@ -168,9 +175,9 @@ def merged_start(
     factor: float = 1.6,
     influences: int | None = None,
 ) -> None:
-    """Start with `factor` times the bones asked for and merge them down.
+    """Start with `factor` · `d.bones` bones and merge them down to `d.bones`.
 
-    `before` and `after` are the most alternations before and after the merge.
+    At most `before` alternations precede the merge, and at most `after` follow it.
     """
     start(d, factor=factor, influences=influences)
     alternate(d, steps=before)

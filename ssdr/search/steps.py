@@ -1,4 +1,4 @@
-"""Steps of a descent on all bones together, and on which vertices and model the next ones work."""
+"""Steps that improve all bones together, or choose the vertices or the model of the next steps."""
 
 from __future__ import annotations
 
@@ -49,9 +49,10 @@ def compress(d: Descent) -> Iterator[None]:
 
 @step("alternate")
 def alternate(d: Descent, *, steps: int, gain: float = _PLATEAU) -> Iterator[None]:
-    """Alternation of Le and Deng: solve the bones, then the weights and the rest pose.
+    """Alternate as Le and Deng: solve the bones, then the weights and the rest pose.
 
-    Three alternations in a row that lower the objective by less than the share `gain` are the last.
+    It ends after `steps` alternations, or three in a row that each lower the objective by less than
+    the fraction `gain`.
     """
     failures = 0
     for _ in range(steps):
@@ -71,7 +72,8 @@ def alternate(d: Descent, *, steps: int, gain: float = _PLATEAU) -> Iterator[Non
 def polish(d: Descent, *, steps: int, gain: float = 0.0) -> Iterator[None]:
     """Improve all bones together by Gauss–Newton steps with variable projection.
 
-    It ends when eight steps lower the error by less than the share `gain`.
+    It ends after `steps` steps, or when eight of them lower the error by less than the fraction
+    `gain`.
     """
     newton = GaussNewton(d.data, d.model, locked=d.locked)
     for _ in newton.steps(steps, gain=gain):
@@ -82,10 +84,10 @@ def polish(d: Descent, *, steps: int, gain: float = 0.0) -> Iterator[None]:
 
 @step("relax", cost=40)
 def relax(d: Descent, *, steps: int = 4, polish_steps: int = 8) -> Iterator[None]:
-    """Polish with up to `steps` more influences, at most twice as many, and give up one at a time.
+    """Polish with up to `steps` additional influences per vertex, and drop one at a time.
 
-    There are `polish_steps` polish steps at each number of influences.  More influences would take
-    much memory, since a polish holds (K + 2)² numbers per vertex for K influences.
+    There are `polish_steps` polish steps at each number of influences.  The number is at most
+    doubled, since a polish holds (K + 2)² floats per vertex for K influences.
     """
     k = d.influences
     model = d.model.with_influences(min(2 * k, k + steps, d.model.n_bones))
@@ -100,9 +102,9 @@ def relax(d: Descent, *, steps: int = 4, polish_steps: int = 8) -> Iterator[None
 
 @step("normals", cost=4)
 def solve_normals(d: Descent) -> Iterator[None]:
-    """Solve rest normals, too, from now on, if they are wanted and bones are rigid.
+    """Solve rest normals, too, from now on, if these are requested and the bones are rigid.
 
-    They come late, since they lead a search for places of bones to models with more error.
+    They come late, since they would lead a search for bones to models with more error.
     """
     if not (d.normals and len(d.data.faces) and d.asked.bone_model == "rigid"):
         return
@@ -114,27 +116,28 @@ def solve_normals(d: Descent) -> Iterator[None]:
 
 
 def relax_bones(d: Descent) -> None:
-    """Relax with five polish steps at each number of influences, of which "best" makes eight."""
+    """Relax with five instead of eight polish steps at each number of influences; then polish."""
     relax(d, polish_steps=5)
     polish(d, steps=200, gain=0.004)
 
 
 def last_polish(d: Descent, *, steps: int, gain: float = 0.0) -> None:
-    """Polish with normals in the objective."""
+    """Polish with normals in the objective, if :func:`solve_normals` adds them."""
     solve_normals(d)
     polish(d, steps=steps, gain=gain)
 
 
 @step("unfold", cost=3)
 def unfold(d: Descent, *, steps: int = 8) -> Iterator[None]:
-    """Turn triangles of the rest pose back that are turned over, by ten times stiffer edges there.
+    """Unfold the triangles of the rest pose that are flipped, with ten times stiffer edges there.
 
-    It makes the best model the one that is returned, as a rest pose with folds is no surface.
+    The result becomes the best model even if its error is higher, as a rest pose with folds is not
+    a surface.
     """
     if d.data.surface is None:
         return
     d.model, locked = d.best.model.with_restarted_support(), d.locked
-    if d.smoothness is not None:  # which this solve of weights would not know
+    if d.smoothness is not None:  # this solve of weights would ignore the penalty
         locked = locked.with_weights(d.data.n_vertices)
     for _ in range(steps):
         assert d.data.surface is not None
@@ -158,10 +161,10 @@ def on_sample(
 ) -> bool:
     """Follow a schedule on a third of the vertices, then continue from its best model on all.
 
-    The sample is spread evenly over the range of motion; it has at least `least` and at most `most`
-    vertices for each bone asked for.  If that would be half of the vertices or more, all are used.
-    Returns whether it was less.  With `free`, the rest pose of the sample is free: that is enough
-    to tell where bones belong.
+    The sample, evenly spaced in the order of :func:`by_motion`, has at least `least` and at most
+    `most` vertices for each of the `d.bones` bones.  If these are half of the vertices or more, the
+    schedule runs on all.  Returns whether it ran on a sample.  If `free`, no surface holds the rest
+    pose of the sample: that is enough to find where bones belong.
     """
     count = sample_size(d.data.n_vertices, d.bones, least, most)
     if 2 * count >= d.data.n_vertices:
@@ -175,7 +178,7 @@ def on_sample(
 
 @step("all vertices", cost=8)
 def all_vertices(d: Descent) -> Iterator[None]:
-    """Work on all vertices again; each starts with the weights of the nearest sampled vertex."""
+    """Leave the sample for all vertices; each begins with the nearest sampled vertex's weights."""
     assert d.few is not None
     d.model, d.few = d.of_all(d.few.best.model), None
     d.iteration += ALTERNATIONS_OF_ALL
@@ -184,14 +187,17 @@ def all_vertices(d: Descent) -> Iterator[None]:
 
 @step("return to best", cost=0)
 def return_to_best(d: Descent) -> Iterator[None]:
-    """Continue from the best model so far; the present one keeps its support if it is that one."""
+    """Make the best model so far the present one.
+
+    Its support restarts, unless it is the present model already.
+    """
     if d.value(d.model) != d.best.value:
         d.model = d.best.model.with_restarted_support()
     yield
 
 
 def lowest(d: Descent, *starts: Schedule) -> None:
-    """Follow several schedules in turn; continue from the model of least objective."""
+    """Follow several schedules in turn; continue from the model of lowest objective."""
     found = Lowest()
     for start in starts:
         start(d)
@@ -202,7 +208,7 @@ def lowest(d: Descent, *starts: Schedule) -> None:
 
 
 def beside(d: Descent, start: Schedule) -> None:
-    """Follow a schedule from another start; keep the best model before it unless errors fall."""
+    """Follow a schedule from another start; if the error rises, restore the former best model."""
     before, known = copy.copy(d.best), len(d.records)
     start(d)
     if before.exists and d.best_error > before.model.weighted_error(d.data):

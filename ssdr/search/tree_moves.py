@@ -45,7 +45,7 @@ _FIRST_STIFFNESS = -2.5, 0.0  # powers of ten between which the first stiffness 
 _STEPS = 10  # number of steps in which the stiffness grows after a change
 _CHEAPEST = 12  # number of edges with the smallest gaps, among which a change draws one
 _WEAKEST = 0.7  # probability that the dropped edge is the one whose bones share the least weights
-_PATCH_SIZES = (0.25, 0.5, 1.0)  # numbers of vertices, relative to an average bone's
+_PATCH_SIZES = (0.25, 0.5, 1.0)  # vertex counts of a patch, relative to V/B
 
 
 def attach_by_stiffness(
@@ -71,7 +71,7 @@ def _attach_changed(
 def add_edge_between_skin_neighbours(
     data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
 ) -> Model:
-    """Connect two bones that share weights and drop one edge of the cycle; up to three times."""
+    """Connect two bones that share weights and drop one edge of the cycle, one to three times."""
     changed = model.with_restarted_support()
     for _ in range(int(rng.integers(1, _MOST_EDGES + 1))):
         tree = changed.hierarchy
@@ -196,8 +196,8 @@ def split_bone(
     leaf : bool
         Make the new bone a child without children.
     parent : int
-        The bone to split, with the patch among its vertices; −1: the bone that moves the patch
-        most.
+        Index of the bone to split, from whose vertices the patch is chosen.  −1 stands for the bone
+        that moves the patch most.
     """
     size = float(rng.choice(_PATCH_SIZES))
     main = model.indices[np.arange(data.n_vertices), model.weights.argmax(axis=1)]
@@ -237,7 +237,7 @@ def split_bone(
 
 
 def remove_cheapest_bone(data: Trajectories, model: Model, locked: Locked) -> Model:
-    """A copy without the bone that costs least; its neighbours are attached to one of them."""
+    """A copy without the cheapest bone, whose neighbours are then attached to one among them."""
     losses = removal_losses(data, model)
     bone = int(np.argmin([loss.cost for loss in losses]))
     loss = losses[bone]
@@ -255,10 +255,10 @@ class Loss:
     ----------
     cost : float
         Rise of the objective from the bone's vertices and from closing its neighbours' gaps.
-    heir : int
-        The neighbour to which the other neighbours would be attached; −1 if there are none.
+    successor : int
+        Index of the neighbour to which the others would be attached; −1 if there are no neighbours.
     points : dict
-        For each other neighbour, its joint with `successor`.
+        For each other neighbour's index, its joint with `successor`.
     """
 
     cost: float
@@ -267,7 +267,7 @@ class Loss:
 
 
 def removal_losses(data: Trajectories, model: Model) -> list[Loss]:
-    """The cheapest way to remove each bone; the cost is inf for a bone without neighbours."""
+    """Loss of each bone with its cheapest successor; the cost is inf if it has no neighbours."""
     tree = model.hierarchy
     mass = model.bone_masses()
     beyond, total = tree.subtree_sums(mass), float(mass.sum())

@@ -1,4 +1,4 @@
-"""Schedules of bones with joints: a tree that has to be found, a skeleton, a model that has one."""
+"""Schedules of bones with joints: to find a tree, or to start from a skeleton or a model."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ __all__ = [
 def tree_of_bones(d: Descent, effort: Effort, size: float) -> None:
     """Find bones with joints and their tree: trees from several starts, then a search.
 
-    Once the bones are attached, more influences follow.  There are several starts because a search
+    Influences are added once the bones are attached.  There are several starts because a search
     ends near its start: of twelve starts on the Fox of the glTF samples, two led to the right tree.
     """
 
@@ -71,8 +71,9 @@ def tree_of_bones(d: Descent, effort: Effort, size: float) -> None:
 def bones_of_skeleton(d: Descent, effort: Effort) -> None:
     """Find weights and motion of bones that are attached at the joints of a known tree.
 
-    If the skeleton brings no weights, one start binds vertices to the nearest limb, and others bind
-    vertices that move together; the lowest objective is continued.
+    If the skeleton has no weights, one start binds vertices to the nearest limb, and others (not
+    with the effort "fast") bind vertices that move together.  The model of lowest objective is
+    continued.
     """
     n, initial = NUMBERS[effort], d.initial
 
@@ -143,7 +144,7 @@ def tree_from_model(d: Descent, effort: Effort) -> None:
 
 
 def loose_from_model(d: Descent, effort: Effort) -> None:
-    """Continue from the given model with the loose joints of a skeleton."""
+    """Continue from the given model with bones that may come apart."""
     polish_model(d, effort)
     if effort != "fast":
         relax_bones(d)
@@ -174,13 +175,13 @@ def start_of_tree(d: Descent) -> None:
 
 
 def lowest_tree(d: Descent, *starts: Schedule) -> None:
-    """Make a tree from each start, and polish the one of least objective."""
+    """Make a tree from each start, and polish the one of lowest objective."""
     lowest(d, *starts)
     polish(d, steps=20, gain=0.01)
 
 
 def search_best_trees(d: Descent) -> None:
-    """Search better trees repeatedly, each time from the best one so far."""
+    """Search for better trees repeatedly, each time from the best one so far."""
     for _ in range(TREE_ROUNDS):
         return_to_best(d)
         relax_tree(d)

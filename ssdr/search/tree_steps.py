@@ -71,7 +71,7 @@ def attach(d: Descent, *, steps: int = 20) -> Iterator[None]:
 
 
 def attach_unattached(d: Descent) -> None:
-    """Attach the bones at joints, unless the present model's are."""
+    """Attach the bones at joints, unless those of the present model are attached."""
     if d.planning or d.model.tree is None or not d.model.tree.rigid:
         attach(d)
 
@@ -80,9 +80,9 @@ def attach_unattached(d: Descent) -> None:
 def start_on_skeleton(d: Descent, *, by_motion: bool = False) -> Iterator[None]:
     """Start with the bones of a given skeleton, each fitted to the vertices assigned to it.
 
-    Each vertex starts with the skeleton's weights or, if it has none, with the nearest limb; or, if
-    `by_motion`, with the bone of the skeleton that the free bone of the present model is matched
-    with.
+    A vertex is assigned to the bone of its largest weight or, if the skeleton has no weights, to
+    the nearest limb.  If `by_motion`, it is assigned to the skeleton's bone that matches the free
+    bone that moves it most in the present model.
     """
     data, initial = d.data, d.initial
     tree, label = initial.tree, initial.nearest_bone
@@ -127,7 +127,7 @@ def add_bones(d: Descent, *, steps: int = 4) -> Iterator[None]:
 
 @step("remove bones", cost=30)
 def remove_bones(d: Descent, *, steps: int = 3) -> Iterator[None]:
-    """Remove the cheapest bone of a tree again and again until the wanted number is left."""
+    """Remove the cheapest bone of a tree repeatedly, until `d.bones` bones are left."""
     while d.model.n_bones > d.bones:
         model = d.model.with_restarted_support()
         _polish_changed(d, remove_cheapest_bone(d.data, model, d.locked))
@@ -142,13 +142,13 @@ def _polish_changed(d: Descent, model: Model) -> None:
 
 @step("search", cost=60)
 def search_trees(d: Descent, *, steps: int) -> Iterator[None]:
-    """Change the tree, the bones or the influences, polish, and keep the better model."""
+    """Try `steps` changes of tree, bones or influences, polish each, and keep improvements."""
     return tried(d, _TREES, _polished_value, steps=steps, gain=1e-3)
 
 
 @step("search", cost=60)
 def search_weights(d: Descent, *, steps: int) -> Iterator[None]:
-    """Change bones and influences but not the edges of the tree; keep the better model."""
+    """Try `steps` changes of bones or influences, not of the tree's edges; keep improvements."""
     return tried(d, _WEIGHTS, _polished_value, steps=steps, gain=1e-3)
 
 
@@ -156,7 +156,7 @@ def _polished_value(d: Descent, trial: Model, base: float) -> float:
     """Polish a trial (in place) as long as it may beat `base`; return its objective.
 
     A better tree shows only after many steps.  Therefore a trial is polished as long as the gain of
-    its last steps suggests that it will beat the objective it is compared with.
+    its last steps suggests that its objective will fall below `base`.
     """
     value = np.inf
     for steps in range(0, _MOST_POLISH, STEPS_OF_A_TRIAL):

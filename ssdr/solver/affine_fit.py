@@ -32,7 +32,7 @@ __all__ = [
 PATCH_RIDGE, _RIDGE = 0.1, 1e-4
 # Damping of a leap, relative to the diagonal: above the rounding of its factor in float32.
 _DAMPING = 1e-3
-_MARCH = 48  # frames of which each may start from the one before
+_MARCH = 48  # frames of which each may start from the previous one
 _SWEEPS = 2  # Gauss–Seidel passes over the bones: more take longer and converge further
 _HALVINGS = 10  # most halvings of an inadmissible move; if that is not enough, the bone stays
 
@@ -115,14 +115,14 @@ def solve_affine(
 def leap_rigid(transforms: Array, u: Array, c: Array, locked: NDArray[np.bool_]) -> None:
     """Take a Gauss–Newton step of all rigid bones of a frame together, in every frame (in place).
 
-    Gauss–Seidel sweeps take hundreds of rounds to move a bone far together with its neighbours.
-    Where its bones fit better, a frame starts from the step of the frame before it.  No frame's
-    error rises.  The parameters are those of :func:`solve_affine`.
+    Gauss–Seidel sweeps take hundreds of rounds to move a bone far together with its neighbours.  A
+    frame starts from the moved bones of the previous frame if these fit it better than its own.  No
+    frame's error rises.  The parameters are those of :func:`solve_affine`.
     """
     n_bones, index = transforms.shape[1], np.arange(transforms.shape[1])
     mass = u[index, index, 3, 3]
     still = locked | ~(mass > 0)
-    # A turn about the centre of what a bone moves does not move it as a whole.
+    # A rotation about the centroid of what a bone moves does not move the centroid.
     centre = u[index, index, :3, 3] / np.where(mass > 0, mass, 1.0)[:, None]
     shift = np.tile(np.eye(4), (n_bones, 1, 1))
     shift[:, :3, 3] = -centre

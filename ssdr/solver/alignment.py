@@ -1,4 +1,7 @@
-"""The map between the input's space and the solver's, in which all frames lie on the first."""
+"""The map between the input's space and the solver's.
+
+In the solver's space each frame is centred and rotated onto the first; one scale serves all frames.
+"""
 
 from __future__ import annotations
 
@@ -66,14 +69,17 @@ class Alignment:
         Raises
         ------
         InputError
-            If numbers of `argument`, the points, are too large to be squared.
+            If coordinates are too large to be squared; the message names the points `argument`.
         """
         inner = (np.asarray(points, dtype=np.float64) - self.centre[0]) / self.scale
         check_squarable(inner, argument, _APART)
         return np.ascontiguousarray(inner)
 
     def moves_from_world(self, transforms: Array, argument: str) -> Array:
-        """Map transforms to the solver's space; errors as in :meth:`points_from_world`."""
+        """Map transforms (F, B, 3, 4) to the solver's space.
+
+        Raises InputError as :meth:`points_from_world` does.
+        """
         m = np.asarray(transforms, dtype=np.float64)
         r = np.einsum("tba,tjbc->tjac", self.rotation, m[..., :3])
         moved = m[..., 3] + m[..., :3] @ self.centre[0] - self.centre[:, None]
@@ -84,7 +90,7 @@ class Alignment:
     def inward(self, block: NDArray[np.floating], first: int, frame_scale: Array | None) -> Array:
         """Map frames `first`, `first` + 1, ... (c, V, 3) to the solver's space, as (V, c, 3).
 
-        Each is multiplied by its number in `frame_scale` (F,), if there is one.
+        Each is multiplied by its entry of `frame_scale` (F,), unless that is None.
         """
         some = slice(first, first + len(block))
         factor = np.full(len(block), 1 / self.scale)
@@ -105,8 +111,8 @@ class Alignment:
 def centred(frames: NDArray[np.floating], share: Array | None) -> tuple[Array, Array]:
     """Positions (..., V, 3) relative to their centroid, and the centroid (..., 3), per frame.
 
-    `share` (V,), which sums to 1, are the weights of the vertices in the centroid; None: equal
-    ones.
+    `share` (V,) holds the weights of the vertices in the centroid, with sum 1; None stands for
+    equal weights.
     """
     # in C order, since the order in memory decides the last bits of sums
     here = frames.astype(np.float64, order="C")

@@ -68,7 +68,7 @@ def vertex_step(
     pull, stiff : (V, B), (V,) arrays, optional
         Coefficients of a penalty stiff_i |w_i|² − 2 pull_i · w_i on the weights w_i of vertex i.
     penalty : float
-        What the objective adds to the error of the model.
+        Penalty that the objective adds to the error of the model.
     """
     keep = locked.vertex_mask(data.n_vertices)
     with serial_blas():
@@ -121,9 +121,10 @@ def bone_step(
     locked : Locked
     leaps : int
         Number of rounds in which rigid bones, which may be far from their optimum, first take a
-        :func:`~ssdr.solver.affine_fit.leap_rigid` and then the sweeps; 0: sweeps without a leap.
+        :func:`~ssdr.solver.affine_fit.leap_rigid` and then the sweeps.  If 0, there are sweeps
+        without a leap.
     length : float, optional
-        Length of a normal as a point; by default as the objective has it.
+        Length of a normal treated as a point; by default that of the objective.
 
     Returns
     -------
@@ -177,7 +178,7 @@ def sweep(
 
 
 def bone_costs(data: Trajectories, model: Model) -> Array:
-    """Rise (B,) of the squared error if a bone is removed and weights are solved again."""
+    """Rise (B,) of the squared error by the removal of each bone alone, with weights re-solved."""
     n_bones = model.n_bones
     with serial_blas():
         _, gram, _, reduced = transform_sums(data, model.transforms)
@@ -193,7 +194,7 @@ def bone_costs(data: Trajectories, model: Model) -> Array:
 
 
 def free_gauge(data: Trajectories, model: Model, locked: Locked) -> None:
-    """As :func:`normalise_gauge`, unless a surface decides about the rest pose."""
+    """Apply :func:`normalise_gauge` (in place), unless a surface holds the rest pose."""
     if data.surface is None:
         normalise_gauge(model, data.importance, locked)
 

@@ -20,7 +20,7 @@ __all__ = ["Operator", "Recycled", "conjugate_gradients"]
 Operator = Callable[[Array], Array]  # a linear map of arrays of one shape
 
 _CONVERGED = 1e-10  # squared residual rᵀ P r, relative to the first, that ends the iteration
-_NUMBERS = 1 << 21  # most numbers in all kept directions together, and as many in their images
+_NUMBERS = 1 << 21  # most floats in all stored directions together, and as many in their images
 _COLUMNS = 1 << 14  # columns of directions and images on which a thread works at once
 
 
@@ -97,7 +97,10 @@ class Recycled:
 
     @staticmethod
     def of(pairs: list[tuple[Array, Array]]) -> Recycled | None:
-        """Keep the first pairs (direction, image) that fit into the memory; None if none do."""
+        """Scale and store the first pairs (direction, image), as many as fit into the memory.
+
+        Returns None if there are none.
+        """
         few = pairs[: _NUMBERS // max(1, pairs[0][0].size)] if pairs else []
         if not few:
             return None
@@ -110,7 +113,7 @@ class Recycled:
     def update(self, precondition: Operator) -> Operator:
         """Operator that applies Vᵀ P V + Σ s sᵀ, as the class defines it.
 
-        It is the preconditioner P = `precondition`, improved by the kept directions.
+        It is the preconditioner P = `precondition`, improved by these directions.
         """
         s, y = self.directions, self.images
         pieces = chunk_bounds(s.shape[1], _COLUMNS)

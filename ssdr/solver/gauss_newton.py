@@ -57,8 +57,8 @@ class GaussNewton:
         Accepted steps change it in place.  If other code changes it, this object is invalid.
     locked : Locked
     damping : float, optional
-        λ of an earlier object for the same model, which this one continues exactly where it
-        stopped.  Without it, the vertices are optimised first.
+        λ with which an earlier object for the same model stopped: this one continues exactly from
+        there.  If None, the vertices are optimised first.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ class GaussNewton:
         ----------
         most : int
         gain : float
-            Decrease of the error, relative to it, which eight steps have to reach to go on.
+            The steps end if eight of them lower the error by less than this fraction of it.
         entering : bool
             Whether further bones may become influences of a vertex, in the first step and in every
             third after it.
@@ -116,7 +116,7 @@ class GaussNewton:
                 return
 
     def run(self, count: int, *, entering: bool = True) -> float:
-        """Make `count` steps of :meth:`steps`; return the damping of the next."""
+        """Make `count` steps of :meth:`steps`; return the damping of the next step."""
         for _ in self.steps(count, entering=entering):
             pass
         return self.damping
@@ -151,7 +151,7 @@ class GaussNewton:
         return True
 
     def _reduced(self) -> ReducedSystem:
-        """The normal equations at the model, kept until a step is accepted."""
+        """The normal equations at the model, reused until a step is accepted."""
         if self._system is None:
             self._system = ReducedSystem(
                 self.data, self.model, self.locked, self._vertices, self.tangent.precision
@@ -204,16 +204,16 @@ def fit_motion(
 ) -> None:
     """Fit the transforms of every frame under the model's weights and rest pose (in place).
 
-    Bones of a tree turn about their joints, which stay, and roots move freely; they are fitted to
-    the positions alone.
+    Bones of a tree rotate about their joints, whose rest positions are held, and roots move freely;
+    all are fitted to positions alone, not to normals.
 
     Parameters
     ----------
     sweeps, leaps : int
-        As in :func:`~ssdr.solver.alternation.bone_step`, for bones without a tree.  Those of a
-        tree take Gauss–Newton steps as long as these gain.
+        As in :func:`~ssdr.solver.alternation.bone_step`, for bones without a tree.  Bones of a
+        tree take Gauss–Newton steps instead, as long as these lower the objective enough.
     length : float
-        Length of a normal as a point, for bones without a tree.
+        Length of a normal treated as a point, for bones without a tree.
     """
     if model.tree is None:
         bone_step(data, model, sweeps=sweeps, locked=locked, leaps=leaps, length=length)

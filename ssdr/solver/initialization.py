@@ -27,7 +27,11 @@ _SKETCH = 32  # dimensions of a random projection in which trajectories are comp
 
 
 def by_motion(data: Trajectories) -> NDArray[np.intp]:
-    """Vertices (V,) by the length of their trajectories, so that numbering does not matter."""
+    """Vertex indices (V,) in ascending order of the norm of the aligned trajectory.
+
+    The norm is of the distances from the centroid in all frames.  Norms that nearly agree count as
+    equal; such vertices keep the order of their indices.
+    """
     size = max(float(data.x2.max()), 1e-300)
     return np.argsort(np.rint(data.x2 / (_TIED * size)), kind="stable")
 
@@ -35,8 +39,8 @@ def by_motion(data: Trajectories) -> NDArray[np.intp]:
 def farthest_points(x: Array, count: int, first: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Choose seeds among the rows of x by farthest-point sampling, from the row `first`.
 
-    Returns the rows of the seeds and, for each row of x, the number of its nearest seed.  If rows
-    coincide, there may be fewer than `count` seeds.
+    Returns the row indices of the seeds and, for each row of x, the index of its nearest seed among
+    them.  If rows coincide, there may be fewer than `count` seeds.
     """
     if x.shape[1] > 2 * _SKETCH:
         # approximate distances are enough to spread the seeds
@@ -70,8 +74,8 @@ def fit_patches(
 ) -> Array:
     """Transforms (F, count, 3, 4) of bones fitted to `count` disjoint sets of vertices.
 
-    `label` (V,) is the set of each vertex, negative for none.  The bone of an empty set is the
-    identity.
+    `label` (V,) is the index of each vertex's set, or negative if it is in none.  The bone of an
+    empty set is the identity.
     """
     member = np.flatnonzero(label >= 0)
     member = member[np.argsort(label[member], kind="stable")]
@@ -113,10 +117,10 @@ def single_bone_errors(
     transforms: Array,
     rows: NDArray[np.intp],
 ) -> tuple[Array, Array | None]:
-    """Squared error (n, B) of the chosen vertices under each bone alone.
+    """Squared error (n, B) of the n vertices `rows` if each bone alone moves them.
 
-    `rows` are the n chosen vertices.  If `rest` is None, each vertex takes the best rest position
-    for each bone; these positions (n, 3, B) are the second result, which otherwise is None.
+    If `rest` is None, each vertex takes the best rest position for each bone; these positions
+    (n, 3, B) are the second result, which otherwise is None.
     """
     n_bones = transforms.shape[1]
     out = np.empty((len(rows), n_bones))
@@ -159,7 +163,7 @@ def facility_location(
     """Choose up to `count` columns j, one by one, that each lower Σ_i u_i min_j cost_ij most.
 
     This is greedy facility location; u is `importance` (n,), and min_j is over the chosen columns.
-    `held` (n,) is the least cost of each row i under bones that are given, which count as chosen.
+    `held` (n,) is the least cost of each row i under the given bones, which count as chosen.
 
     References
     ----------

@@ -27,7 +27,7 @@ VertexRows = tuple[Array, Indices, Array, Indices, Indices, Array, Array, Array,
 
 
 class Skin(NamedTuple):
-    """Skin weights (V, K), the largest of each vertex first, and their bones."""
+    """Bone indices and weights (V, K) of every vertex, largest weight first."""
 
     indices: Indices
     weights: Array
@@ -54,7 +54,7 @@ class Model:
     error : (V,) float64
         Squared error of each vertex.
     normals : (V, P - 1, 3) float64
-        Rest normals of the vertices, of any length, while a solve fits them; P is 1 or 2.
+        Rest normals of the vertices, of any norm.  P is 2 while a solve fits them, and else 1.
     normal_error : (V,) float64
         Squared error Σ_t |Σ_j w_ij R_j^t n_i − n_i^t|² of each vertex's normal.
     tree : Tree or None
@@ -168,7 +168,7 @@ class Model:
         self.count[:] = np.maximum((self.weights > 0).sum(axis=1), 1)
 
     def assign_to_bone(self, vertices: NDArray[np.intp], bone: int) -> None:
-        """Make `bone` the whole support of the given vertices (in place)."""
+        """Make `bone` the only bone in the support of the given vertices (in place)."""
         self.support[vertices], self.support_weights[vertices] = 0, 0.0
         self.support[vertices, 0], self.support_weights[vertices, 0] = bone, 1.0
         self.count[vertices] = 1
@@ -207,7 +207,7 @@ class Model:
         return model
 
     def without(self, bones: NDArray[np.intp]) -> Model:
-        """A copy without the given bones and without a tree; the rest of each support stays."""
+        """A copy without the given bones and without a tree; other bones stay in each support."""
         keep = np.setdiff1d(np.arange(self.n_bones), bones)
         rank = np.full(self.n_bones, -1, dtype=np.int32)
         rank[keep] = np.arange(len(keep))
@@ -256,8 +256,8 @@ class Lowest:
     Attributes
     ----------
     model : Model
-        A copy, which steps on the offered model do not change.  There is none before the first
-        offer.
+        A copy, which steps on the offered model do not change.  The attribute does not exist before
+        the first offer.
     value : float
         Its value; inf before the first offer.
     """
@@ -271,7 +271,7 @@ class Lowest:
         return self.value < math.inf
 
     def offer(self, model: Model, value: float) -> bool:
-        """Keep the model if its value is lower; return whether it is."""
+        """Keep a copy of the model if `value` is below the lowest so far; return whether it is."""
         lower = value < self.value
         if lower:
             self.model, self.value = model.copy(), value
@@ -305,7 +305,7 @@ class Locked:
         Whether the objective penalises the distance of a joint from where the skin of its two bones
         meets.
     rotations : (F, B0, 3, 3) array
-        Rotations relative to the parent to which bones of a tree are locked; NaN for free bones.
+        Locked rotations of bones of a tree, relative to their parents; NaN for free bones.
     """
 
     rest: bool = False

@@ -73,7 +73,7 @@ def bone_sums(data: Trajectories, model: Model, *, length: float = 0.0) -> tuple
     data : Trajectories
     model : Model
     length : float
-        Length of a normal as a point; 0: normals do not count.
+        Length of a normal treated as a point; if 0, normals do not count.
 
     Returns
     -------
@@ -118,7 +118,7 @@ def stack_blocks(u: Array) -> Array:
 
 
 def coupled_bones(u: Array) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Bones that share vertices or a penalty with each bone, as compressed sparse rows.
+    """For each bone, those that share vertices or a penalty with it, as compressed sparse rows.
 
     Returns
     -------

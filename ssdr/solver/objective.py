@@ -7,15 +7,15 @@
 
 u_i is the importance of vertex i and s_t² the importance of frame t.  S is the strain of the rest
 pose (:mod:`~ssdr.solver.rest_surface`); its factor is 1 if the rest pose is free or given.  N is
-the error of the normals as engines draw them: rest normals n_i, turned by the blended matrices.
-Its factor is 1 until a solve takes normals in, near its end.  All are factors, since then a change
+the error of the normals as engines draw them: rest normals n_i, rotated by the blended matrices.
+Its factor is 1 until a solve includes normals, near its end.  All are factors, since then a change
 of one counts as much as the same relative change of another, whatever the data; the quotient
 E/(ν + N) is the square of the length at which a unit of error of a normal counts as one of a
-position.  The smoothness (:class:`WeightSmoothness`) is 0 unless asked for, and else a part
-of the error E in all that is said here; so is a constant, 0 unless errors far below a tolerance are
-worth nothing (`slack` of the trajectories).
+position.  The smoothness (:class:`WeightSmoothness`) is 0 unless requested.  Here it counts as a
+part of the error E, and so does the constant `slack` of the trajectories, which is positive only if
+errors far below a tolerance are worth nothing.
 
-The first bracket is 1 unless a tree with rigid joints was asked for; d_j is the distance of joint j
+The first bracket is 1 unless a tree with rigid joints was requested; d_j is the distance of joint j
 from where the skin of its two bones meets.
 
 Motion often hardly determines a joint: if a leg swings in a plane, the hip could lie anywhere on a
@@ -57,7 +57,10 @@ _UNSEEN = math.radians(1.0) ** 2  # ν: errors of normals far below a degree are
 
 
 def strength_of(data: Trajectories, length: float) -> float:
-    """Factor with which |w|² costs as much as an error of a `length` in the input's units."""
+    """Factor with which |w|² = 1 costs as much as a vertex that is off by `length` in every frame.
+
+    `length` is in the input's units.
+    """
     # bounded, since the square must not overflow; near the bound the error hardly counts anyway
     return data.n_frames * min(length / data.scale, LARGEST) ** 2
 
@@ -67,7 +70,7 @@ class WeightSmoothness:
     """The penalty λ Σ_edges |w_i − w_k|², and an upper bound of it that is a sum over vertices.
 
     The graph Laplacian L satisfies L ⪯ 2D, where D is the diagonal matrix of the vertex degrees
-    d_i.  For present weights w⁰, the penalty is therefore at most a constant plus Σ_i [2λ d_i
+    d_i.  For any weights w⁰, the penalty is therefore at most a constant plus Σ_i [2λ d_i
     |w_i|² − 2λ w_iᵀ (2d_i w_i⁰ − (L w⁰)_i)], with equality at w⁰.  So solving the vertices one by
     one under this bound cannot raise the objective.
 
@@ -188,9 +191,9 @@ class JointPenalty:
 
 
 def normal_length(data: Trajectories, model: Model, penalty: float = 0.0) -> float:
-    """Length at which an error of a normal counts as one of a position; 0 without normals.
+    """Length of a normal, treated as a point, at which its error counts as one of a position.
 
-    `penalty` is what the objective adds to the error.
+    It is 0 without normals.  `penalty` is what the objective adds to the error.
     """
     if data.normals is None or not model.normals.shape[1]:
         return 0.0
@@ -200,8 +203,9 @@ def normal_length(data: Trajectories, model: Model, penalty: float = 0.0) -> flo
 
 
 def rest_pulls(data: Trajectories, model: Model, locked: Locked, penalty: float = 0.0) -> Array:
-    """Pulls (V, 4) on the rest positions towards a surface, as of ``RestSurface.pulls``; else 0.
+    """Pulls (V, 4) on the rest positions towards the surface, as of ``RestSurface.pulls``.
 
+    They are 0 without a surface, for a locked rest pose, and for a start, which has no errors yet.
     `penalty` is what the objective adds to the error.
     """
     known = np.isfinite(model.error).all()  # a start has no error yet
@@ -229,7 +233,7 @@ def mean_joint_penalty(squared: Array) -> float:
 def joint_offsets(model: Model) -> tuple[Array, Array]:
     """Vectors (B, 3) to joints from where the skin of their bones meets, and d² (B,).
 
-    d² is the squared length of the vector plus the squared gap of :func:`meeting_points`, which is
+    d² is the squared norm of the vector plus the squared gap of :func:`meeting_points`, which is
     positive if the skin of the two bones does not touch.  At roots d² is 0.
     """
     tree = model.hierarchy

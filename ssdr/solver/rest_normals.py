@@ -1,4 +1,4 @@
-"""The best rest normals under a model's bones and weights, with which a solve takes normals in."""
+"""The best rest normals for a model's bones and weights, from which a solve of normals starts."""
 
 from __future__ import annotations
 

@@ -38,16 +38,17 @@ __all__ = ["RestPose", "RestSurface", "central_frame"]
 
 RestPose = Literal["surface", "free"]
 
-# c: an error 1 + c·S times as large is as bad as a strain S; an edge turned by 20° has S = 0.12.
+# c: an error 1 + c·S times as large is as bad as a strain S; an edge rotated by 20° has S = 0.12.
 _STRENGTH = 1.5
-# Least squared length of an edge that counts as its own, relative to the mean.
+# Added to an edge's squared length in 1/ω, relative to the mean, so that no short edge dominates.
 _SHORT = 0.1
 _FEW = 64  # frames among which the central one is chosen
-# Squared length of an edge without size, relative to its mean, and share of such edges of no part.
+# An edge has no size in a frame if its squared length is below this share of its mean; if the share
+# of such edges is below the second number, no part has lost its size.
 _NO_SIZE, _FEW_PARTS = 0.01, 0.01
-_FEWER = 8  # of these, in which points without triangles have neighbours
+_FEWER = 8  # of these frames, by which points without triangles find their neighbours
 _RINGS = 4  # of edges around a fold that may move as it unfolds
-_MOST_EDGES = 4096  # of the mesh, evenly spread over its list, that decide about it
+_MOST_EDGES = 4096  # edges, evenly spread over the mesh's list, by which it is chosen
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -71,7 +72,7 @@ class RestSurface:
     @staticmethod
     @serial_blas()
     def build(data: Trajectories, pose: Array) -> RestSurface | None:
-        """The surface of `pose` under the triangles of the data; None without any edge."""
+        """The surface of `pose` with the triangles of the data; None if no edge has a length."""
         ends = data.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
         return RestSurface._of_edges(pose.copy(), ends)
 
@@ -92,7 +93,11 @@ class RestSurface:
 
     @serial_blas()
     def sampled(self, chosen: NDArray[np.intp]) -> RestSurface | None:
-        """The surface of some vertices, joined where an edge joins vertices nearest to them."""
+        """The surface of the vertices `chosen` alone.
+
+        Two of them are joined if an edge joins a vertex nearest to one and a vertex nearest to the
+        other.
+        """
         nearest = np.asarray(cKDTree(self.pose[chosen]).query(self.pose)[1])
         return RestSurface._of_edges(
             self.pose[chosen], nearest[np.stack(self.edges.nonzero(), axis=1)]
@@ -107,8 +112,8 @@ class RestSurface:
     def pulls(self, rest: Array, error: float, importance: Array) -> Array:
         """Pulls (V, 4) at a rest pose: stiffness μ and target m of the terms μ |p_i − m|².
 
-        `error` is the squared error of the model, and each term is relative to the squared error of
-        its vertex before that is multiplied by its `importance` (V,).
+        `error` is the squared error of the model.  A term adds to the squared error of its vertex
+        before the sum is multiplied by the vertex's `importance` (V,).
         """
         moved = rest - self.pose
         around = np.asarray(self.edges @ moved)
@@ -120,14 +125,14 @@ class RestSurface:
         return out
 
     def turned(self, rest: Array, faces: NDArray[np.int32]) -> NDArray[np.bool_]:
-        """Mask (T,) of the triangles that a rest pose turns over, against those around them.
+        """Mask (T,) of the triangles that are flipped in a rest pose, but not in the pose h.
 
-        Triangles that are turned over in the pose h as well do not count.
+        The normal of a flipped triangle points against those of its vertices.
         """
         return _turned(rest, faces) & ~_turned(self.pose, faces)
 
     def stiffened(self, faces: NDArray[np.int32]) -> RestSurface:
-        """A copy in which the edges of some triangles count ten times as much."""
+        """A copy in which the edges of the triangles `faces` have ten times the weight."""
         ends = np.unique(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=0)
         i, j = np.concatenate([ends, ends[:, ::-1]]).T
         mask = coo_array((np.ones(len(i)), (i, j)), shape=self.edges.shape).tocsr()
@@ -136,7 +141,7 @@ class RestSurface:
         return RestSurface(self.pose, edges, np.asarray(edges.sum(axis=1), dtype=float).ravel())
 
     def around(self, faces: NDArray[np.int32]) -> NDArray[np.intp]:
-        """Vertices of some triangles, and those that few edges lead to from there."""
+        """Indices of the vertices of `faces`, and of those at most four edges away from them."""
         reached = np.zeros(len(self.pose))
         reached[faces] = 1.0
         for _ in range(_RINGS):
@@ -144,14 +149,14 @@ class RestSurface:
         return np.flatnonzero(reached)
 
     def extended(self, rows: NDArray[np.intp]) -> RestSurface:
-        """The surface of vertices `rows`, the first V of which are its own; the others are free."""
+        """The surface of vertices `rows`: the first V as here, then copies, which are free."""
         n, more = len(rows), len(rows) - len(self.pose)
         known = self.edges.tocoo()
         edges = csr_array((known.data, (known.row, known.col)), shape=(n, n))
         return RestSurface(self.pose[rows], edges, np.pad(self.degree, (0, more)))
 
     def repeated(self, count: int) -> RestSurface:
-        """The surface of `count` copies of the mesh, whose strain is the mean of theirs."""
+        """The surface of `count` copies of the mesh, whose strain is the mean over these."""
         edges = csr_array(block_diag(count * [self.edges / count]))
         degree = np.tile(self.degree / count, count)
         return RestSurface(np.tile(self.pose, (count, 1)), edges, degree)
@@ -164,11 +169,11 @@ class RestSurface:
 
 @serial_blas()
 def central_frame(data: Trajectories, *, first: bool = False) -> int:
-    """Frame, of up to 64 evenly spread ones, whose edges are nearest to the mean of their edges.
+    """Index of the frame whose edges are nearest to their mean over up to 64 evenly spread frames.
 
     The strain between it and the others is least, so that a rest pose near it costs least.  Points
-    without triangles are joined to their nearest neighbours.  With `first`, it is frame 0 unless
-    parts have no size there.
+    without triangles are joined to their nearest neighbours.  If `first`, frame 0 is returned,
+    unless parts of the mesh have no size there.
     """
     few = np.unique(np.linspace(0, data.n_frames - 1, _FEW).round().astype(int))
     edges = np.sort(data.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)).astype(np.intp)
@@ -188,7 +193,10 @@ def central_frame(data: Trajectories, *, first: bool = False) -> int:
 
 
 def _nearest(data: Trajectories, frames: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Pairs (P, 2) of each of some vertices and the one nearest to it over some frames."""
+    """Index pairs (P, 2): each vertex of an evenly strided subset, and its nearest neighbour in it.
+
+    Neighbours are nearest by their positions in all of `frames`.
+    """
     some = np.arange(0, data.n_vertices, max(1, data.n_vertices // _MOST_EDGES))
     paths = np.concatenate([data.frame(t)[some] for t in frames], axis=1)
     if len(some) < 2:
@@ -197,7 +205,7 @@ def _nearest(data: Trajectories, frames: NDArray[np.intp]) -> NDArray[np.intp]:
 
 
 def _turned(points: Array, faces: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Mask (T,) of triangles whose normals point against those of their vertices."""
+    """Mask (T,) of the flipped triangles: their normals point against those of their vertices."""
     around = np.empty((1, *points.shape))
     normals_range(points[None], faces, faces, around, 0, 1)
     a, b, c = points[faces].transpose(1, 0, 2)

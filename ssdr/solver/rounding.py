@@ -51,9 +51,9 @@ def rounded_models(
     locked : Locked
         Locked weights are rounded to the nearest.
     rounds : int
-        Rounds of polish steps before the weights are rounded; up to twelve times as many follow
-        afterwards.  With 0, or if the weights need no rounding, only weights and rest pose are
-        solved again.
+        Number of rounds of polish steps before the weights are rounded; up to twelve times as many
+        follow.  If it is 0, or the weights need no rounding, only weights and rest pose are solved
+        again.
     """
     objective = Objective(locked)
     best, trial = Lowest(), _rounded(data, model, storage, locked)
@@ -86,7 +86,7 @@ def rounded_models(
 
 @serial_blas()
 def _rounded(data: Trajectories, model: Model, storage: WeightStorage, locked: Locked) -> Model:
-    """A copy with rounded weights, after units of free weights moved between bones by error."""
+    """A copy with rounded weights; unless locked, units then move between bones to lower errors."""
     indices, stored = quantise(model.indices, model.weights, storage)
     out = dataclasses.replace(model.copy(), indices=indices, weights=weight_values(stored))
     _, gram, _, reduced = transform_sums(data, out.transforms)

@@ -51,9 +51,9 @@ class Trajectories(Alignment):
     z : (V, r) float64
         Coefficients of the trajectories in the basis.
     q : (3F, r) float64 or None
-        Orthonormal basis; None without compression, with r = 3F.
+        Orthonormal basis; None if the trajectories are not compressed, so that r = 3F.
     x2 : (V,) float64
-        Squared length of each vertex's uncompressed trajectory.
+        Squared norm of each vertex's uncompressed trajectory.
     importance : (V,) float64
         Importance of the vertices, whose mean is 1.
     frame_scale : (F,) float64
@@ -61,13 +61,14 @@ class Trajectories(Alignment):
     faces : (T, 3) int32
     normals : (V, r) float64 or None
         Coefficients, in the same basis, of the unit normals of the vertices in every frame; None
-        while a solve does without them.
+        while normals are not solved.
     n2 : (V,) float64 or None
         Sum of the squares of each vertex's normals before compression.
     surface : RestSurface or None
-        What the rest pose is to resemble; None if it is free.
+        Surface that the rest pose is to resemble; None if it is free.
     slack : float
-        Squared error of all vertices far below which less of it is worth nothing.
+        Constant added to the squared error in the objective, so that a decrease far below it is
+        worth nothing.
     """
 
     z: Array
@@ -107,16 +108,16 @@ class Trajectories(Alignment):
         return 1 if self.normals is None else 2
 
     def squares(self, rows: Any, length: float) -> Array:
-        """Squared lengths (n, P) of the trajectories of some vertices' points.
+        """Squared norms (n, P) of the trajectories of the points of the vertices `rows`.
 
-        `length` is that of a normal as a point.
+        `length` is that of a normal treated as a point.
         """
         if self.n2 is None:
             return self.x2[rows, None]
         return np.stack([self.x2[rows], length**2 * self.n2[rows]], axis=1)
 
     def products(self, rows: Any, reduced: Array, length: float) -> Array:
-        """Sums Y (n, P, 4, B) of some vertices' points; `reduced` as of ``transform_sums``."""
+        """Sums Y (n, P, 4, B) of the vertices `rows`; `reduced` is that of ``transform_sums``."""
         z = self.z[rows]
         if self.normals is None:
             return np.asarray((z @ reduced).reshape(len(z), 1, 4, -1))
@@ -141,7 +142,7 @@ class Trajectories(Alignment):
         )
 
     def select_vertices(self, chosen: NDArray[np.intp]) -> Trajectories:
-        """A copy with the chosen vertices, in the same frames and basis, without a surface."""
+        """A copy with the chosen vertices and the same basis, without triangles and surface."""
 
         def rows(x: Array | None) -> Array | None:
             return None if x is None else np.ascontiguousarray(x[chosen])
@@ -172,7 +173,7 @@ class Trajectories(Alignment):
         for first, last in chunk_bounds(n_frames, _AT_ONCE):
             columns = slice(3 * first, 3 * last)
             x = self.z[:, columns] if self.q is None else self.z @ self.q[columns].T
-            # a copy even of one frame, whose order in memory needs none
+            # a copy even of a single frame, for which the transpose makes none
             points = np.array(x.reshape(n, -1, 3).transpose(1, 0, 2), order="C")
             here = np.empty_like(points)
 
@@ -180,7 +181,7 @@ class Trajectories(Alignment):
                 normals_range(points, faces, faces, here, i, k)
 
             run_chunks(work, chunk_bounds(last - first, 8))
-            # the scale of a frame does not turn its normals
+            # the scale of a frame does not change the directions of its normals
             flat = np.empty((n, 3 * (last - first))) if self.q is not None else normals[:, columns]
             scale = self.frame_scale[first:last, None]
             np.multiply(here.transpose(1, 0, 2), scale, out=flat.reshape(n, -1, 3))
@@ -191,11 +192,11 @@ class Trajectories(Alignment):
 
     @serial_blas()
     def compressed(self, bones: int) -> Trajectories:
-        """A copy compressed to the fewest columns that lose next to nothing for a model of `bones`.
+        """A copy with the fewest columns that lose next to nothing for a model of `bones` bones.
 
         The squared error that compression adds is at most a ten-thousandth of the error of the best
         matrix of rank 4B (Eckart–Young), which is a lower bound of the error of any model with B
-        bones.  If that takes nearly all columns, the trajectories stay uncompressed.
+        bones.  If this needs nearly all columns, the trajectories stay uncompressed.
         """
         x = self.z
         if self.q is not None:
@@ -231,7 +232,7 @@ def gather(
     frame_importance: Array | None = None,
     compress: bool = True,
 ) -> Trajectories:
-    """Read, align and scale all frames of all shots; if `compress`, compress them for `bones`."""
+    """Read, align and scale all frames of all shots; if `compress`, compress for `bones` bones."""
     n_vertices = sequences[0].n_vertices
     n_frames = sum(len(s) for s in sequences)
     importance = np.ones(n_vertices)
@@ -288,7 +289,7 @@ def _reduce(x: Array, energy: float, rank: int) -> tuple[Array, Array | None]:
 
 
 def frame_scale_of(importance: Array | None, n_frames: int) -> Array:
-    """Root (F,) of each frame's importance over the mean importance; 1 if `importance` is None."""
+    """Square roots (F,) of frames' importance, scaled to mean 1; all 1 if `importance` is None."""
     return np.ones(n_frames) if importance is None else np.sqrt(importance / importance.mean())
 
 

@@ -112,7 +112,10 @@ class ReducedSystem:
         return step
 
     def move_vertices(self, model: Model, change: Array) -> None:
-        """Take the best step in weights and rest pose of a copy of the model (in place)."""
+        """Move weights and rest pose of `model`, a trial copy (in place).
+
+        The step is the best one for the change `change` of the stacked transforms.
+        """
         step = self.best_step(change)
 
         def work(_: int, i: int, k: int) -> None:

@@ -28,7 +28,7 @@ __all__ = ["VertexSystem", "newton_vertices", "optimise_some", "optimise_vertice
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class VertexSystem:
-    """Gauss–Newton matrices and gradients of all vertices, by which a step eliminates the vertices.
+    """Gauss–Newton matrices and gradients of all vertices, with which a step eliminates these.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class VertexSystem:
     gradient : (V, D) float64
         Half gradient of each vertex's squared error.
     length : float
-        Length of a normal as a point.
+        Length of a normal treated as a point.
     """
 
     stacked: Array
@@ -93,8 +93,8 @@ def optimise_some(
 ) -> None:
     """Optimise weights and rest positions of the vertices `rows` alone (in place).
 
-    It is what :func:`optimise_vertices` does without entering bones, repeated `times` times, each
-    under the pulls of the rest pose so far.
+    It repeats what :func:`optimise_vertices` does without entering bones, `times` times, each time
+    with the pulls at the new rest pose.
     """
     _, gram, gram4, reduced = transform_sums(data, model.transforms)
     some, part = model.select_vertices(rows), locked.select_vertices(rows)
@@ -146,7 +146,7 @@ def newton_vertices(
         Called with a range i, k of vertices; returns the sums Y (k − i, P, 4, B) of their points,
         see :mod:`~ssdr.solver.moments`.
     x2 : (V, P) array
-        Squared lengths of the trajectories of each vertex's points.
+        Squared norms of the trajectories of each vertex's points.
     tables : ((B, 10, B), (B, B, 4, 4)) arrays
         As :func:`~ssdr.solver.moments.gram_tables` returns them.
     model : Model
@@ -154,12 +154,12 @@ def newton_vertices(
     hold : (V, 4) array
         Pulls on the rest positions, as of ``RestSurface.pulls``.
     length : float
-        Length of a normal as a point.
+        Length of a normal treated as a point.
     locked : Locked
     entering : int
         Largest number of bones that enter a vertex's influences; each enters only if that lowers
-        the error.  0: weights are solved on the present influences; −1: weights are not solved
-        before the Gauss–Newton steps.
+        the error.  If 0, weights are solved on the present influences; if −1, weights are not
+        solved before the Gauss–Newton steps.
     rounds : int
         Largest number of Gauss–Newton steps of a vertex.
 

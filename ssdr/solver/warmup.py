@@ -33,13 +33,13 @@ _beside: subprocess.Popen[bytes] | None = None
 
 
 def begin_compiling() -> None:
-    """Start a process that compiles half of the kernels into the cache, unless they are there.
+    """Start a process that compiles half of the kernels, unless the cache already holds them.
 
-    A compiler uses one core: what it leaves to a second process takes no time of its own.  If the
-    process fails, :func:`compile_kernels` compiles everything.
+    A compiler uses one core, so that the second process costs no time on another.  If it fails,
+    :func:`compile_kernels` compiles everything.
     """
     global _beside
-    # inside another program, this is the program and no Python
+    # if Python is embedded, this is the host program, which cannot run the code
     python = Path(sys.executable or "").name.startswith("python")
     if _ready or _beside or not python or get_threads() < 2 or is_cached(polish_vertices):
         return
@@ -78,7 +78,10 @@ def compile_kernels() -> float:
 
 
 def compile_second_half() -> None:
-    """Load or compile the kernels that share few helpers with the others, half of the time."""
+    """Load or compile the second half of the kernels, measured by compile time.
+
+    A second process can compile them in parallel, as they share few helpers with the others.
+    """
     sequence, data, model = _toy()
     GaussNewton(data, model, damping=1.0).step(entering=-1)
     parts = model.rest, model.indices, model.weights, model.transforms

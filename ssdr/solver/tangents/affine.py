@@ -1,4 +1,4 @@
-"""Unknowns of affine bones: the twelve numbers of each transform."""
+"""Unknowns of affine bones: the twelve entries of each transform."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class AffineTangent(Tangent):
         return np.ascontiguousarray(out).reshape(*out.shape[:2], 12)
 
     def move(self, model: Model, x: Array) -> None:
-        """Replace M by M + x for bones for which that is admissible (in place)."""
+        """Replace M by M + x for the bones for which this is admissible (in place)."""
         m = model.transforms
         moved = m + x.reshape(m.shape)
         good = admissible(m, moved) & ~self.locked_bones

@@ -73,7 +73,7 @@ class ChainTangent(Tangent):
         return out
 
     def move(self, model: Model, x: Array) -> None:
-        """Move joints, turn every bone by exp(ω), and translate it onto its joint (in place)."""
+        """Move joints, rotate every bone by exp(ω), and translate it onto its joint (in place)."""
         turns, shifts, moved = self._unpacked(x)
         tree = self.model.hierarchy
         m, points = model.transforms, tree.points + moved
@@ -172,7 +172,7 @@ class ChainTangent(Tangent):
         return np.zeros(3 * (n_frames * (n_bones + len(self._roots)) + len(self.joints)))
 
     def _unpacked(self, x: Array) -> tuple[Array, Array, Array]:
-        """Split x into ω (F, B, 3), τ (F, B, 3) and δc (B, 3), with 0 for what is no unknown."""
+        """Split x into ω (F, B, 3), τ (F, B, 3) and δc (B, 3), with 0 where there is no unknown."""
         n_frames, n_bones = self.model.transforms.shape[:2]
         frames, joints = self.parts(x)
         turns = np.ascontiguousarray(frames[:, : 3 * n_bones]).reshape(n_frames, n_bones, 3)

@@ -40,7 +40,7 @@ class Tangent(ABC):
     conjugate_steps : int
         Largest number of products with the Schur complement in a step.
     joints : (J,) int array
-        Bones whose joints are unknowns, too.
+        Indices of the bones whose joints are unknowns, too.
     penalty : JointPenalty
         Penalty on these joints at the present model.
     """
@@ -62,7 +62,10 @@ class Tangent(ABC):
 
     @abstractmethod
     def pullback(self, gradient: Array) -> Array:
-        """Gradient by x, given that by the stacked transforms (3F, 4B): transpose of `image`."""
+        """Gradient by x, computed from the gradient (3F, 4B) by the stacked transforms.
+
+        This is the transpose of :meth:`image`.
+        """
 
     @abstractmethod
     def move(self, model: Model, x: Array) -> None:
