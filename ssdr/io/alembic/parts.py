@@ -44,7 +44,7 @@ class Track:
         return len(self.values) > 1
 
     def at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Values (F, ...) at `times` (F,) in seconds, where times within 0.1 ms of a sample snap."""
+        """Values (F, ...) at `times` (F,) in seconds; a time within 0.1 ms of a sample gets its."""
         values, exact = self.values, np.float64
         if not self.moves:
             return np.broadcast_to(values[0].astype(exact), (len(times), *values.shape[1:]))
@@ -185,7 +185,7 @@ class CacheMesh:
         return np.asarray(rows[place])
 
     def shape(self, times: NDArray[np.float64]) -> Shape:
-        """Points (V, 3) before the transforms or, if they change, a function from frame to points."""
+        """Points (V, 3) before the transforms, or a function from frame to points if they change."""
         if not self.points.moves:
             return np.asarray(self.points.values[0], dtype=np.float64)
         return lambda frame: self.points.at(times[frame : frame + 1])[0]
