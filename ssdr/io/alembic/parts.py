@@ -185,7 +185,7 @@ class CacheMesh:
         return np.asarray(rows[place])
 
     def shape(self, times: NDArray[np.float64]) -> Shape:
-        """Points (V, 3) before the transforms, or a function from frame to points if they change."""
+        """Points (V, 3) before the transforms; if they change, a function from frame to points."""
         if not self.points.moves:
             return np.asarray(self.points.values[0], dtype=np.float64)
         return lambda frame: self.points.at(times[frame : frame + 1])[0]
