@@ -202,7 +202,7 @@ def check_floats(
 
 
 def remedy_of_shape(came: tuple[int, ...], wanted: tuple[int | str, ...]) -> str:
-    """What turns an array of another usual shape into one of the wanted shape; else nothing."""
+    """Hint for an error: how to convert an array of another common shape, or "" for any other."""
     if wanted[-2:] == (3, 4) and len(came) > 2:
         if came[-2:] == (4, 4):
             return " (of 4×4 matrices for column vectors pass m[..., :3, :])"
@@ -237,7 +237,7 @@ def check_frames(frames: Any, n_frames: int) -> Any:
 def check_mask(
     value: Any, argument: str, count: int, *, default: bool = False
 ) -> NDArray[np.bool_]:
-    """A mask of `count` entries, from a mask or from indices; all `default` for None."""
+    """Mask ``(count,)`` from a mask or from indices.  For None, all entries are `default`."""
     if value is None:
         return np.full(count, default)
     array = as_array(value, argument, "a mask or a list of indices")
@@ -267,7 +267,7 @@ def check_importance(value: Any, argument: str, count: int) -> Array | None:
 
 
 def check_frame_importance(value: Any, count: int) -> Array | None:
-    """Importance ``(count,)`` of frames, above 0 and scaled to a maximum of 1."""
+    """Importance ``(count,)`` of frames, checked to be > 0; the maximum is 1, the minimum 1e-4."""
     array = check_importance(value, "frame_importance", count)
     if array is None:
         return None
@@ -375,9 +375,9 @@ def check_transforms(
 
 
 def _off_by(gram: Array, off: float, bone_model: BoneModel) -> str:
-    """How far 3×3 blocks, whose products with their transposes are `gram`, are from a bone model.
+    """Error text: how far 3×3 blocks R are from a bone model, and which bone model allows them.
 
-    `off` is the largest deviation.  What other bone model would take them is said, too.
+    `gram` holds RᵀR, and `off` is its largest deviation from that of the bone model.
     """
     square = np.trace(gram, axis1=-2, axis2=-1)[..., None, None] / 3
     even = np.abs(gram - square * np.eye(3)).max() <= _OFF * square.max()

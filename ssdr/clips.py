@@ -149,7 +149,7 @@ def names_of(sequences: Sequence[MeshSequence]) -> dict[str, Any]:
 
 
 def pick(names: Sequence[str], clip: Any) -> int:
-    """Index of a clip that is given by name or index; 0 for None.
+    """Index of the clip with this name or index.  None stands for the first clip.
 
     Raises
     ------
@@ -174,9 +174,9 @@ def readable(name: object) -> str:
 
 
 def unique_names(names: Sequence[str], default: str = "bone") -> tuple[str, ...]:
-    """Distinct names: a name that occurred before gets a number at its end."""
+    """Distinct names: a repeated name gets a numeric suffix, and an empty one is `default`."""
     seen: set[str] = set()
-    numbers: dict[str, int] = {}  # the next of each name, since all below it are taken
+    numbers: dict[str, int] = {}  # next suffix of each name; all smaller ones are taken
     result = []
     for name in names:
         base = name or default

@@ -1,6 +1,6 @@
 """Vertices that coincide in every frame, as at seams or in a triangle soup.
 
-Solved apart they would drift apart, and the mesh would crack: a solver holds one for all.
+Solved separately they would drift apart, and the mesh would crack: they are solved as one vertex.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Rows = NDArray[np.intp]
 def coincident(blocks: Iterable[NDArray[np.floating]], n_vertices: int) -> Rows:
     """Labels ``(V,)``, equal for vertices whose positions are equal in all blocks ``(n, V, 3)``.
 
-    Blocks are read until no two vertices coincide in all before.
+    Reading stops when no two vertices coincide in all the blocks read so far.
     """
     label = np.zeros(n_vertices, dtype=np.intp)
     for block in blocks:
@@ -37,7 +37,7 @@ def coincident(blocks: Iterable[NDArray[np.floating]], n_vertices: int) -> Rows:
 
 
 def distinct(label: Rows) -> tuple[Rows, Rows]:
-    """First vertex ``(U,)`` of each label, ascending, and which of them ``(V,)`` has its label."""
+    """First vertex of each label (U,), ascending, and the index into these of each vertex (V,)."""
     _, kept, row = np.unique(label, return_index=True, return_inverse=True)
     order = np.argsort(kept)
     rank = np.empty_like(order)
@@ -46,7 +46,7 @@ def distinct(label: Rows) -> tuple[Rows, Rows]:
 
 
 def told_apart(label: Rows, *arrays: NDArray[Any] | None) -> Rows:
-    """Labels ``(V,)`` of vertices that have one of `label` and equal rows of arrays (V, ...)."""
+    """Labels ``(V,)``, equal for vertices with the same `label` and equal rows of all `arrays`."""
     parts = [np.reshape(a, (len(label), -1)) for a in arrays if a is not None]
     if not parts or label.max() + 1 == len(label):
         return label

@@ -60,8 +60,8 @@ def decompose(
     faces : (T, 3) int array, optional
         Triangles, if `sequence` is an array.
     bones : int
-        Number of bones of the result, 1 to V.  Not needed with a skeleton or a model to start
-        from, since these have their own number.
+        Number of bones of the result, 1 to V.  Can be omitted if a skeleton or a model to start
+        from determines it.
     influences : int or (int, {"uint8", "uint16", "float32"})
         Largest number of bones that move a vertex (K), and the type in which files will store the
         weights, such as ``(4, "uint8")``.  With "uint8" or "uint16", the weights of the result are
@@ -80,10 +80,11 @@ def decompose(
         bones, parents and names of a :class:`Skeleton` are kept.
     start : Skinning, Decomposition, Start, MeshSequence or int, optional
         A model to start from, such as a checkpoint: the error of the result is never above that of
-        this model nor, without a `rig` or `smoothness`, above that of a call without it. If it has
-        other frames, bones for the given frames are fitted to its weights. A :class:`Start` holds
-        parts of a model, some of which are kept. The first frame of a mesh is a rest pose that is
-        kept; a number is the frame that the rest pose resembles.
+        this model nor, if neither `rig` nor `smoothness` is given, above that of the same call
+        without `start`.  If its frames differ from those of `sequence`, bones for the latter are
+        fitted to its weights.  A :class:`Start` holds parts of a model, some of which are kept.  Of
+        a MeshSequence, the first frame is the rest pose, which is kept.  An integer is the index of
+        the frame that the rest pose resembles.
     vertex_importance : (V,) array, optional
         Non-negative; scales each vertex's squared error in the objective.
     frame_importance : (F,) array, optional
@@ -94,11 +95,12 @@ def decompose(
         costs as much as an error of this length at one vertex in every frame.  0: no such cost.
     rest_pose : {"surface", "free"}
         "surface": a rest pose that resembles one of the frames, on which weights can be painted
-        and cloth bound, and which every program lights well.  "free": whatever has the least error,
+        and cloth bound, and which every program lights well.  "free": the rest pose of least error,
         which is a crumpled mesh.
     normals : bool
-        Whether the last steps also fit the normals that engines draw, rest normals turned with the
-        bones, to those of the animation.  Without it they are fitted only after the model is found.
+        Whether the last steps also fit the normals that engines draw (the rest normals, transformed
+        by the bones) to the normals of the animation.  If False, they are fitted only after the
+        model is found.
     rng : int or numpy.random.Generator
         Seed; the same seed gives the same bits, whatever the number of threads.
     time_limit : float, optional

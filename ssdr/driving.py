@@ -1,4 +1,4 @@
-"""Models that are driven by weights of their expressions."""
+"""Models that are posed by weights of their expressions."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from .skinning import Skinning, check_skinning
 
 __all__ = ["drive", "is_driven"]
 
-_AT_REST = 1e-5  # entries of a transform that is that of the rest pose
+_AT_REST = 1e-5  # largest deviation from the identity of a bone at rest
 
 
 def drive(skinning: Any, weights: Any) -> Skinning:
-    """Model posed by weights of its expressions: bones are I + Σ_k c_k N_kj, and shapes add.
+    """Model posed by weights c of its expressions: bone j is I + Σ_k c_k N_kj, and shapes add up.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Limits of game engines for skinned models, and what an engine does to a model beyond them.
 
-The page on engines quotes the source of each number.
+The documentation's page on engines quotes the source of each limit.
 """
 
 from __future__ import annotations
@@ -55,9 +55,9 @@ class Engine:
     shapes_why : str
         Explanation of `shapes`.
     clamps_shapes : bool
-        Whether it takes amounts below 0 for 0, and those above 1 for 1.
+        Whether it clamps amounts to [0, 1].
     stretch : bool
-        Whether a bone may stretch along axes that do not turn with it.
+        Whether a bone may stretch along axes that do not rotate with it.
     storage : {"float32", "uint16", "uint8"}
         Type in which the engine stores weights with its default settings.
     rounds_down : bool
@@ -262,7 +262,7 @@ def n_roots(model: Skinning) -> int:
 
 
 def _moved(model: Skinning, indices: NDArray[np.integer], weights: NDArray[np.floating]) -> str:
-    """Text that says how far vertices move at most if they get other weights."""
+    """Text that says how far vertices move at most if their weights are replaced by others."""
     far, squares = 0.0, 0.0
     for frame in range(model.n_frames):
         rest = model.rest if model.shapes is None else model.rest + model.shapes.added(frame)

@@ -60,7 +60,7 @@ class InputError(SsdrError, ValueError):
 
 
 class FormatError(SsdrError, ValueError):
-    """A file is truncated, hostile, mislabelled or holds what it must not.
+    """A file is truncated, hostile or mislabelled, or its content is not allowed.
 
     Examples
     --------
@@ -116,7 +116,7 @@ def is_whole(value: object) -> TypeGuard[int]:
 
 
 def is_real(value: object, *, finite: bool = True) -> TypeGuard[float]:
-    """Whether a value is a real number, by default a finite one; True and False do not count."""
+    """Whether a value is a real number, by default a finite one (not True or False)."""
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
         return False
     try:
@@ -139,7 +139,7 @@ def check_choice(value: object, argument: str, choices: Any) -> None:
 
 
 def error_text(error: BaseException) -> str:
-    """Message of an error; for an OSError the file and the reason."""
+    """Message of an error.  That of an OSError names the file and the reason."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return str(error) or type(error).__name__

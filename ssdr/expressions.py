@@ -1,4 +1,4 @@
-"""``ssdr.decompose_expressions``: the expressions of a face as bones that their weights drive."""
+"""``ssdr.decompose_expressions``: facial expressions as bones that are driven by weights."""
 
 from __future__ import annotations
 
@@ -27,12 +27,13 @@ __all__ = ["Expressions", "decompose_expressions"]
 Array = NDArray[np.float64]
 
 _MOST = 9.0  # importance of a vertex whose error is far beyond the tolerance
-_STILL = 0.2  # share of the tolerance up to which a bone's part in an expression is left out
+# A bone that moves no vertex by more than this share of the tolerance is left out of an expression.
+_STILL = 0.2
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Expressions:
-    """A face as a skinned model whose expressions are clips, and its error.
+    """Facial expressions as a skinned model with one clip per expression, and its error.
 
     Attributes
     ----------
@@ -41,9 +42,9 @@ class Expressions:
     rmse : float
         Root mean square distance of the vertices from those of the expressions.
     max_error : float
-        Largest distance.
+        Largest such distance.
     displaced : int
-        Number of displacements that the shapes of the model have.
+        Number of displaced vertices, summed over the shapes of the model.
 
     Examples
     --------
@@ -81,12 +82,12 @@ def decompose_expressions(
     rng: int | np.random.Generator = 0,
     time_limit: float | None = None,
 ) -> Expressions:
-    """Bones that the weights of a face's expressions drive, and displacements where they are off.
+    """Find bones driven by the weights of facial expressions, and displacements for what they miss.
 
     The neutral face is the rest pose, and the transform of bone j in expression k is I + N_kj.
     With weights c it is I + Σ_k c_k N_kj (:func:`drive`), so that expressions add as those of
-    blend shapes do.  Vertices that are farther than the tolerance from their place get
-    displacements, with the expression's own weight; they turn with the bones.
+    blend shapes do.  Vertices that are farther than the tolerance from their target get
+    displacements, which have the weight of the expression and are transformed by the bones.
 
     Parameters
     ----------
@@ -99,8 +100,8 @@ def decompose_expressions(
     influences : int
         Largest number of bones that move a vertex.
     tolerance : float or str, optional
-        Largest distance of a vertex from its place, as a length or a share of the diagonal such as
-        ``"0.2%"``; by default there are no displacements.
+        Largest distance of a vertex from its target, as a length or a share of the diagonal such as
+        ``"0.2%"``.  By default there are no displacements.
     names : sequence of str, optional
         Names of the expressions.
     faces : (T, 3) int array, optional
@@ -142,10 +143,10 @@ def decompose_expressions(
     if limit is not None:
         off = np.linalg.norm(model.skin(dtype=np.float64) - frames.vertices, axis=2).max(axis=0)
         if off.max() > limit:
-            # once more, with the vertices that need displacements more important
+            # Solve again, with more importance for the vertices that need displacements.
             options["vertex_importance"] = np.minimum(1 + (off / limit) ** 2, _MOST)
             model = decompose(frames, start=_start(rest, model), **options).skinning
-    # the solver's way back from its own space rounds the rest pose
+    # mapping back from the solver's space has rounded the rest pose
     model = _at_rest(dataclasses.replace(model, rest=rest), _STILL * (limit or 0.0))
     if limit is not None:
         amounts = np.eye(count + 1)[:, 1:]
@@ -162,7 +163,7 @@ def decompose_expressions(
 def _frames(
     neutral: Any, expressions: Any, names: Any, faces: Any
 ) -> tuple[MeshSequence, tuple[str, ...]]:
-    """Sequence of the neutral face and its expressions, and the names of these."""
+    """Sequence of the neutral face and the expressions, and the names of the expressions."""
     surface, rest = None, neutral
     if isinstance(neutral, Skinning):
         surface, rest = neutral.surface, neutral.rest
@@ -204,7 +205,10 @@ def _start(rest: Array, model: Skinning | None = None) -> Start:
 
 
 def _at_rest(model: Skinning, least: float) -> Skinning:
-    """Model whose bones stand still in the neutral frame, and where they move no vertex farther."""
+    """Copy of a model whose bones are the identity in the neutral frame.
+
+    So is a bone in every expression in which it moves no vertex by more than `least`.
+    """
     rest = np.asarray(model.rest, dtype=np.float64)
     moves = np.array(model.transforms, dtype=np.float64)
     moves[0] = np.eye(3, 4)
@@ -220,7 +224,10 @@ def _at_rest(model: Skinning, least: float) -> Skinning:
 
 
 def _as_clips(model: Skinning, names: tuple[str, ...]) -> Skinning:
-    """Model with a clip of two frames for each frame but the first; shapes that move nothing go."""
+    """Copy of a model with a clip (neutral frame, expression) for each frame but the first.
+
+    Shapes that move no vertex are left out.
+    """
     index = np.stack([np.zeros(len(names), dtype=int), 1 + np.arange(len(names))], axis=1).ravel()
     shapes = model.shapes
     if shapes is not None:

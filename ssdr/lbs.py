@@ -79,7 +79,7 @@ def skin_each(
     *,
     dtype: Any = None,
 ) -> NDArray[np.floating]:
-    """Positions ``(F, V, 3)`` skinned as by :func:`skin`, from a rest pose of each frame's own.
+    """Positions ``(F, V, 3)`` skinned as by :func:`skin`, with one rest pose for each frame.
 
     Parameters
     ----------
@@ -95,15 +95,15 @@ def skin_each(
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class SkinGradients:
-    """Gradients of a number in the arrays of :func:`skin`, in the precision of the call.
+    """Gradients of a scalar with respect to rest pose, weights and transforms of :func:`skin`.
 
     Attributes
     ----------
     rest : (V, 3) array
     weights : (V, K) array
-        Of each weight by itself, also of those that are 0; that weights sum to 1 is not considered.
+        Derivative for each weight, also where it is 0, as if weights need not sum to 1.
     transforms : (F, B, 3, 4) array, or (B, 3, 4) for a single frame
-        Of each entry by itself; that rotations are orthogonal is not considered.
+        Derivative for each entry, as if rotations need not be orthogonal.
 
     Examples
     --------
@@ -130,19 +130,19 @@ def skin_gradients(
     *,
     dtype: Any = None,
 ) -> SkinGradients:
-    """Gradients in rest pose, weights and transforms, given that in the positions of :func:`skin`.
+    """Gradients of a scalar with respect to the inputs of :func:`skin`, from that of the output.
 
-    This is the reverse mode (the product of a vector and the Jacobian): with g_i^t the gradient in
-    the position v_i^t and p̃ = (p, 1), they are Σ_t Σ_k w_ik R_{j_ik}^tᵀ g_i^t in the rest
-    positions, Σ_t g_i^t · M_{j_ik}^t p̃_i in the weights, and Σ w_ik g_i^t p̃_iᵀ, over the
-    influences of a bone, in its transforms.
+    This is the reverse mode (the product of a vector and the Jacobian).  With g_i^t the gradient
+    with respect to position v_i^t and p̃ = (p, 1), the gradients are Σ_t Σ_k w_ik R_{j_ik}^tᵀ g_i^t
+    for the rest positions, Σ_t g_i^t · M_{j_ik}^t p̃_i for the weights, and Σ w_ik g_i^t p̃_iᵀ,
+    over the influences of a bone, for its transforms.
 
     Parameters
     ----------
     rest, indices, weights, transforms
         As of :func:`skin`.
     gradient : (F, V, 3) or (V, 3) array
-        Gradient in what :func:`skin` returns, of that shape.
+        Gradient with respect to the result of :func:`skin`, of the same shape.
     dtype : float32 or float64, optional
         Precision of the result; the widest of the inputs by default.  Sums are float64.
 
@@ -197,7 +197,7 @@ def skin_gradients(
 
 
 class _Parts(NamedTuple):
-    """Arguments of the kernels, of one precision."""
+    """Arguments of the kernels, in one precision."""
 
     rest: NDArray[np.floating]
     indices: NDArray[np.int32]
@@ -208,7 +208,10 @@ class _Parts(NamedTuple):
 def _checked(
     rest: Any, indices: Any, weights: Any, transforms: Any, *, dtype: Any, **further: Any
 ) -> _Parts:
-    """Checked arguments; the precision is `dtype`, or that of the widest, with `further` arrays."""
+    """Check the arguments and return them in `dtype`, by default the widest type of all arrays.
+
+    The arrays in `further` count, too, but are not returned.
+    """
     p, j = as_array(rest, "rest", "shape (V, 3)"), as_array(indices, "indices", "shape (V, K)")
     w = as_array(weights, "weights", "shape (V, K)")
     m = as_array(transforms, "transforms", "shape (F, B, 3, 4) or (B, 3, 4)")

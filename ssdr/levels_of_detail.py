@@ -1,4 +1,4 @@
-"""``ssdr.levels``: models of several numbers of bones on one skeleton, for levels of detail."""
+"""``ssdr.levels``: models with different numbers of bones of one skeleton, for levels of detail."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _TRIALS: dict[Effort, int] = {"fast": 4, "balanced": 48, "best": 160}
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class LevelsOfDetail(Decomposition):
-    """Models of several numbers of bones; the first bones of a model are those of the next.
+    """Models with decreasing numbers of bones, each of which has the first bones of the previous.
 
     All else is as in :class:`Decomposition`, whose `skinning` and `rmse` are those of the finest
     level.
@@ -78,7 +78,7 @@ def levels(
 ) -> LevelsOfDetail:
     """Models with several numbers of rigid bones, all taken from one skeleton.
 
-    The mesh is first decomposed once for each number of bones, which tells how small the error of
+    The mesh is first decomposed once for each number of bones, which shows how small the error of
     each level can be.  From the finest model, the bones whose removal adds least to the error are
     removed one by one.  Then the transforms, which all levels share, are optimised so that the
     error of each level is about the same multiple of that of its independent decomposition.
@@ -88,7 +88,7 @@ def levels(
     sequence, faces, influences, effort, rng
         As in :func:`decompose`.
     bones : sequence of int
-        Number of bones of each level, each smaller than the one before.
+        Number of bones of each level, in decreasing order.
     callback : callable, optional
         As in :func:`decompose`; if it stops the run, there is no result.
 
@@ -192,7 +192,7 @@ def _nest(
 
 
 def _check_counts(bones: Any) -> list[int]:
-    """Numbers of bones, after checking that each is smaller than the one before."""
+    """Numbers of bones as a list, checked to decrease."""
     if isinstance(bones, (str, bytes)) or not np.iterable(bones):
         raise InputError("bones", "several numbers of bones, as (60, 30, 12)", repr(bones))
     counts = [check_whole(count, "bones", 1) for count in bones]

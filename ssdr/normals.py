@@ -1,4 +1,4 @@
-"""Normals of a surface at its vertices, or at parts of their corners where edges are hard."""
+"""Normals of a surface: one for each vertex, or several where edges at the vertex are hard."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ class NormalHolders:
     faces : (T, 3) int32
         Triangles.
     corner : (T, 3) int32
-        Number of the normal at each triangle corner.
+        Index of the normal at each triangle corner.
     vertex : (N,) int32
         Vertex of each normal.
     group : (N,) int32
-        Number of the first of the normals that are the same in every frame as this one, as on both
-        sides of a seam of UVs.
+        Index of the first normal that equals this one in every frame, as on both sides of a UV
+        seam.
     """
 
     faces: NDArray[np.int32]
@@ -55,9 +55,9 @@ def normal_holders(
     surface: Surface | None,
     places: NDArray[np.floating] | None = None,
 ) -> NormalHolders:
-    """Normals of a mesh: one for each vertex and value of the normals that `surface` has there.
+    """Normals of a mesh: one for each distinct normal that `surface` has at a vertex.
 
-    Without normals in `surface` it is one for each vertex.
+    Without normals in `surface` there is one for each vertex.
 
     Parameters
     ----------
@@ -65,8 +65,8 @@ def normal_holders(
     n_vertices : int
     surface : Surface or None
     places : (V, C) array, optional
-        Coordinates of each vertex in some frames.  Vertices for which all are equal are copies of
-        one, whose normals form a group where `surface` has equal ones.
+        Coordinates of each vertex in some frames.  Vertices with equal coordinates are copies of
+        one vertex; their normals form a group where `surface` has equal normals.
     """
     triangles = np.ascontiguousarray(faces, dtype=np.int32)
     if surface is None or surface.normals is None:
@@ -90,8 +90,8 @@ def surface_normals(frames: NDArray[np.floating], holders: NormalHolders) -> Arr
     """Unit normals ``(F, N, 3)`` of a surface in F frames ``(F, V, 3)``.
 
     Each is the mean of the normals of the triangles at its corners, weighted by their angles there.
-    Triangles without an area do not count; a normal that has no other, or whose sum cancels, is
-    unknown, and 0.
+    Triangles without area do not count.  A normal without any other triangle, or whose sum cancels,
+    is unknown and 0.
 
     References
     ----------
@@ -113,10 +113,10 @@ def surface_normals(frames: NDArray[np.floating], holders: NormalHolders) -> Arr
 def corner_normals(
     points: NDArray[np.floating], faces: NDArray[np.integer], surface: Surface | None
 ) -> NDArray[np.float32]:
-    """Normals ``(T, 3, 3)`` at triangle corners of a pose, hard where those of `surface` are.
+    """Normals ``(T, 3, 3)`` at triangle corners of a pose, with the hard edges of `surface`.
 
-    They are those of :func:`surface_normals`.  Where these are unknown, a corner has the normal of
-    its triangle or, if that has no area, (0, 1, 0).
+    They are computed by :func:`surface_normals`.  Where this gives none, a corner has the normal of
+    its triangle or, if the triangle has no area, (0, 1, 0).
     """
     return normals_at_corners(points, normal_holders(faces, len(points), surface))
 
@@ -135,7 +135,7 @@ def normals_at_corners(points: NDArray[np.floating], holders: NormalHolders) -> 
 def unit(
     vectors: NDArray[np.floating], fallback: NDArray[np.floating] = _UP, least: float = 1e-300
 ) -> Array:
-    """Vectors ``(..., 3)`` scaled to length 1; `fallback` where their length is up to `least`."""
+    """Vectors ``(..., 3)`` scaled to norm 1, or `fallback` where the norm is at most `least`."""
     length = np.linalg.norm(np.asarray(vectors, dtype=np.float64), axis=-1, keepdims=True)
     found = length > least
     return np.asarray(np.where(found, vectors / np.where(found, length, 1.0), fallback))

@@ -32,8 +32,8 @@ _limited = 0  # number of open blocks of serial_blas; the last to end lifts the 
 def get_threads() -> int:
     """Number of threads that kernels use.
 
-    This is the number given to :func:`set_threads`; without one, that of the environment variable
-    ``SSDR_NUM_THREADS``; without that, the number of cores that the process may use.
+    This is the number given to :func:`set_threads`, else the value of the environment variable
+    ``SSDR_NUM_THREADS``, else the number of cores that the process may use.
 
     Examples
     --------
@@ -86,7 +86,7 @@ def chunk_bounds(n: int, size: int) -> list[tuple[int, int]]:
 
 
 def run_chunks(function: Callable[..., Any], bounds: list[tuple[int, int]]) -> list[Any]:
-    """List of the results of ``function(chunk number, start, stop)`` for all chunks, in threads.
+    """Run ``function(chunk index, start, stop)`` for all chunks in threads; return the results.
 
     The results are in the order of the chunks.  The first exception ends the work and is raised.
     The function may itself call ``run_chunks``.

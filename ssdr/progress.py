@@ -26,7 +26,7 @@ _logger = logging.getLogger(__name__)
 
 @dataclasses.dataclass(frozen=True)
 class Record:
-    """Record of an accepted model, which has the number of bones and influences asked for.
+    """Record of an accepted model, which has the requested numbers of bones and influences.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ class Stop(Exception):
 
 
 class Monitor:
-    """Clock of a run, which tells the callback of every step and ends the run if that is asked.
+    """Clock of a run, which reports every step to the callback and ends the run on request.
 
     Parameters
     ----------
@@ -120,7 +120,8 @@ class Monitor:
     Attributes
     ----------
     stopped : str or None
-        Why the run ends early, "cancelled" or "time limit"; the callback is not called any more.
+        Why the run ends early, "cancelled" or "time limit", or None.  Once this is set, the
+        callback is not called any more.
 
     Raises
     ------
@@ -144,7 +145,7 @@ class Monitor:
         self._began, self._written = time.perf_counter(), time.monotonic()
 
     def leave_out(self, seconds: float) -> None:
-        """Set the clock back by time that does not count, as of compilation."""
+        """Set the clock back by a time that does not count, such as that of compilation."""
         self._began += seconds
 
     @property
@@ -158,7 +159,7 @@ class Monitor:
 
     @contextlib.contextmanager
     def part(self, first: float, last: float) -> Iterator[None]:
-        """Block that does the part of the work from the fraction `first` to `last`."""
+        """Context in which reported fractions 0 to 1 mean `first` to `last` of the work."""
         a, b = before = self._part
         self._part = a + (b - a) * first, a + (b - a) * last
         try:

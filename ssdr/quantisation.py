@@ -1,4 +1,4 @@
-"""Skin weights as files store them: integers whose sum at a vertex is the largest of their type."""
+"""Skin weights as files store them: integers whose sum at a vertex is the maximum of their type."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["WeightStorage", "is_stored", "quantise", "weight_values"]
 
 WeightStorage = Literal["float32", "uint16", "uint8"]
 
-_OFF = 1e-2  # of a step: more than float32 rounds the weights of 16 bits
+_OFF = 1e-2  # steps; more than the rounding of 16-bit weights to float32
 
 
 def quantise(
@@ -55,7 +55,7 @@ def weight_values(stored: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def is_stored(weights: NDArray[np.floating], storage: WeightStorage) -> bool:
-    """Whether weights (V, K) are what `storage` holds, up to the rounding of float32."""
+    """Whether `storage` holds weights ``(V, K)`` exactly, up to the rounding of float32."""
     if storage == "float32":
         return True
     units = weights.astype(np.float64) * np.iinfo(storage).max

@@ -13,7 +13,7 @@ __all__ = ["short_repr"]
 def short_repr(self: Any) -> str:
     """Representation of a dataclass that gives the type and shape of arrays, not their numbers.
 
-    A dataclass with arrays takes it as its ``__repr__``; a class derived from it does so again.
+    Assign it as the ``__repr__`` of a dataclass with arrays, and again in each derived dataclass.
     """
     fields = ((f.name, getattr(self, f.name)) for f in dataclasses.fields(self) if f.repr)
     parts = (f"{name}={_short(value)}" for name, value in fields)

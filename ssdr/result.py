@@ -30,12 +30,12 @@ class Decomposition:
         skinning the result and comparing it with the input.
     stop_reason : str
         "converged" if the last stage ended by its stopping test, "effort spent" if it made all
-        its steps, "time limit" or "cancelled"; of :func:`smallest` "tolerance held" or
-        "tolerance out of reach" in place of the first two.
+        its steps, "time limit" or "cancelled".  A result of :func:`smallest` has "tolerance held"
+        or "tolerance out of reach" in place of the first two.
     history : tuple of Record
         One record for each accepted model, of which the last is the result.  The objective never
-        rises; the RMSE may where rest pose, normals or, with `smoothness`, weights gain more.  For
-        :func:`smallest`, one record for each smaller model that held the tolerance, then the
+        rises; the RMSE may rise where its other terms (rest pose, normals, `smoothness`) gain more.
+        For :func:`smallest`, one record for each smaller model that held the tolerance, then the
         result.
     offsets : (S + 1,) int array
         First frame of each of the S shots, followed by the total number of frames.
@@ -77,14 +77,14 @@ class Decomposition:
 
     @property
     def converged(self) -> bool:
-        """True if the last stage ended by its stopping test, or the tolerance is held."""
+        """Whether the last stage ended by its stopping test, or the tolerance is held."""
         return self.stop_reason in ("converged", "tolerance held")
 
     @property
     def motion_lost(self) -> float:
-        """Share rmse / motion of the motion that the model lacks; NaN where nothing deforms.
+        """Share of the motion that the model lacks, rmse / motion (NaN if nothing deforms).
 
-        An error that is small beside the mesh can be all of a small motion.
+        An error that is small relative to the mesh can be as large as a small motion.
         """
         return share_of(self.rmse, self.motion)
 

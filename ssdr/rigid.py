@@ -52,7 +52,7 @@ def kabsch(
     -------
     (..., 3, 4) float64
         ``[R | T]``.  Where the points do not determine the rotation, the
-        smallest that fits: the identity for coincident points, the turn from
+        smallest that fits: the identity for coincident points, the rotation from
         line to line for collinear ones.
 
     Raises
@@ -146,7 +146,7 @@ def nearest_rotation(moment: ArrayLike) -> NDArray[np.float64]:
     -------
     (..., 3, 3) float64
         U diag(1, 1, ±1) Vᵀ of M = U S Vᵀ.  Where M does not determine the rotation, the
-        smallest that fits: the identity for M = 0, the turn from line to line for rank 1.
+        smallest that fits: the identity for M = 0, the rotation from line to line for rank 1.
 
     Raises
     ------
@@ -235,7 +235,7 @@ def quaternion_from_matrix(rotation: ArrayLike) -> NDArray[np.float64]:
 
 
 def matrix_from_quaternion(quaternion: ArrayLike) -> NDArray[np.float64]:
-    """Rotation matrices ``(..., 3, 3)`` of quaternions ``(..., 4)`` xyzw of any length but 0.
+    """Rotation matrices ``(..., 3, 3)`` of quaternions ``(..., 4)`` xyzw of any norm but 0.
 
     Raises
     ------
@@ -262,7 +262,7 @@ def matrix_from_quaternion(quaternion: ArrayLike) -> NDArray[np.float64]:
 
 
 def unflip_quaternions(quaternion: ArrayLike, *, axis: int = 0) -> NDArray[np.float64]:
-    """Choose signs along `axis` (time) such that no two neighbours have a negative dot product.
+    """Quaternions with signs such that neighbours along `axis` (time) have a dot product >= 0.
 
     q and −q are the same rotation, but an engine that interpolates between keys
     of opposite sign takes the long way round.

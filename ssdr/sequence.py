@@ -29,7 +29,7 @@ _CHUNK_BYTES = 64 << 20  # bytes of frames that are read at a time
 
 @dataclasses.dataclass(frozen=True)
 class WeldReport:
-    """Number of vertices that :meth:`MeshSequence.weld` merged.
+    """Number of vertices before and after :meth:`MeshSequence.weld`, and its tolerance.
 
     Attributes
     ----------
@@ -157,7 +157,7 @@ class MeshSequence:
         return np.stack([native(self.vertices[int(t)]) for t in order])
 
     def chunks(self, max_bytes: int = _CHUNK_BYTES) -> Iterator[tuple[int, NDArray[np.floating]]]:
-        """Read all frames in order, in chunks: index of the first frame and ``(n, V, 3)`` array."""
+        """Yield chunks of frames in order: index of the first frame, and array ``(n, V, 3)``."""
         yield from _chunks(self.vertices, max_bytes)
 
     def diagonal(self) -> float:
@@ -167,7 +167,7 @@ class MeshSequence:
             extent = block.max(axis=1).astype(np.float64) - block.min(axis=1)
             with np.errstate(over="ignore"):
                 length = np.sqrt((extent**2).sum(axis=1)).max()
-            if not np.isfinite(length):  # a square that is no number
+            if not np.isfinite(length):  # a square has overflowed
                 length = np.hypot(np.hypot(extent[:, 0], extent[:, 1]), extent[:, 2]).max()
             largest = max(largest, float(length))
         return largest
@@ -184,7 +184,7 @@ class MeshSequence:
         Returns
         -------
         sequence : MeshSequence
-            With `vertex_map` set; triangles keep their order and number, so
+            With `vertex_map` set.  All triangles are kept, in their order, so
             that `surface` stays valid.
         report : WeldReport
 
@@ -229,9 +229,9 @@ class MeshSequence:
         return welded, WeldReport(before=n, after=len(keep), tolerance=distance)
 
     def with_vertices(self, kept: NDArray[np.intp], row: NDArray[np.intp]) -> MeshSequence:
-        """Sequence of the vertices `kept`, of which ``row[i]`` stands in triangles for vertex i.
+        """Sequence of the vertices `kept`, where ``kept[row[i]]`` replaces vertex i in triangles.
 
-        Vertices that are read on demand still are.
+        Vertices that are read on demand remain so.
         """
         if not self.is_lazy or hasattr(self.vertices, "__dask_graph__"):
             vertices = self.vertices[:, kept]
@@ -277,10 +277,10 @@ def without_copies(
     label: NDArray[np.intp],
     importance: NDArray[np.float64] | None = None,
 ) -> tuple[list[MeshSequence], NDArray[np.float64] | None, NDArray[np.intp], NDArray[np.intp]]:
-    """Shots of the first vertex of each label, and the `importance` of all that it stands for.
+    """Shots of the first vertex of each label, and the sum of `importance` (or a count) per label.
 
-    Returns also these vertices (U,), and which of them stands for each vertex (V,).  Where all
-    labels differ, shots and importance are the given ones.
+    Returns also the indices of these vertices (U,) and, for each vertex (V,), the index into them
+    of its replacement.  If all labels differ, shots and importance are returned unchanged.
     """
     kept, row = distinct(label)
     if len(kept) < len(row):
@@ -297,7 +297,7 @@ def _chunks(vertices: Any, max_bytes: int) -> Iterator[tuple[int, NDArray[np.flo
 
 
 def native(block: Any) -> NDArray[np.floating]:
-    """A block of frames in memory and in native byte order; a memory map may have the other."""
+    """Block of frames in memory and in native byte order (a memory map may have the other)."""
     array = np.asarray(block)
     return array.astype(array.dtype.newbyteorder("="), copy=False)
 
@@ -368,7 +368,7 @@ def check_vertex_map(vertex_map: Any, n_vertices: int) -> NDArray[np.int32]:
 
 
 def as_sequences(sequence: Any, faces: Any = None) -> list[MeshSequence]:
-    """Checked list of sequences of one mesh, from one, a list of them, or an array and faces."""
+    """Checked list of sequences of one mesh, from a sequence, a list, or an array and faces."""
     shots = list(sequence) if isinstance(sequence, Sequence) else [sequence]
     if not any(isinstance(shot, MeshSequence) for shot in shots):
         several = isinstance(sequence, Sequence) and len(shots) > 0

@@ -21,21 +21,21 @@ __all__ = ["Shapes"]
 class Shapes:
     """Displacements of the rest pose, and how much of each is added in every frame.
 
-    The rest pose of frame t is p + Σ_s a_ts d_s; bones then move it as any other.
+    The rest pose of frame t is p + Σ_s a_ts d_s, to which skinning is then applied.
 
     Parameters
     ----------
     displacements : (S, V, 3) array
         In the rest pose, in the mesh's units; files store only those that are not 0.
     amounts : (F, S) array
-        Blender and Unity clamp amounts to 0 to 1.
+        Factor of each shape in every frame.  Blender and Unity clamp it to 0 to 1.
     names : tuple of str, optional
         ``shape_0``, ``shape_1``, ... by default.
 
     Raises
     ------
     InputError
-        If numbers of shapes or names differ, or a number is not finite.
+        If displacements, amounts and names are not of the same number, or a value is not finite.
 
     Examples
     --------
@@ -77,7 +77,7 @@ class Shapes:
 
     @serial_blas()
     def added(self, frames: Any = slice(None)) -> NDArray[np.floating]:
-        """What is added to the rest pose, ``(f, V, 3)``, in the given frames."""
+        """Displacement ``(f, V, 3)`` of the rest pose in the given frames."""
         return np.asarray(np.tensordot(self.amounts[frames], self.displacements, 1))
 
     def check(self, n_frames: int, n_vertices: int) -> None:
@@ -87,5 +87,5 @@ class Shapes:
             raise InputError("shapes", text.format(n_frames, n_vertices), text.format(*found))
 
     def in_frames(self, frames: Any) -> Shapes:
-        """The same shapes in some of the frames, in this order."""
+        """Copy with only the amounts of the given frames, in the given order."""
         return dataclasses.replace(self, amounts=self.amounts[frames])

@@ -7,9 +7,9 @@
    step, and the best model so far is written to the outputs.  A second signal ends the process
    at once (:func:`stop_on_signals`; :mod:`ssdr.cli.saving` writes the model).
 
-Python acts on a signal only between its own instructions, and code of another language that runs
-for long keeps it waiting.  So a thread counts the signals: a second after the second one it ends
-the process, whatever it is doing.
+Python handles a signal only between its own instructions, so long-running native code delays it.
+A watcher thread therefore ends the process one second after the second signal, if the block has
+not ended.
 
 The exit code is 130 each time.
 """
@@ -57,7 +57,7 @@ def stop_on_signals() -> Iterator[threading.Event]:
 
 
 def _end(message: bytes = b"") -> None:
-    """End the process without any further step of it."""
+    """End the process at once with exit code 130, without any cleanup."""
     _write_stderr((_SHOW_CURSOR if sys.stderr.isatty() else b"") + message)
     os._exit(130)
 
@@ -101,9 +101,8 @@ def _handling(handler: Callable[[], None]) -> Iterator[None]:
 def _counted(numbers: frozenset[int]) -> Iterator[None]:
     """End the process soon after the second of these signals inside the block.
 
-    The interpreter writes the number of each signal to a socket when it comes, even while other
-    code keeps Python waiting.  If signals are written elsewhere already, as inside another such
-    block, nothing is done here.
+    The interpreter writes the number of each signal to a socket as it arrives, even while native
+    code runs.  If another socket is in use already, as inside another such block, nothing is done.
     """
     before = signal.set_wakeup_fd(-1)
     if before != -1:

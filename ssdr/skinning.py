@@ -24,12 +24,12 @@ __all__ = ["BoneModel", "Skinning", "skin"]
 
 
 def skinning_in(thing: Any) -> Any:
-    """The model of a result that has one as its `skinning`; anything else as it is."""
+    """The `skinning` of a result that has one; any other object unchanged."""
     return thing if isinstance(thing, Skinning) else getattr(thing, "skinning", thing)
 
 
 def check_skinning(model: Any) -> Skinning:
-    """The model that is given, itself or as the `skinning` of a result."""
+    """The model, given as such or as the `skinning` of a result; checked to be a Skinning."""
     found = skinning_in(model)
     if not isinstance(found, Skinning):
         raise InputError("skinning", "a Skinning", type(model).__name__)
@@ -37,7 +37,7 @@ def check_skinning(model: Any) -> Skinning:
 
 
 def refuse_shapes(model: Skinning, argument: str, where: str) -> None:
-    """Raise an InputError if a model has shapes, for which there is no place in `where`."""
+    """Raise an InputError if a model has shapes, which `where` cannot hold."""
     if model.shapes is not None:
         wanted = f"no shapes in {where} (dataclasses.replace(model, shapes=None) leaves them out)"
         raise InputError(argument, wanted, f"{model.n_shapes} of them")
@@ -68,10 +68,10 @@ class Skinning(Articulated):
         Which transforms are keys; the others are interpolated, and `transforms` holds the
         interpolated values.  None: every frame is a key.
     surface, vertex_map, space
-        As in :class:`~ssdr.MeshSequence`, but the normals are those that engines turn with the
-        bones: n becomes Σ_k w_k R_k n, made a unit.  Models that were fitted to frames have the
-        normals that come closest to those of the frames; they are not those of the rest pose as a
-        surface.
+        As in :class:`~ssdr.MeshSequence`, but the normals are those that engines skin with the
+        bones: n becomes Σ_k w_k R_k n, normalised.  Models that were fitted to frames have the
+        normals that come closest, when skinned, to the normals of the frames; they differ from
+        the normals of the rest surface.
     bone_names : tuple of str, optional
         ``bone_0``, ``bone_1``, ... by default.
     name : str
@@ -83,7 +83,7 @@ class Skinning(Articulated):
         Parent of each bone, -1 at a root.  None: bones without a hierarchy.
     joint_positions : (B, 3) array, optional
         With `parents`: the point of the rest pose at which a bone is attached to its
-        parent, and about which a root turns.
+        parent, and about which a root rotates.
     shapes : Shapes, optional
         Displacements that are added to the rest pose before it is skinned, and the amount of each
         in every frame.
@@ -191,7 +191,7 @@ class Skinning(Articulated):
             Non-negative; rows sum to 1.
         influences : int, optional
             Most influences per vertex, K: smaller weights are dropped as by :meth:`prune`.  By
-            default as many as the vertex with most of them has, so that nothing is lost.
+            default the largest number that any vertex has, so that nothing is lost.
 
         Raises
         ------
@@ -330,7 +330,7 @@ class Skinning(Articulated):
         return np.asarray(np.where(total[:, None] > 0, sums / safe, mean))
 
     def prune(self, influences: int, *, minimum: float = 0.0) -> Skinning:
-        """Keep the largest weights of each vertex, and renormalise those of vertices that lose any.
+        """Copy with only the largest weights of each vertex, renormalised where any are dropped.
 
         At most `influences` weights of at least `minimum` are kept, and always the largest.
         ``metrics.compare(model.skin(), pruned.skin())`` measures the error that this adds.

@@ -26,15 +26,15 @@ class Start:
     rest : (V, 3) array, optional
         Rest pose, which is kept.
     rest_frame : int, optional
-        If `rest` is not given, the frame whose vertices the solve of the rest pose starts with, and
-        whose surface it resembles.  By default the frame whose edges are nearest to the mean of
-        those of all frames, or the first for ``rest_pose="free"``.
+        If `rest` is not given, the index of the frame from which the solve of the rest pose starts,
+        and whose surface the result resembles.  By default the frame whose edges are nearest to the
+        mean edges of all frames, or the first for ``rest_pose="free"``.
     indices, weights : (V, K) arrays, optional
         Skin weights, which are kept at `locked_vertices`.
     locked_vertices : mask or indices, optional
         Vertices whose given weights are kept; all by default.
     transforms : (F, B0, 3, 4) array, optional
-        Transforms of B0 bones, at most as many as asked for; those of `locked_bones` are kept.
+        Transforms of B0 bones, at most the requested number; those of `locked_bones` are kept.
     locked_bones : mask or indices, optional
         Bones whose given transforms are kept; all B0 by default.
 
@@ -71,8 +71,8 @@ class Skeleton:
         "rigid": bone and parent move the joint to the same point in every frame.  "loose": they
         may move it to different points.
     extra_bones : int or mapping
-        Number of bones to add to the skeleton where the error is largest; or the number to add
-        below each bone, by its name: ``{"chest": 2, "hips": 1}``.
+        Number of bones to add to the skeleton where the error is largest, or a mapping of bone
+        names to the number to add below each: ``{"chest": 2, "hips": 1}``.
     locked_joints : sequence of str
         Joints whose rotation relative to their parent is kept as in the skeleton: frame by frame if
         the skeleton has as many frames as the sequence, otherwise that of its only pose.

@@ -61,8 +61,8 @@ class Surface:
         Texture coordinates, v upward (as in OBJ and USD; glTF flips it).
     normals : (T, 3, 3) float32 or None
         Unit normals; where corners of one vertex differ there is a hard edge.  Those of a
-        :class:`~ssdr.Skinning` belong to its rest pose, and engines turn them with the bones.
-        Those of a :class:`~ssdr.MeshSequence` are of the file's reference frame and only tell which
+        :class:`~ssdr.Skinning` belong to its rest pose, and engines skin them with the bones.
+        Those of a :class:`~ssdr.MeshSequence` are of the file's reference frame and only show which
         edges are hard.
     material_index : (T,) int32 or None
         Index into `materials`; None means that all triangles use the first.

@@ -32,11 +32,11 @@ def round_weights(
     *,
     storage: Literal["uint8", "uint16"] = "uint8",
 ) -> Decomposition:
-    """Copy of a model with weights rounded for a file, and rest pose and bones solved for these.
+    """Round the weights of a copy of a model for a file, and solve rest pose and bones for these.
 
     This is the last step of :func:`decompose` with ``influences=(K, storage)``, for an existing
     model.  Weights become multiples of 1/255 ("uint8") or 1/65535 ("uint16") that sum to 1, which
-    writers keep exactly.  Then rest pose, bones and, step by step, weights are solved in turns.
+    writers keep exactly.  Then rest pose, bones and, step by step, weights are solved alternately.
 
     Parameters
     ----------

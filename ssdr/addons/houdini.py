@@ -23,7 +23,7 @@ def _variables():
 
 
 def to_bones(node, python, *options):
-    """New node with the decomposition of a node's triangles or polygons over the playback range."""
+    """Decompose a node's triangles or polygons over the playback range, and return the new node."""
     first, last = (int(end) for end in hou.playbar.playbackRange())
     frames, faces = [], []
     for number in range(first, last + 1):

@@ -34,7 +34,10 @@ _COMMANDS = ("decompose", "smallest", "info", "check", "compare", "convert", "re
 
 
 def _program(given: Sequence[str]) -> typer.Typer:
-    """The program with the command that the arguments begin with; with all, if with none."""
+    """The command-line app, with only the command that the first argument names.
+
+    If the first argument names no command, the app has all of them.
+    """
     app = typer.Typer(
         name="ssdr",
         help="Animated meshes to skinned models: rest pose, skin weights and bones.",

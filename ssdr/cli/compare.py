@@ -71,7 +71,10 @@ def compare(options: CompareOptions) -> None:
         output.warn(hint)
 
     def drawn(result: Comparison, a: MeshSequence, shots: list[MeshSequence]) -> Comparison:
-        """The result, with the normals that engines draw if B is a skinning with A's triangles."""
+        """Copy of `result` with the errors of the normals that engines draw.
+
+        Unless B is a skinning with A's triangles, `result` itself.
+        """
         if not isinstance(model, Skinning) or model.n_vertices != a.n_vertices:
             return result
         if not np.array_equal(model.faces, a.faces):
@@ -106,7 +109,7 @@ def _write_page(
     pairs: list[tuple[str, MeshSequence, MeshSequence]],
     model: MeshSequence | Skinning,
 ) -> Page:
-    """Page of B, which holds the `model`, beside A."""
+    """Write the viewer page that shows B (`model`) beside A, and return its Page."""
     import ssdr
 
     if not isinstance(model, Skinning):
@@ -156,7 +159,7 @@ def _on_the_same_vertices(a: MeshSequence, b: MeshSequence) -> tuple[MeshSequenc
 
 
 def _spread(sequence: MeshSequence, like: MeshSequence) -> MeshSequence:
-    """Sequence spread to the vertices before its welding, if `like` has as many; else unchanged."""
+    """Sequence of the vertices before its welding if `like` has as many, otherwise unchanged."""
     if sequence.vertex_map is None or len(sequence.vertex_map) != like.n_vertices:
         return sequence
     vertices = np.concatenate([sequence.unweld(block, axis=1) for _, block in sequence.chunks()])

@@ -86,12 +86,12 @@ def fit(
         Function that checks the options that only this command has, and returns their arguments for
         `solve`.
     said : mapping of str to str
-        Further rows of the table, which `solve` may still add to.
+        Further rows of the table, to which `solve` may add.
 
     Raises
     ------
     Cancelled
-        If a signal stopped the solver; the best model is saved before.
+        If a signal stopped the solver; the best model has then been saved.
     """
     from ..solver.warmup import begin_compiling
 
@@ -148,7 +148,7 @@ def _check_files(options: FitOptions) -> None:
 
 
 def _read(options: FitOptions, output: Output) -> tuple[Shots, Any, dict[Path, dict[str, Any]]]:
-    """Clips of the inputs, the start of the solver, and for each output the options to save it."""
+    """Read the inputs: their clips, the start of the solver, and options to save each output."""
     names = ", ".join(map(str, options.inputs))
     read = read_options(options.inputs, options)
     with output.waiting(f"loading {names}"):
@@ -169,7 +169,7 @@ def _read(options: FitOptions, output: Output) -> tuple[Shots, Any, dict[Path, d
 
 
 def _compact_file(settings: dict[Path, dict[str, Any]], name: str) -> dict[str, Any] | None:
-    """Options of the first output that is a compressed ``.glb``; None if there is none."""
+    """Options of the first output that is a compressed ``.glb``, or None if there is none."""
     for path, given in settings.items():
         if path.suffix.lower() == ".glb" and given.get("compression", "none") != "none":
             return {"name": name or path.stem, **given}
@@ -177,7 +177,7 @@ def _compact_file(settings: dict[Path, dict[str, Any]], name: str) -> dict[str, 
 
 
 def _start(text: str | None, space: Space) -> Any:
-    """Parse `--start`: a model to go on from, a mesh as rest pose, or the number of a frame.
+    """Parse `--start`: a model to start from, a mesh as rest pose, or the index of a frame.
 
     A model or mesh is converted to the inputs' `space`.
     """
@@ -191,7 +191,7 @@ def _start(text: str | None, space: Space) -> Any:
 
 
 def _place(own: dict[str, Any], space: Space) -> None:
-    """Convert the skeleton of a file, and what is kept of that file, to the inputs' `space`."""
+    """Convert, in `own`, a file's skeleton and the parts that are kept of it to `space`."""
     import ssdr
 
     rig = own.get("rig")
@@ -205,7 +205,7 @@ def _place(own: dict[str, Any], space: Space) -> None:
 def _solve(
     solve: Solver, options: FitOptions, shots: Shots, stop: threading.Event, own: dict[str, Any]
 ) -> Any:
-    """Result of the solver, whose progress is shown and which ends once `stop` is set.
+    """Run the solver until it ends or `stop` is set, show its progress, and return its result.
 
     `own` holds the arguments that only this command has.
     """
@@ -221,7 +221,7 @@ def _solve(
 
 
 def _draw(path: Path, options: FitOptions, shots: Shots, result: Any) -> SaveReport:
-    """Write a page of the result beside the input, or a contact sheet."""
+    """Write a page that shows the result beside the input, or a contact sheet."""
     import ssdr
 
     from ..render.figures import contact_sheet, write_picture

@@ -107,7 +107,7 @@ def keywords(format_: Format | None, role: str) -> set[str]:
 
 
 def readable_format(path: Path) -> Format | None:
-    """Format by which a file is read; None if there is none."""
+    """Format by which a file is read, or None if there is none."""
     try:
         return format_to_read(path)
     except FormatError:

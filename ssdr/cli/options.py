@@ -35,7 +35,7 @@ def argument(metavar: str, help: str) -> Any:
 
 
 def bone_numbers(text: str) -> int | tuple[int, ...]:
-    """Parse `--bones` of ``ssdr decompose``: a number, or those of levels of detail."""
+    """Parse `--bones` of ``ssdr decompose``: a number, or one for each level of detail."""
     parts = text.split(",")
     counts = tuple(int(part) for part in parts if part.strip().isdecimal())
     if len(counts) < len(parts) or sorted({0, *counts}) != [0, *counts[::-1]]:
@@ -44,7 +44,7 @@ def bone_numbers(text: str) -> int | tuple[int, ...]:
 
 
 def influences_of(text: str) -> tuple[int, WeightStorage | None]:
-    """Parse `--influences`: a number, and the storage of the weights, None if it has none."""
+    """Parse `--influences`: the number, and the storage of weights, or None if it is not given."""
     number, comma, storage = text.partition(",")
     known = get_args(WeightStorage)
     if not number.isdecimal() or int(number) < 1 or (comma and storage not in known):
@@ -84,7 +84,7 @@ class SpaceOptions(Options):
     ] = None
 
 
-# What exists is overwritten; scripts for earlier versions ask for that.
+# Existing files are overwritten anyway; scripts for earlier versions pass this option.
 Force = Annotated[bool, option(FILES, "No effect.", "--force", "-f", hidden=True)]
 Write = Annotated[
     list[str] | None,

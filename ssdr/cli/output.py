@@ -62,13 +62,13 @@ class Output:
         return sys.stderr.isatty() and not (self.options.json or self.options.quiet)
 
     def warn(self, message: Warning | str, *_: Any, **__: Any) -> None:
-        """Print a warning on stderr and keep it; takes the place of ``warnings.showwarning``."""
+        """Print a warning on stderr and add it to `warnings`; replaces ``warnings.showwarning``."""
         text = " ".join(str(message).split())
         self.warnings.append(text)
         sys.stderr.write(f"ssdr: warning: {text}\n")
 
     def result(self, document: Mapping[str, Any], rows: Rows | str) -> None:
-        """Print the result: `document` as JSON if asked for, else `rows`, a table or a text.
+        """Print the result: with ``--json`` the `document`, otherwise `rows` (a table or a text).
 
         Raises
         ------
@@ -90,7 +90,7 @@ class Output:
                 raise
 
     def write(self, text: str) -> None:
-        """Write a text to stdout; an error of writing names standard output."""
+        """Write a text to stdout; an OSError names "standard output" as the file."""
         try:
             sys.stdout.write(text)
             sys.stdout.flush()
@@ -118,7 +118,7 @@ def in_words(document: Mapping[str, Any], texts: Mapping[str, str]) -> list[tupl
 
 
 def saved_line(report: SaveReport, diagonal: float = 0.0) -> str:
-    """Report of saving in one line; lengths are also given in percent of the diagonal."""
+    """Report of saving in one line, with errors also in percent of the diagonal if it is given."""
     parts = [str(report.path), decimal(report.bytes)]
     lengths = {"error of storage": report.error, "between frames": report.between_frames}
     for name, length in lengths.items():

@@ -14,7 +14,7 @@ from .output import Output
 
 
 def preset(options: FitOptions, engine: Engine) -> str:
-    """Set options that the user left open as suits an engine; return a text on the outputs."""
+    """Set options that the user did not give as suits an engine; return a text about them."""
     influences, storage = options.influences or (engine.influences, None)
     options.outputs = [
         path if path.suffix else path.with_suffix(engine.suffixes[0]) for path in options.outputs
@@ -35,10 +35,10 @@ def preset(options: FitOptions, engine: Engine) -> str:
 def finished(
     result: Any, options: FitOptions, engine: Engine | None, root_motion: bool, said: dict[str, str]
 ) -> Any:
-    """Result whose model has the root joint that was asked for or that the engine needs.
+    """Copy of `result` with a root joint in its model, if it is requested or the engine needs it.
 
-    Warnings say what the engine would refuse, cut off or rename.  `said` gets rows of the table
-    about the root and about weights that the engine would round.
+    Warnings say what the engine would refuse, cut off or rename.  Rows of the table about the root
+    and about weights that the engine would round are added to `said`.
     """
     model: Skinning = result.skinning
     if root_motion or (engine is not None and engine.one_root and n_roots(model) > 1):
@@ -58,5 +58,5 @@ def finished(
 
 
 def engine_of(name: str | None) -> Engine | None:
-    """Engine with a name given to ``--for``; None if none is given."""
+    """Engine that ``--for`` names, or None if that is not given."""
     return None if name is None else ENGINES[name]  # type: ignore[index]

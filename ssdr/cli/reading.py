@@ -20,7 +20,7 @@ _MOST_NAMES = 20  # in a line of the table
 
 
 def read_any(path: Path, **options: Any) -> MeshSequence | Skinning:
-    """Skinning of a file if it holds one, else its sequence."""
+    """Read the skinning of a file, or its sequence if it holds no skinning."""
     from .. import io
 
     known = keywords(readable_format(path), "read_skinning")
@@ -62,7 +62,7 @@ def meshes_text(path: Path) -> str:
 def read_clips(
     paths: Sequence[Path], names: list[str] | None, options: Sequence[dict[str, Any]]
 ) -> list[MeshSequence]:
-    """Sequences of the chosen clips, in the order of the files, with clip names that differ.
+    """Sequences of the chosen clips in file order, with unique names, in the first file's space.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def read_clips(
 def read_model(
     path: Path, names: list[str] | None, options: dict[str, Any]
 ) -> MeshSequence | Skinning:
-    """Skinning with the named clips (all by default); from a file without one, a sequence."""
+    """Skinning with the named clips (all by default), or a sequence if the file has no skinning."""
     thing = read_any(path, **options)
     if isinstance(thing, Skinning):
         _check_names(names, [clip.name for clip in thing.clips])
@@ -115,7 +115,7 @@ def read_model(
 
 
 def read_truth(path: Path, clips: tuple[Clip, ...], options: dict[str, Any]) -> MeshSequence:
-    """Sequence of the reference file; if it has several clips, those named as in `clips`."""
+    """Sequence of the reference file, or of its clips named as in `clips` if it has several."""
     several = len(clips_in(path, options)) > 1
     names = [clip.name for clip in clips] if several and clips else None
     return join(read_clips([path], names, [options]))
@@ -168,7 +168,7 @@ def clips_document(clips: Sequence[Clip]) -> list[dict[str, Any]]:
 
 
 def clips_text(clips: Sequence[Clip]) -> str:
-    """Names, numbers of frames and frame rates of clips in one line."""
+    """Names, frame counts and frame rates of clips in one line."""
     return ", ".join(f"{c.name or 'unnamed'} ({c.n_frames} at {c.fps:g} a second)" for c in clips)
 
 
@@ -181,7 +181,7 @@ def join(shots: Sequence[MeshSequence]) -> MeshSequence:
 
 
 def _chosen(names: list[str] | None, known: list[str], path: Path) -> list[str]:
-    """Names of the clips to read from a file with several; `names` are those asked for."""
+    """Names of the clips to read from a file with several; `names` are the requested ones."""
     listed = ", ".join(known)
     if names is None:
         Output.current.warn(
@@ -212,7 +212,7 @@ def _check_one_mesh(found: list[tuple[Path, MeshSequence]]) -> None:
 
 
 def _named(found: list[tuple[Path, MeshSequence]]) -> list[MeshSequence]:
-    """Rename clips that share a name after their files, or after file and clip if need be."""
+    """Sequences with unique clip names: a shared one becomes the file's, or file and clip."""
     own = [shot.clip or shot.name for _, shot in found]
     files = [path for path, _ in found]
     names = [
@@ -227,7 +227,7 @@ def _named(found: list[tuple[Path, MeshSequence]]) -> list[MeshSequence]:
 
 
 def _welded(shots: list[MeshSequence]) -> list[MeshSequence]:
-    """Merge the vertices that coincide in every frame of every clip."""
+    """Copies in which vertices that coincide in every frame of every clip are merged."""
     whole, _ = join(shots).weld()
     parts = np.split(whole.vertices, np.cumsum([len(shot) for shot in shots[:-1]]))
     own = [{name: getattr(shot, name) for name in ("fps", "name", "clip")} for shot in shots]

@@ -72,7 +72,7 @@ def check_file(
 ) -> None:
     """Raise an InputError if a file is in `others` or cannot be written.
 
-    `with_folder`: its folder is made if it is missing.
+    If `with_folder`, a missing folder is no error, because it will be made.
     """
     if not (path.suffix.lower() == ".zarr" and path.is_dir()):
         try:
@@ -89,7 +89,7 @@ def try_format(
     """Save a small stand-in for the result, so that a format that cannot store it fails early.
 
     The stand-in has the mesh, the clips (with two frames each), the bone model and the number of
-    influences of the model to come. It is written to a temporary folder.
+    influences that the result will have. It is written to a temporary folder.
 
     Raises
     ------
@@ -149,7 +149,10 @@ def save_model(model: Skinning, outputs: Mapping[Path, Settings]) -> list[SaveRe
 
 
 def _save_beside(model: Skinning, path: Path) -> Path | None:
-    """Save a model near an output that could not be written, and return the new file or None."""
+    """Save a model to the folder of an output that could not be written; return the new file.
+
+    If that fails, it is saved to the folder for temporary files; if that fails, too, returns None.
+    """
     import ssdr
 
     for folder in (path.parent, None):

@@ -16,7 +16,7 @@ _AXES = "orientations of the joints"
 
 
 def shared_format(source: Path, target: Path) -> Format | None:
-    """Format of both files, if it is the same and its files can be copied whole; else None."""
+    """Format of both files, or None if it is not the same or cannot be copied with all contents."""
     format_ = readable_format(source)
     if format_ is None or not format_.has("copy") or format_of(target)[1] is not format_:
         return None
@@ -77,7 +77,7 @@ def options_with_template(
 
 
 def _template(target: Path, options: dict[str, Any], inputs: Inputs) -> Path | None:
-    """First input that can be the template of an output; None if there is none."""
+    """First input that can be the template of an output, or None if there is none."""
     for source, read in inputs.items():
         format_ = shared_format(source, target)
         if format_ is None:
@@ -91,7 +91,7 @@ def _template(target: Path, options: dict[str, Any], inputs: Inputs) -> Path | N
 
 
 def _new_names(source: Path, clips: Sequence[str], every: bool) -> dict[str, str | None]:
-    """Names of clips in the model by their names in the file, where the two differ.
+    """Dict from the name of a clip in the file to its name in the model, where these differ.
 
     None stands for a clip that was left out by `--clip` or with a warning.
     """

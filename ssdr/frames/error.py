@@ -1,4 +1,4 @@
-"""Error of a skinning, and the size of the motion that it has to reproduce, in a pass each."""
+"""Error of a skinning, and size of the motion to reproduce, each in one pass over the frames."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def rmse(
 
 
 def rmse_of(squared: Array, n_frames: int) -> float:
-    """Root mean square error of the squared errors of each vertex, summed over all frames."""
+    """Root mean square error, from the squared errors (V,) of the vertices, summed over frames."""
     return math.sqrt(float(squared.sum()) / (n_frames * len(squared)))
 
 
@@ -83,8 +83,8 @@ def of_each_span(
 ) -> Iterator[Any]:
     """Results of ``function(frames, transforms, *also, *skinning[:-1])`` for each span, in order.
 
-    `transforms` are those of the frames of the span, out of ``skinning[-1]``, and `also` are
-    arrays of which the function gets these frames, too.  By default the spans cover all frames.
+    `transforms` are the rows of ``skinning[-1]`` for the frames of the span; of the arrays `also`,
+    the function gets the same rows.  By default the spans cover all frames.
     """
     *bound, transforms = skinning
     spans = spans_of(len(transforms)) if spans is None else spans

@@ -54,9 +54,9 @@ class Frames:
         return sum(last - first for _, first, last in self.pieces)
 
     def blocks(self) -> Iterator[tuple[int, NDArray[np.floating]]]:
-        """Blocks (n, V, 3) of a few dozen MiB, each as (number of its first frame, block).
+        """Yield blocks (n, V, 3) of a few dozen MiB, each as (index of its first frame, block).
 
-        Frames are numbered from the start of the span.
+        Frames are counted from the start of the span.
         """
         for start, stop in chunk_bounds(len(self), max(_FEWEST, _BLOCK // (24 * self.n_vertices))):
             read = [native(array[i:k]) for array, i, k in _cut(self.pieces, start, stop)]
@@ -66,7 +66,7 @@ class Frames:
 def spans_of(n_frames: int, most: int | None = None) -> list[tuple[int, int]]:
     """Split frames into a few dozen spans: (first frame, the one after the last) of each.
 
-    Of more than `most` frames, rows of a few are taken evenly, which are about as many together.
+    If there are more than `most` frames, spans of eight frames, evenly spread, cover about `most`.
     """
     if most is not None and n_frames > most:
         starts = np.linspace(0, n_frames - _ROW, most // _ROW).astype(int).tolist()
@@ -105,7 +105,7 @@ class SpanTask:
 
 
 class Local:
-    """Executor that calls in this process, one span after the other, each with all threads."""
+    """Executor that runs a task in this process, one span after the other, with all threads."""
 
     def map(self, task: SpanTask) -> Iterator[Any]:
         """Results in the order of the spans; each is computed when the iterator reaches it."""
@@ -114,10 +114,9 @@ class Local:
             yield task.function(frames, *task.arguments(k), *task.shared)
 
     def total(self, task: SpanTask, take: Callable[[int, Any], None]) -> tuple[Any, ...]:
-        """Sums of the arrays that a function returns beside something of each span's own.
+        """Run a task whose function returns (own, arrays), and return the sums of the arrays.
 
-        The function returns (own, arrays); ``take(k, own)`` is called for the spans in their order,
-        in which the arrays are added.
+        ``take(k, own)`` is called for each span k in order, and the arrays are added in this order.
         """
         total: tuple[Any, ...] = ()
         for k, (own, arrays) in enumerate(self.map(task)):
@@ -127,7 +126,7 @@ class Local:
 
 
 class Cluster:
-    """Executor that calls on the workers of a Dask client.
+    """Executor that runs a task on the workers of a Dask client.
 
     A call carries its arrays or opens their files itself, so that the scheduler can repeat it on
     another worker if one is lost.
@@ -141,7 +140,7 @@ class Cluster:
         return self._results(self._calls(task))
 
     def total(self, task: SpanTask, take: Callable[[int, Any], None]) -> tuple[Any, ...]:
-        """As :meth:`Local.total`; workers add the arrays, of which only the sums come here."""
+        """As :meth:`Local.total`; the workers add the arrays, and return only the sums."""
         total: Any = ()
 
         def own_parts() -> Iterator[Any]:

@@ -1,4 +1,4 @@
-"""Rest normals that engines turn with the bones, and how far they then are from a surface's own."""
+"""Rest normals, which engines skin with the bones, and their angles to the normals of a surface."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ Array = NDArray[np.float64]
 _CHUNK = 512  # normals in a task
 _COMPARED = 6  # frames in which copies of a vertex coincide
 _PULL = 1e-9  # towards the rest pose's own normal, relative to the sum of all squares
-_LEAST = 1e-6  # length of a fitted normal: less has no direction
+_LEAST = 1e-6  # norm of a fitted normal: a smaller one has no direction
 _BINS = 18001  # of the histogram of angles, each a hundredth of a degree
 
 
 def holders_of(
     sequence: MeshSequence, model: MeshSequence | Skinning | None = None
 ) -> NormalHolders:
-    """Normals of a sequence, or of a model of it, with the hard edges that the first or second has.
+    """Normals of a sequence with its hard edges or, if it has no normals, those of a model of it.
 
-    If these are known, copies of a vertex, as there are at seams of UVs, have the same normals.
-    Copies are those that coincide in several frames.
+    If hard edges are known, copies of a vertex, as there are at seams of UVs, have the same
+    normals.  Vertices that coincide in several frames are taken for copies.
     """
     given = [x for x in (sequence, model) if x is not None]
     faces = next((x.faces for x in reversed(given) if len(x.faces)), sequence.faces)
@@ -98,20 +98,20 @@ def drawn_angles(
     executor: Executor | None = None,
     most: int | None = None,
 ) -> tuple[NDArray[np.int64], Angles, Angles]:
-    """Angles from the surface of the sequences to a skinning's normals as engines draw them.
+    """Angles between the surface normals of sequences and those that engines draw of a skinning.
 
     Parameters
     ----------
     sequences, skinning, executor
         As for :func:`with_fitted_normals`.  A skinning without normals has those of its rest pose.
     most : int, optional
-        About as many frames are measured, in rows of eight that are spread evenly, if there are
-        more.
+        If there are more frames, about this number of them is measured, in runs of eight that are
+        evenly spread.
 
     Returns
     -------
     (f,) int64
-        Numbers of the measured frames.
+        Indices of the measured frames.
     Angles
         To the drawn normals.
     Angles
@@ -175,7 +175,8 @@ def _angles_of_span(
     weights: Array,
     holders: NormalHolders,
 ) -> tuple[Angles, Angles]:
-    # `rest` (1 + S, V, 3) and `rest_normals` (1 + S, N, 3) are followed by what shapes add to them
+    # `rest` (1 + S, V, 3) and `rest_normals` (1 + S, N, 3): those without shapes, then what each
+    # shape adds
     skin_of_normals = indices[holders.vertex], weights[holders.vertex]
     drawn, own = [], []
 
@@ -219,9 +220,9 @@ class Angles:
 
     @classmethod
     def between(cls, normals: Array, drawn: NDArray[Any], vertex: NDArray[np.int32]) -> Angles:
-        """Angles between normals ``(F, N, 3)``, which are 0 where unknown, and vectors.
+        """Angles between `normals` ``(F, N, 3)``, which are 0 where unknown, and vectors `drawn`.
 
-        `vertex` (N,) is that of each normal.
+        `vertex` (N,) holds the vertex index of each normal.
         """
         angles = np.empty(normals.shape[:2])
 

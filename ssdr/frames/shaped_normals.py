@@ -1,4 +1,4 @@
-"""Normals that engines draw of a model with shapes: of the rest pose, and what each shape adds."""
+"""Normals of a model with shapes: those of the rest pose, and the vectors that each shape adds."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ __all__ = ["ShapedNormals", "shaped_normals"]
 
 Array = NDArray[np.float64]
 
-_PULL = 1e-3  # towards the normals to begin with, relative to the sum of squared amounts
-_LEAST = 1e-6  # length of a fitted normal: less has no direction
+_PULL = 1e-3  # towards the initial normals, relative to the sum of squared amounts
+_LEAST = 1e-6  # norm of a fitted normal: a smaller one has no direction
 _MOST = 500  # frames that normals are fitted to
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ShapedNormals:
-    """Normals of a rest pose, and what shapes add to them.
+    """Normals of a rest pose, and the vectors that shapes add to them.
 
     Attributes
     ----------
     corner : (T, 3) int32
-        Number of the normal at each triangle corner.
+        Index of the normal at each triangle corner.
     rest : (N, 3) float64
         Unit normals.
     added : (S, N, 3) float64
@@ -39,13 +39,13 @@ class ShapedNormals:
 
 
 def shaped_normals(model: Skinning) -> ShapedNormals:
-    """Normals of a model with shapes that come closest to those of its own surface.
+    """Normals of a model with shapes that, as engines draw them, fit those of its surface best.
 
     With a_t the amounts in frame t, an engine draws the direction A_t (n + Σ_s a_ts d_s), where A_t
-    is the blended 3×3 matrix.  Near what shapes move, n and d come as close as they can, by least
-    squares, to the normals of the model's surface in all frames, or in 500 of them.  Elsewhere n is
-    the normal that the model has, and d is 0.  Where frames leave them open, each shape adds the
-    change of the rest pose's own normal.
+    is the blended 3×3 matrix.  At triangles that shapes move, n and d are fitted by least squares
+    to the normals of the model's surface in all frames, or in 500 of them.  Elsewhere n is the
+    normal that the model has, and d is 0.  Where the frames do not determine it, d_s is the change
+    of the rest surface's normal by the shape.
     """
     assert model.shapes is not None
     shapes, faces = model.shapes, model.faces

@@ -1,4 +1,4 @@
-"""Vectors at the points of a rest pose that, mixed and turned with the bones, fit given ones."""
+"""Least-squares fit of vectors in the rest pose, to which shapes add and which bones transform."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ def fit_vectors(
     frames : (f,) int array
     goal : (f, N, 3) array
     vertex : (N,) int array
-        Vertex with whose matrix each point turns.
+        Index of the vertex whose matrix A_t each point has.
     used : (1 + S, N) bool array
         Which vectors each point has; the others are 0.
     start : (1 + S, N, 3) array
-        What vectors are that nothing determines.
+        Values of the vectors that the goals do not determine.
     pull : float
         Weight of the distance from `start`, relative to the sum of squared amounts.
     known : (f, N) bool array, optional

@@ -14,13 +14,13 @@ from pathlib import Path
 from ..errors import InputError
 
 _PREFIX = ".ssdr-"  # of the names of temporary files
-_BESIDE = {".gltf": ".bin", ".npy": ".faces.npy"}  # what a format writes beside a file
+_BESIDE = {".gltf": ".bin", ".npy": ".faces.npy"}  # suffix of a file's companion, by format
 _STALE_SECONDS = 3600.0  # no write goes on for so long without a change of its file
 
 
 @contextlib.contextmanager
 def atomic_path(path: Path | str, *, flush: bool = True) -> Iterator[Path]:
-    """Temporary file that becomes `path` when the block ends without an error.
+    """Context with a temporary file that becomes `path` when the block ends without an error.
 
     The temporary file lies in the folder of `path` and has its suffix, because some writers choose
     the format by it. If the block raises an exception, `path` is untouched and the temporary file
@@ -80,7 +80,8 @@ def check_writable(path: Path | str) -> None:
     Raises
     ------
     InputError
-        If `path` cannot name a file, no file can be created in its folder, or as `check_beside`.
+        If `path` cannot name a file, no file can be created in its folder, or :func:`check_beside`
+        refuses it.
     """
     check_beside(Path(path))
     probe = free_name(_file_behind(path))
@@ -94,15 +95,15 @@ def check_writable(path: Path | str) -> None:
 
 
 def check_beside(path: Path) -> None:
-    """Raise an InputError if what is written beside `path` would replace another file's.
+    """Raise an InputError if writing `path` would overwrite a companion file that is not its own.
 
-    A new file overwrites an old one of its name, with what lies beside that. Where there is no such
-    file, what has the name of its companion belongs to something else.
+    The companion is the .bin of a .gltf or the .faces.npy of a .npy. If `path` exists, so that it
+    is overwritten, the companion is taken to be its own; if not, it belongs to something else.
 
     Raises
     ------
     InputError
-        If there is such a file.
+        If the companion exists and `path` does not.
     """
     beside = path.with_suffix(_BESIDE.get(path.suffix.lower(), path.suffix))
     if os.path.lexists(beside) and not os.path.lexists(path):

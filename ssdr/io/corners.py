@@ -1,4 +1,4 @@
-"""UVs, normals and tangents of a file: vertices split for them, and those of another pose."""
+"""UVs, normals and tangents for files: vertices split where they differ, and change of pose."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ class Corners:
     Attributes
     ----------
     vertex : (N,) int32
-        The model's vertex at each vertex of this mesh.
+        Model vertex index of each vertex of this mesh.
     faces : (T, 3) int32
     uv : (N, 2) float32 or None
     normals : (N, 3) float32 or None
     number : (N,) int32 or None
-        Number of the normal of each vertex among those of a model with shapes.
+        For a model with shapes: index of each vertex's normal among the model's normals.
     """
 
     vertex: NDArray[np.int32]
@@ -77,9 +77,9 @@ def split_corners(
 
 
 def rest_normals(model: Skinning, rest: NDArray[np.floating]) -> NDArray[np.float32] | None:
-    """Normals ``(T, 3, 3)`` to write for a model: its own, or else those of the mesh `rest`.
+    """Normals ``(T, 3, 3)`` to write for a model: its own if it has any, else those of `rest`.
 
-    None without triangles.
+    None if there are no triangles.
     """
     if not len(model.faces):
         return None
@@ -96,10 +96,10 @@ def carry_tangents(
 ) -> NDArray[np.float32]:
     """Tangents ``(V, 4)`` of a mesh that is deformed from one pose to another.
 
-    Each triangle transforms the tangents at its corners by its own deformation.  The result is the
-    mean of these, weighted by the angles at the corners, and perpendicular to the normals.  So
-    edges stay as smooth or hard as they were, and where the mesh moves rigidly, tangents move with
-    it.  A tangent is only made perpendicular if all its triangles are degenerate.  The signs in the
+    Each triangle transforms the tangents at its corners by its own deformation.  The mean at a
+    vertex, weighted by the angles at the corners, is made perpendicular to the normal.  So edges
+    stay as smooth or hard as they were, and where the mesh moves rigidly, tangents move with it.
+    If all its triangles are degenerate, a tangent is only made perpendicular.  The signs in the
     last column stay.
 
     Parameters
@@ -139,7 +139,7 @@ def _triangle_frames(p: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArr
 
 
 def _angles(p: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Angles ``(T, 3)`` at the corners of triangles, given the positions ``(T, 3, 3)`` of these."""
+    """Angles ``(T, 3)`` at the corners of triangles with the corner positions ``(T, 3, 3)``."""
     toward, back = np.roll(p, -1, axis=1) - p, np.roll(p, 1, axis=1) - p
     cross = np.linalg.norm(np.cross(toward, back), axis=2)
     return np.asarray(np.arctan2(cross, (toward * back).sum(axis=2)))

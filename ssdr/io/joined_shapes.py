@@ -14,10 +14,11 @@ from .budget import afford
 def join_shapes(
     held: Sequence[Sequence[Shapes | None]], starts: NDArray[np.int64], name: str
 ) -> Shapes | None:
-    """Shapes of the joined vertices, from those of each part in each clip.
+    """Shapes of the joined vertices, from the shapes `held` by each part in each clip, or None.
 
-    Shapes of several parts that have the same name and amounts become one.  `starts` are the first
-    vertices of the parts, and their number; `name` is that of the file, for messages.
+    Shapes of several parts that have the same name and amounts become one.  `starts` holds the
+    first vertex of each part, then the number of vertices; `name` is that of the file, for
+    messages.
     """
     rows: dict[tuple[str, bytes], dict[int, NDArray[np.floating]]] = {}
     amounts: dict[tuple[str, bytes], NDArray[np.float64]] = {}

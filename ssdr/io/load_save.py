@@ -57,7 +57,7 @@ def load(
         A file, a folder of numbered meshes or a pattern of them
         (``frame_%04d.obj``, ``frame_*.ply``, ``mesh_*.glb``).
     clip : str or int, optional
-        Name or number of the clip; the first by default. If there are several, the log lists them.
+        Name or index of the clip; the first by default. If there are several, the log lists them.
     weld : bool
         Merge vertices that coincide in every frame, as vertices along seams of UVs or normals do.
         `vertex_map` of the result holds the merged vertex of each original one, and the log says
@@ -66,14 +66,16 @@ def load(
         Frames per second, in place of the rate in the file. By default the file's rate, or 24 if it
         states none.
     scale : float
-        Factor by which all lengths are multiplied. With any but 1, the unit of the result is not
-        known, and all frames are read into memory.
+        Factor by which all lengths are multiplied. With any other than 1, the unit of the result is
+        not known, and all frames are read into memory.
     units : float, optional
-        Metres in a unit of the result, in place of what the file states. Numbers stay as they are.
+        Metres in a unit of the result, in place of what the file states. Coordinates stay as they
+        are.
     up : {"y", "z"}, optional
-        Up axis of the result, in place of what the file states. Nothing is turned.
+        Up axis of the result, in place of what the file states. Coordinates stay as they are.
     folder : path, optional
-        Folder below which files may be read that this one refers to; by default only its own.
+        Folder below which files to which this one refers may be read, too. By default they must be
+        in or below the folder of this one.
     **options
         Options of the format; the page on formats lists them.
 
@@ -123,7 +125,7 @@ def list_clips(
     folder: str | os.PathLike[str] | None = None,
     **options: Any,
 ) -> tuple[Clip, ...]:
-    """Clips of a file; their frames are numbered as :func:`load_skinning` numbers them.
+    """Clips of a file, with frames numbered as in the result of :func:`load_skinning`.
 
     If a format has no clips, a file counts as one clip, named after its animation, mesh or file.
 
@@ -208,7 +210,7 @@ def load_skinning(
     path : path
         ``.npz``, ``.glb``, ``.gltf``, ``.fbx`` or USD.
     clip : str, int or several of them, optional
-        Names or numbers of the clips to read; all by default.
+        Names or indices of the clips to read; all by default.
     fps : float, optional
         Frames per second of every clip, as in :func:`load`.
     scale : float
@@ -349,10 +351,10 @@ def save(
 def compact_size(
     skinning: Skinning, *, units: float | None = None, up: Up | None = None, **options: Any
 ) -> tuple[int, Skinning]:
-    """Bytes of the compact ``.glb`` of a skinning, and the skinning that a reader decodes from it.
+    """Size in bytes of a skinning's compact ``.glb``, and the skinning that a reader decodes.
 
-    `units`, `up` and `options` are those of :func:`save`; what is decoded is in the space of
-    `skinning`, without a hierarchy.
+    `units`, `up` and `options` are those of :func:`save`. The decoded skinning is in the space of
+    `skinning` and has no hierarchy.
     """
     given = with_space(skinning, skinning.space.but(Space(units, up)))
     ready = ready_to_write(given, "glTF", FORMATS[".glb"].space)[0]

@@ -12,12 +12,12 @@ _MOST_NAMES = 20  # in a message
 
 
 def mesh_names(meshes: Any) -> list[str]:
-    """Names that the option `meshes` gives, one at least.
+    """Names in the option `meshes`, as a list of at least one.
 
     Raises
     ------
     InputError
-        If it gives none.
+        If it holds none.
     """
     listed = [meshes] if isinstance(meshes, str) else meshes
     if not (isinstance(listed, (list, tuple, set, frozenset)) and listed):
@@ -29,14 +29,14 @@ def mesh_names(meshes: Any) -> list[str]:
 
 
 def choose(meshes: str | Sequence[str] | None, names: Sequence[Collection[str]]) -> list[int]:
-    """Indices of the meshes that have a name in `meshes`; all if that is None.
+    """Indices of the meshes that have a name in `meshes`, or of all meshes if that is None.
 
-    `names` are those by which each mesh can be chosen.
+    `names` holds, for each mesh, the names by which it can be chosen.
 
     Raises
     ------
     InputError
-        If no mesh has one of the names.
+        If one of the names is that of no mesh.
     """
     if meshes is None:
         return list(range(len(names)))

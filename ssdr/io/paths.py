@@ -16,7 +16,7 @@ def readable_path(
 ) -> tuple[Path, Format]:
     """Path and format of a file, after checking that it can be read and the options are valid.
 
-    `function` names the function that the format needs, such as ``"read"``.
+    `function` names the function that the format must have, such as ``"read"``.
     """
     for argument, value in (("fps", fps), ("scale", scale)):
         if value is not None and not (is_real(value) and value > 0):

@@ -39,8 +39,8 @@ def read(
     path : Path
     fps : float, optional
         Samples per second. By default those that the times in an MDD cache imply. A PC2 cache has
-        no times, only frames per sample; for it the default is the rate of the mesh, or 24 if that
-        states none, divided by these.
+        no times, only frames per sample; for it the default is the rate of the mesh, or 24 if the
+        mesh states none, divided by the frames per sample.
     faces : path, MeshSequence, (T, 3) int array or "none", optional
         Mesh that the cache deforms, or its faces; by default the mesh file of the same stem in the
         same folder. "none" makes a point cloud.
@@ -117,7 +117,7 @@ def write_sequence(sequence: MeshSequence, path: Path, *, unweld: bool = False) 
 
 
 def _rate(path: Path, times: np.ndarray[Any, Any]) -> float | None:
-    """Frames per second from the times in an MDD cache; None if there are fewer than two."""
+    """Frames per second from the times in an MDD cache, or None if there are fewer than two."""
     if len(times) < 2:
         return None
     steps = np.diff(times.astype(np.float64))

@@ -27,12 +27,12 @@ def run_script(
     environment: Mapping[str, str],
     time_limit: float = 600.0,
 ) -> dict[str, NDArray[Any]]:
-    """Arrays that a script writes to an archive, after it has run in a process of its own.
+    """Run a script in a process of its own, and return the arrays that it writes to an archive.
 
     Parameters
     ----------
     command : function
-        Command line for a file with the script's job; the function gets the path of the file.
+        Returns the command line, given the path of the file with the script's job.
     job : dict
         What the script is to do, as JSON. The path of the archive is added to it as ``"out"``.
     who : str
@@ -77,7 +77,7 @@ def run_script(
         _log.debug("%s: %s%s", who, done.stdout, done.stderr)
         if done.returncode != 0 or not out.is_file():
             lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
-            reason = (lines or ["it said nothing"])[-1][-600:]  # of a traceback, what it ends in
+            reason = (lines or ["it said nothing"])[-1][-600:]  # the end of a traceback
             raise SsdrError(f"{who} failed ({done.returncode}): {reason}")
         with np.load(out, allow_pickle=False) as archive:
             arrays = {key: archive[key] for key in archive.files}

@@ -1,7 +1,7 @@
 """Lookup of files that another file names, limited to the folder of that file.
 
 Without this limit, a model from elsewhere could name any file of the machine that reads it, and the
-contents of that file would go into an output. The user may name a folder more that may be read.
+contents of that file would go into an output. The user may name a further folder.
 """
 
 from __future__ import annotations
@@ -24,7 +24,10 @@ _log = logging.getLogger(__name__)
 
 @contextlib.contextmanager
 def trusting(folder: Any) -> Iterator[None]:
-    """Context in which files below `folder`, too, may be read for others; None adds nothing."""
+    """Context in which files below `folder` may be read, too, where other files refer to them.
+
+    None adds no folder.
+    """
     token = _trusted.set(_trusted.get())
     try:
         if folder is not None:
@@ -35,7 +38,7 @@ def trusting(folder: Any) -> Iterator[None]:
 
 
 def trust(folder: Any) -> None:
-    """Let files below `folder` be read for others, until the end of a :func:`trusting` around.
+    """Let files below `folder` be read where others refer to them, in the current `trusting` block.
 
     Raises
     ------

@@ -47,8 +47,8 @@ class SaveReport:
         Largest number of influences of a vertex in the file; None where the
         file holds no skin weights.
     error : float or None
-        Root mean square sqrt(Σ |d|² / (F V)) of the distances |d| between the vertices in the file
-        and those given, in the units of those given; None if the file is exact.
+        Root mean square sqrt(Σ |d|² / (F V)) of the distances |d| between the stored and the given
+        vertices, in the units of the latter; None if the file is exact.
     max_error : float or None
         Largest of these distances; None if the file is exact.
     between_frames : float or None
@@ -89,18 +89,18 @@ class Format:
     module : str
         Module that exposes the functions; it is imported when the first of them is needed.
     functions : frozenset of str
-        ``read``, ``read_skinning``, ``write_sequence``, ``write_skinning``, as far as the format
-        goes.  With ``list_clips`` a file can hold several clips, and ``read`` takes the option
-        `clip`; with ``list_meshes`` it can hold several meshes, and ``read`` takes `meshes`;
-        ``compact_size`` counts the bytes of a compact file before there is one.  With ``copy``,
-        files can be copied whole and can be templates: ``write_skinning`` takes `template`, and
-        ``template_problem`` returns the reason why a file cannot be one; ``left_out`` lists what is
-        not read.
+        Those of ``read``, ``read_skinning``, ``write_sequence`` and ``write_skinning`` that the
+        format supports.  With ``list_clips`` a file can hold several clips, and ``read`` takes the
+        option `clip`; with ``list_meshes`` it can hold several meshes, and ``read`` takes `meshes`;
+        ``compact_size`` returns the size of a compact file without saving it.  With ``copy``, files
+        can be copied with all contents and can be templates: ``write_skinning`` takes `template`,
+        and ``template_problem`` returns the reason why a file cannot be one; ``left_out`` lists
+        what is not read.
     extra : str or None
         Extra of ssdr that the format needs.
     space : Space or None
-        Space that its files must have, whose unknown parts they may choose; None if they cannot
-        state any.
+        Space that its files must have, where a file may choose each part that is unknown here; None
+        if files cannot state a space.
     """
 
     title: str
@@ -114,7 +114,7 @@ class Format:
         return not self.functions.isdisjoint(names)
 
     def function(self, name: str) -> Callable[..., Any]:
-        """Function of the format, whose module is imported now."""
+        """Import the format's module and return one of its functions."""
         module = importlib.import_module(f".{self.module}", __package__)
         return getattr(module, name)  # type: ignore[no-any-return]
 
@@ -250,7 +250,7 @@ def _check_option(name: str, value: Any, annotation: str) -> None:
 
 
 def pick_clip(names: Sequence[str], clip: Any, path: Path) -> int:
-    """Index of the clip that a name or number chooses, by :func:`~ssdr.clips.pick`.
+    """Index of the clip that a name or index chooses, by :func:`~ssdr.clips.pick`.
 
     If there are several clips, the log names the chosen one.
     """
@@ -261,7 +261,7 @@ def pick_clip(names: Sequence[str], clip: Any, path: Path) -> int:
 
 
 def check_one_rate(clips: Sequence[Clip], where: str) -> None:
-    """Raise an InputError if clips differ in their frame rates; `where` says why they must not."""
+    """Raise an InputError, ending with the reason `where`, if clips differ in their frame rates."""
     if not one_rate(clips):
         rates = ", ".join(f"{clip.name} at {clip.fps:g}" for clip in clips)
         raise InputError("thing", f"clips of one frame rate {where}", rates)
@@ -273,13 +273,13 @@ def bake(skinning: Skinning) -> MeshSequence:
     Raises
     ------
     InputError
-        If clips have different frame rates, or a vertex is too far away for a number.
+        If clips have different frame rates, or a coordinate overflows.
     """
     from ..normals import corner_normals
 
     hint = "skinning.select(name) takes one out"
     check_one_rate(skinning.clips, f"where vertices are stored, which have one; {hint}")
-    with np.errstate(over="ignore", invalid="ignore"):  # of which the sequence says more
+    with np.errstate(over="ignore", invalid="ignore"):  # MeshSequence reports these
         frames, surface = skinning.skin(), skinning.surface
     if surface is not None and surface.normals is not None:
         # those of a skinning belong to its rest pose, which need not be a frame
@@ -302,8 +302,8 @@ def written_vertices(
 ) -> tuple[NDArray[np.integer], str]:
     """Indices of the vertices to write, and a note on them for the user.
 
-    Without `unweld`, they are all vertices of `thing`. With it, they are the vertex of `thing` for
-    each vertex that the mesh had before it was welded.
+    Without `unweld`, they are all vertices of `thing`. With it, there is one index for each vertex
+    that the mesh had before it was welded.
 
     Raises
     ------
@@ -342,7 +342,7 @@ def reading(path: Path, *options: str) -> Iterator[None]:
         if isinstance(error, MemoryError):
             what = "needs more memory than there is"
         elif not isinstance(error, (FormatError, InputError, FileNotFoundError)):
-            # Parsers of hostile bytes raise anything, also what is said of the parser's own code.
+            # On hostile bytes a parser may raise any error, even one about its own code.
             _log.debug("%s", path, exc_info=error)
             said = [text for kind, text in _BUGS.items() if isinstance(error, kind)]
             what = f"truncated or damaged ({said[0].format(what) if said else what})"

@@ -4,8 +4,8 @@ Both are rounded as a file stores them; the error of that rounding is measured.
 
 If the model has a hierarchy, its joints are stored, with transforms relative to their parents. If
 it has none, each bone gets a joint at the centroid of the vertices that it moves. The reason is
-that engines interpolate translation and rotation apart from each other: between two keys of a
-rotation about a far origin, they would move the vertices along a chord instead of an arc.
+that engines interpolate translation and rotation separately: between two keys of a rotation about a
+far origin, they would move the vertices along a chord instead of an arc.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class Rig:
     shapes : Shapes or None
         Shapes of the rest pose, with the amounts of every frame.
     moving : (D,) int or None
-        The joints that move vertices, to which `indices` refer; None if they are all of them.
+        Indices of the joints that move vertices, into which `indices` point; None if all joints do.
     """
 
     rest: NDArray[np.float32]
@@ -141,7 +141,7 @@ class Rig:
         return np.concatenate([rotation, shift[..., None]], axis=-1)
 
     def bone_matrices(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Those of :meth:`matrices` that move vertices, in the order of the model's bones."""
+        """Transforms, as of :meth:`matrices`, of the model's bones, in their order."""
         moves = self.matrices(times)
         return moves if self.moving is None else moves[:, self.moving]
 
@@ -166,8 +166,8 @@ class Rig:
         model : Skinning
         between : bool
             Compare halfway between consecutive frames, where engines interpolate, with the mean of
-            the model's vertices in the two frames. A turning vertex moves on an arc but that mean
-            lies on the chord, so a part of the distance is no error of the rig; this part falls
+            the model's vertices in the two frames. A rotating vertex moves on an arc, but this mean
+            lies on its chord, so a part of the distance is no error of the rig; this part falls
             with the square of the frame time.
         """
         error = StorageError()
@@ -202,14 +202,14 @@ def build_rig(
 ) -> Rig:
     """Rig whose joints are those of the skinning's hierarchy or, without one, bone centroids.
 
-    A bone M = U S Vᵀ that stretches becomes two joints: one that turns by U and scales by S, with
-    the name of the bone and "_stretch", and below it that of the bone, which turns by Vᵀ.
+    A bone M = U S Vᵀ that stretches becomes two joints: one that rotates by U and scales by S, with
+    "_stretch" after the bone's name, and below it one with the bone's name, which rotates by Vᵀ.
 
     Parameters
     ----------
     skinning : Skinning
     influences : int, optional
-        Number of weights to keep for each vertex, namely the largest; all by default.
+        Number of largest weights to keep for each vertex; all by default.
     most : int, optional
         Largest number of weights for each vertex that the format can hold.
     storage : {"float32", "uint16", "uint8"}
@@ -286,9 +286,9 @@ def build_rig(
 
 
 def _with_inner(rig: Rig, within: NDArray[np.float64]) -> Rig:
-    """Rig with another joint below each, which turns by matrices (F, B, 3, 3) and is its bone.
+    """Rig with a second joint below each, which rotates by `within` (F, B, 3, 3) and is the bone.
 
-    The outer joint of a bone hangs on the inner one of its parent.
+    The outer joint of a bone is a child of the inner joint of the bone's parent.
     """
     count, above = rig.n_bones, -1 if rig.parents is None else rig.parents
     own = np.arange(count, dtype=np.int32)
@@ -325,9 +325,9 @@ def _sorted_weights(skinning: Skinning) -> tuple[NDArray[np.int32], NDArray[np.f
 
 
 def _scales_of(linear: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Scale (F, B) of each matrix (F, B, 3, 3), and how far it is from a rotation of that scale.
+    """Scale (F, B) of each matrix (F, B, 3, 3), and its deviation (F, B) from a scaled rotation.
 
-    The second is inf where a matrix mirrors.
+    The deviation is inf where a matrix mirrors.
     """
     scales = np.cbrt(np.linalg.det(linear))
     rotations = linear / np.where(scales > 0, scales, 1.0)[..., None, None]
@@ -366,13 +366,13 @@ def _stored_frames(skinning: Skinning) -> NDArray[np.bool_]:
 def interpolate_quaternions(
     a: NDArray[Any], b: NDArray[Any], u: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Interpolate quaternions ``(..., 4)`` by :func:`slerp`, after scaling them to unit length."""
+    """Interpolate quaternions ``(..., 4)`` by :func:`slerp`, after scaling them to unit norm."""
     p, q = (x / np.linalg.norm(x, axis=-1, keepdims=True) for x in (a.astype(float), b))
     return slerp(p, q, u)
 
 
 def frame_rate(stamps: NDArray[np.float64]) -> float | None:
-    """Frames per second of ascending key times (in seconds); None if none is found.
+    """Frames per second of ascending key times (in seconds), or None if no rate is found.
 
     It is the first of these rates: that of the closest two keys, if all keys fall on its frames;
     the rate at which more than three in four keys follow each other, even if the others lie between

@@ -1,7 +1,7 @@
 """Frames at which the clips of a file are sampled, and what is lost between them.
 
 Frames follow each other at one rate, and key times of a file need not. Where they do not, the file
-is sampled, and the user is told how far vertices are then from where the file has them.
+is sampled, and a warning states the largest error of vertices that results.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from ..clips import Clip
 from ..errors import SsdrWarning
 
 _log = logging.getLogger(__name__)
-_ON = 0.01  # of a frame: what float32 rounds times by
-_MOST_LOOKS, _MOST_BYTES = 256, 64 << 20  # key times at which vertices are compared
+_ON = 0.01  # frames: a time closer than this, as after rounding to float32, lies on a frame
+_MOST_LOOKS, _MOST_BYTES = 256, 64 << 20  # limits of the key times at which vertices are compared
 _LEAST = 1e-6  # of the diagonal: rounding of float32 vertices
 
 Times = NDArray[np.float64]
 
 
 def off_frames(stamps: Times, first: float, rate: float, count: int | None = None) -> Times:
-    """Those of the times `stamps` that lie on no frame.
+    """Times among `stamps` that lie on no frame.
 
     Frames are at ``first + k / rate``, with k below `count` if that is given.
     """
@@ -48,7 +48,7 @@ class Missed:
     first, rate : float
         Time of the first frame, and frames in a unit of time.
     own : bool
-        Whether the caller asked for no frame rate.
+        Whether the reader chose the frame rate, since the caller gave none.
     at : callable
         Function from n times to the `time` of a sample with these frames.
     """
@@ -81,10 +81,10 @@ class Sample:
     missed: Missed
 
     def tell_missed(self, vertices_of: Callable[..., NDArray[np.floating]]) -> None:
-        """Warn of keys between frames, with the largest distance of vertices from the file's there.
+        """Warn of keys between frames, with the largest error of vertices at these keys.
 
-        The distance is that of the vertices at key times, of 256 at most, from those interpolated
-        linearly between the two frames around, as players do.
+        The error is the distance between the vertices at a key and those interpolated linearly
+        between the two frames around it, as players do. At most 256 keys are compared.
 
         Parameters
         ----------
@@ -114,9 +114,9 @@ class Sample:
 def tell(
     path: Path, clip: Clip, count: int, distance: float, diagonal: float, *, own: bool
 ) -> None:
-    """Warn that `count` keys of a clip lie between its frames; the log says it if not `own`.
+    """Warn, or log if not `own`, that `count` keys of a clip lie between its frames.
 
-    `distance` is how far a vertex is then from where the file has it, at most.
+    `distance` is the largest error of a vertex that results.
     """
     if not distance > _LEAST * diagonal:
         return

@@ -57,7 +57,7 @@ class SceneBudget:
             self.most = min(MOST_BYTES, max(self.most, 1000 * n_bytes))
 
     def spend(self, n_bytes: float, what: str) -> None:
-        """Add `n_bytes` to the memory asked for so far, and check the sum against the limit.
+        """Add `n_bytes` to the memory needed so far, and check the sum against the limit.
 
         `what` names what needs these bytes, for the error message.
 
@@ -74,10 +74,10 @@ class ScenePart(Protocol):
     """Vertices of a scene that one skeleton moves, and their triangles.
 
     `shape(time)` returns the vertices (V, 3) before skinning or, if these change over time, a
-    function from a frame's number to them. `at_rest(time)` returns the vertices without shapes, and
-    these shapes. `transforms(time)` returns the transforms (F, B, 3, 4)
-    of the bones from the rest pose. `bones(transforms)` returns the skeleton with such transforms.
-    `time` is that of a :class:`Sample`.
+    function from a frame's index to them. `at_rest(time)` returns the vertices without shapes, and
+    the shapes. `transforms(time)` returns the transforms (F, B, 3, 4) of the bones from the rest
+    pose. `bones(transforms)` returns the skeleton with such transforms. `time` is that of a
+    :class:`Sample`.
 
     Attributes
     ----------
@@ -147,9 +147,9 @@ def file_weights(
 
 
 def facing(linear: NDArray[np.floating]) -> tuple[int, bool]:
-    """First frame in which matrices (F, 3, 3) turn a mesh as in most frames; whether they mirror.
+    """First frame in which matrices (F, 3, 3) have their usual sign of det, and whether it is < 0.
 
-    A mesh that grows from size 0 has no side to see in its first frame.
+    The usual sign is that of most frames; that of a mesh which grows from size 0 is 0 at first.
     """
     largest = np.abs(linear).max(axis=(1, 2), keepdims=True)
     signs = np.sign(np.linalg.det(linear / np.where(largest > 0, largest, 1)))
@@ -158,7 +158,7 @@ def facing(linear: NDArray[np.floating]) -> tuple[int, bool]:
 
 
 def part_starts(parts: Sequence[ScenePart]) -> NDArray[np.int64]:
-    """Index of each part's first vertex in the joined vertices; the last entry is their number."""
+    """Index of each part's first vertex in the joined vertices, then the number of all vertices."""
     return np.cumsum([0, *(len(part.indices) for part in parts)])
 
 
@@ -172,7 +172,7 @@ def join_faces(parts: Sequence[ScenePart]) -> NDArray[np.int32]:
 def _join_surface(
     parts: Sequence[ScenePart], rest: Sequence[NDArray[np.floating]], materials: list[Material]
 ) -> Surface | None:
-    """Surface of all parts joined; None if there are no UVs, normals or materials.
+    """Surface of all parts joined, or None if there are no UVs, normals or materials.
 
     If only some parts have UVs, the others get zeros. If only some have normals, the others get the
     normals of their rest pose.
@@ -240,7 +240,7 @@ def join_skinning(
     Raises
     ------
     FormatError
-        If the vertices of a part change before they are skinned by more than shapes.
+        If anything but shapes changes the vertices of a part before they are skinned.
     """
     parts = samples[0].parts
     bones: dict[Hashable, Bones] = {}
@@ -326,14 +326,14 @@ def _bone_model_of(transforms: NDArray[np.float64]) -> BoneModel:
 def match_template(
     parts: Sequence[ScenePart], model: Skinning, path: Path
 ) -> list[NDArray[np.integer]]:
-    """For each part of a template file, the index of the model's vertex at each of its vertices.
+    """For each part of a template file, the model vertex index of each of the part's vertices.
 
     `path` is the template file, for messages.
 
     Raises
     ------
     InputError
-        If the template has another number of vertices than the model, or other triangles.
+        If the template's number of vertices or its triangles differ from the model's.
     """
     starts = part_starts(parts)
     count = int(starts[-1])

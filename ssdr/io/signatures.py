@@ -32,5 +32,5 @@ def describe(head: bytes) -> str:
 
 
 def picture_type(data: bytes) -> str | None:
-    """MIME type of PNG or JPEG data; None for any other data."""
+    """MIME type of PNG or JPEG data, or None for any other data."""
     return next((kind for magic, kind in _PICTURES.items() if data.startswith(magic)), None)

@@ -12,7 +12,7 @@ from ..space import UNKNOWN, Space
 
 Thing = TypeVar("Thing", bound=Any)  # MeshSequence or Skinning
 
-# a quarter turn about x, which turns z up into y up
+# rotation by 90° about x, which maps z up to y up
 _Y_FROM_Z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 
@@ -28,7 +28,7 @@ def in_space(thing: Thing, space: Space) -> Thing:
     Returns
     -------
     MeshSequence or Skinning
-        Scaled if both units are known, and turned about x if both up axes are known.
+        Scaled if both units are known, and rotated about x if both up axes are known.
 
     Examples
     --------
@@ -91,7 +91,7 @@ def scaled(thing: Thing, factor: float, space: Space) -> Thing:
 
 
 def with_space(thing: Thing, space: Space) -> Thing:
-    """Sequence or skinning with the same numbers, stated to be in another space."""
+    """Sequence or skinning with the same coordinates, stated to be in another space."""
     unread = {"validate": False} if isinstance(thing, MeshSequence) else {}
     return thing if space == thing.space else dataclasses.replace(thing, space=space, **unread)
 

@@ -24,7 +24,7 @@ def frame_blocks(start: int, stop: int, n_vertices: int) -> Iterator[slice]:
 
 
 class StorageError:
-    """Root mean square and largest distance between stored and given vertices."""
+    """Accumulates the RMS and largest distance of stored from given vertices (not an exception)."""
 
     def __init__(self) -> None:
         self._squares, self._count, self._largest = 0.0, 0, 0.0
@@ -39,7 +39,7 @@ class StorageError:
     def round(self, block: NDArray[np.floating], first: int) -> NDArray[np.float32]:
         """Round `block` to float32, count the rounding distances in the statistics, and return it.
 
-        `first` is the number of the block's first frame, for the error message.
+        `first` is the index of the block's first frame, for the error message.
 
         Raises
         ------
@@ -61,10 +61,10 @@ class StorageError:
 
     @property
     def rmse(self) -> float | None:
-        """Root mean square of all distances added; None if there are none."""
+        """Root mean square of all distances added, or None if there are none."""
         return math.sqrt(self._squares / self._count) if self._count else None
 
     @property
     def largest(self) -> float | None:
-        """Largest of all distances added; None if there are none."""
+        """Largest of all distances added, or None if there are none."""
         return math.sqrt(self._largest) if self._count else None

@@ -102,7 +102,7 @@ def read_weights(
     ----------
     path : path
     bones : sequence of str, optional
-        Names of the bones, in the order in which the result numbers them; by default the natural
+        Names of the bones, in the order of their indices in the result; by default the natural
         order of the names (``bone_2`` before ``bone_10``).
     n_vertices : int, optional
         Number of vertices that the table must have. Without it, a table that has lost its last

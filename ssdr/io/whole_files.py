@@ -26,7 +26,7 @@ def copy(
         File to copy.
     target : path
         File to write.
-    clips : names or numbers, optional
+    clips : names or indices, optional
         Clips to keep; all by default.
 
     Raises

@@ -48,7 +48,7 @@ def factor_spd(matrix: Any, *, backend: Backend | None = None) -> tuple[Solve, B
     InputError
         If `backend` is unknown.
     MissingDependencyError
-        If CHOLMOD is asked for and scikit-sparse is not installed.
+        If `backend` is "cholmod" and scikit-sparse is not installed.
     ArithmeticError
         If the matrix is singular or, with CHOLMOD, not positive definite to
         working precision.

@@ -76,7 +76,7 @@ class LaplacianSmoother:
         If an argument is not usable, or `length` is so much larger than the edges that rounding
         loses the masses.
     MissingDependencyError
-        If CHOLMOD is asked for and scikit-sparse is not installed.
+        If `backend` is "cholmod" and scikit-sparse is not installed.
 
     Notes
     -----

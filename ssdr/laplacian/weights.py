@@ -26,12 +26,12 @@ def smooth_weights(
     mass: MassKind = "barycentric",
     backend: Backend | None = None,
 ) -> Skinning:
-    """A model whose weights are diffused over its rest pose, by :class:`LaplacianSmoother`.
+    """Copy of a model with weights diffused over its rest pose, by :class:`LaplacianSmoother`.
 
-    The weights of each bone become the solution w of (M + ℓ²L) w = M w₀.  Their sums stay 1.  Those
-    below 0, as the cotangent Laplacian makes beside edges that are not Delaunay, become 0, and
-    the others of the vertex are normalised again.  The motion of the model changes:
-    ``metrics.compare(sequence, smoothed)`` tells by how much.  As the `prior` of
+    The weights of each bone become the solution w of (M + ℓ²L) w = M w₀.  Their sums stay 1.
+    Negative weights, which the cotangent Laplacian can make at edges that are not Delaunay, become
+    0, and the other weights of the vertex are normalised again.  The motion of the model changes:
+    ``metrics.compare(sequence, smoothed)`` measures by how much.  As the `prior` of
     :func:`~ssdr.fit_weights`, smooth weights are weighed against the error.
 
     Parameters

@@ -33,10 +33,10 @@ class Comparison(Distances):
     n_frames, n_vertices : int
     hausdorff : Hausdorff or None
     sted : Sted or None
-        None if it was not asked for.
+        None if it was not requested.
     normals : NormalErrors or None
-        Those that are drawn of a skinning, those of the surface of other frames; None without
-        triangles.
+        Errors of the normals that engines draw of a skinning or, if the mesh is none, of its
+        surface normals; None without triangles.
 
     Examples
     --------

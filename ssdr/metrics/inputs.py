@@ -14,7 +14,7 @@ from ..skinning import Skinning, skinning_in
 
 
 class _Result(Protocol):
-    """What a function returns that makes a model."""
+    """Result of a function that makes a model."""
 
     @property
     def skinning(self) -> Skinning: ...
@@ -91,5 +91,5 @@ def chunk_size(sequence: MeshSequence, per_frame: int = 0) -> int:
 
 
 def read(sequence: MeshSequence, start: int, stop: int) -> NDArray[np.float64]:
-    """Frames from `start` to before `stop` in float64."""
+    """Frames ``start:stop``, ``(n, V, 3)``, in float64."""
     return np.asarray(sequence.frames(slice(start, stop)), dtype=np.float64)

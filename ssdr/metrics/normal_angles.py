@@ -43,8 +43,8 @@ class NormalErrors:
     per_vertex : (V,) float64
         Mean of each vertex; NaN where its normal is never known.
     frames : (F,) int64
-        Numbers of the frames measured.  Of a result of the solver with more than 500 frames, only
-        about 500 are.
+        Indices of the measured frames: about 500 for a result of the solver with more frames, all
+        otherwise.
 
     Examples
     --------
@@ -79,10 +79,10 @@ def normals(reference: Frames, model: Frames, faces: ArrayLike | None = None) ->
     """Angles between the normals of a reference and those that are drawn of a model.
 
     The normals of a surface are means over the triangles around a vertex, weighted by their angles
-    there, and apart on both sides of a hard edge.  Game engines and renderers draw a skinned mesh
-    by the normals n of its rest pose, which they turn with the blended 3×3 matrices of the bones:
-    Σ_k w_k R_k n, made a unit.  Triangles without an area have no normal, and a vertex with no
-    others is left out in that frame.
+    there, and separate on the two sides of a hard edge.  Game engines and renderers draw a skinned
+    mesh by its rest normals n, which they transform by the blended 3×3 matrices of the bones:
+    Σ_k w_k R_k n, normalised.  Triangles without area have no normal, and a vertex with no others
+    is left out in that frame.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def normals(reference: Frames, model: Frames, faces: ArrayLike | None = None) ->
 
 
 def known_errors(reference: MeshSequence, model: Skinning | MeshSequence) -> NormalErrors | None:
-    """Errors of the normals of a model of as many frames and vertices; None if none is known."""
+    """Errors of the normals of a model of the same frames, or None if no normal is known."""
     if not isinstance(model, Skinning):
         holders, parts = holders_of(reference, model), []
         for span in chunk_bounds(reference.n_frames, chunk_size(reference)):
@@ -153,7 +153,7 @@ def errors_of_model(
     executor: Executor | None = None,
     most: int | None = _MOST,
 ) -> NormalErrors | None:
-    """Errors of a skinning against all frames of the sequences; None without a known normal.
+    """Errors of a skinning's drawn normals against sequences, or None if no normal is known.
 
     `most` and `executor` are as in :func:`~ssdr.frames.normals.drawn_angles`.
     """

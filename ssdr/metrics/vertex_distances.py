@@ -34,14 +34,14 @@ class Distances:
     motion : float
         Root mean square distance √(Σ ‖A_t v_i^t − m_i‖² / (F V)) of the reference's vertices from
         their mean pose m, with each frame carried onto the first by the rigid motion A_t that fits
-        best (Kabsch 1976); over about 500 frames at most.  0 where only rounding moves.
+        best (Kabsch 1976); over about 500 frames at most.  0 if all motion may be rounding.
     percent_of_motion : float
         100 · rmse / motion: how much of the deformation is lost, root mean square.  NaN where
         nothing deforms.
     mean, max : float
         Mean and largest distance.
     max_frame, max_vertex : int
-        Frame and vertex of the largest distance; the first if several are equal.
+        Indices of frame and vertex of the largest distance; the first if several are equal.
     per_frame : (F,) float64
         RMSE of each frame.
     per_vertex : (V,) float64

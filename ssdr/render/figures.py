@@ -44,15 +44,15 @@ def render_frame(
 ) -> Image.Image:
     """Picture of one frame, lit as engines light it.
 
-    A skinning is lit by the normals of its rest pose, turned by the blended 3×3 blocks of its
-    bones: its ``surface.normals`` or, without them, those of its rest pose as a surface. A sequence
-    is lit by the normals of its surface.
+    A skinning is lit by rest normals, transformed by the blended 3×3 blocks of its bones: its
+    ``surface.normals`` or, without them, the normals of the rest surface. A sequence is lit by the
+    normals of its surface.
 
     Parameters
     ----------
     subject : MeshSequence, Skinning or Decomposition
     frame : int
-        Negative counts from the end.
+        Index; a negative one counts from the end.
     reference : MeshSequence, optional
         The true animation, from which the error is measured.
     style : {"plain", "weights", "bones", "error", "normals"}, optional
@@ -138,7 +138,7 @@ def contact_sheet(
     width : int
         Pixels; the height follows from it.
     styles : sequence of Style, optional
-        Rows below the reference; by default all that apply to the subject, but for "normals".
+        Rows below the reference; by default all that apply to the subject, except "normals".
     title : str, optional
         The subject's name by default.
     parts : sequence of Part, optional
@@ -148,10 +148,10 @@ def contact_sheet(
     row_names : sequence of str, optional
         Names of the rows, from the top.
     captions : sequence of str, optional
-        Headings of the columns, one or two lines each; by default the frame number.
+        Headings of the columns, one or two lines each; by default the frame index.
     unit : (str, float), optional
-        Unit of the stated errors, and its number in one of the mesh's units: ``("mm", 1000)`` for a
-        mesh in metres.
+        Unit of the stated errors, and how many of it make one of the mesh's units: ``("mm", 1000)``
+        for a mesh in metres.
     **look
         `camera`, `up`, `azimuth`, `elevation` and `perspective` of :func:`render_frame`.
 

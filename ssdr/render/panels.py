@@ -72,7 +72,7 @@ class Panels:
         top: float | None = None,
         **look: Any,
     ) -> Panels:
-        """Panels of a figure, from checked arguments.
+        """Check the arguments and return the panels of a figure.
 
         Parameters
         ----------
@@ -158,7 +158,7 @@ def as_many(name: str, texts: Sequence[str], things: Sequence[Any]) -> list[str]
 
 
 def checked_frames(frames: Any, n_frames: int) -> list[int]:
-    """Indices of frames from 0; negative ones are counted from the end."""
+    """Frame indices, checked and counted from 0; negative ones are counted from the end."""
     order = [int(t) for t in frames]
     if not order:
         raise InputError("frames", "at least one frame", "none")

@@ -61,7 +61,9 @@ class Part:
 
 
 def checked_parts(parts: Sequence[Part], n_vertices: int) -> tuple[Part, ...]:
-    """Parts with masks as vertices; one part with all vertices if `parts` is empty.
+    """Check the parts and return them with `vertices` as masks ``(V,)``.
+
+    If there are none, a single part with all vertices is returned.
 
     Raises
     ------
@@ -91,7 +93,7 @@ def checked_parts(parts: Sequence[Part], n_vertices: int) -> tuple[Part, ...]:
 def checked_regions(
     regions: Mapping[str, Any] | None, n_vertices: int
 ) -> dict[str, NDArray[np.bool_]]:
-    """Named sets of vertices as masks.
+    """Check named sets of vertices and return them as masks ``(V,)``.
 
     Raises
     ------

@@ -260,6 +260,6 @@ def normals_of(points: Float, faces: NDArray[np.int32]) -> tuple[Float, Float]:
 
 
 def unit(vectors: Any) -> Float:
-    """Vectors scaled to length 1; zero vectors stay zero."""
+    """Vectors scaled to norm 1; zero vectors stay zero."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.asarray(vectors / np.where(length > 0, length, 1.0))

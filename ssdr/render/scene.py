@@ -46,7 +46,7 @@ class Scene:
     subject : MeshSequence or Skinning
     reference : MeshSequence or None
     vertex_map : (V,) int32 or None
-        For each vertex shown, the vertex of the welded subject.
+        For each vertex shown, its index in the welded subject.
     parts : tuple of Part
         At least one; errors are those of the measured parts.
     has_parts : bool
@@ -70,7 +70,7 @@ class Scene:
         parts: Sequence[Part] = (),
         regions: Mapping[str, Any] | None = None,
     ) -> Scene:
-        """Scene from checked arguments.
+        """Check the arguments and return a Scene.
 
         Raises
         ------
@@ -129,14 +129,14 @@ class Scene:
 
     @functools.cached_property
     def _first(self) -> NDArray[np.intp]:
-        """First vertex shown for each vertex of the subject."""
+        """Index of the first vertex shown for each vertex of the subject."""
         if self.vertex_map is None:
             return np.arange(self.subject.n_vertices)
         return np.asarray(np.unique(self.vertex_map, return_index=True)[1])
 
     @functools.cached_property
     def split(self) -> Corners:
-        """Triangles as they are lit: with a vertex for each rest normal that a model has there."""
+        """Mesh to be lit, with a copy of a vertex for each of its rest normals in a model."""
         given = rest_normals(self.model, self.model.rest) if self.has_bones else None
         if self._shaped is not None:
             given = self._shaped.rest[self._shaped.corner].astype(np.float32)
@@ -159,9 +159,9 @@ class Scene:
         return out
 
     def drawn_normals(self, frame: int) -> Float | None:
-        """Unit normals of the vertices of `split` as engines draw them; None for a sequence.
+        """Unit normals of the vertices of `split` as engines draw them, or None for a sequence.
 
-        Rest normals are turned by the blended 3×3 blocks of the bones, as in the shaders of
+        Rest normals are transformed by the blended 3×3 blocks of the bones, as in the shaders of
         three.js (``skinnormal_vertex``).
         """
         if self.split.normals is None:
@@ -191,7 +191,7 @@ class Scene:
         return p if self.vertex_map is None else p[self.vertex_map]
 
     def visible(self, frame: int) -> Float:
-        """Vertices of a frame; those without triangles are moved onto another vertex."""
+        """Vertices of a frame, where those without triangles are moved onto another vertex."""
         points = self.positions(frame)
         if len(self.faces):
             points[self._loose] = points[self.faces[0, 0]]
@@ -211,7 +211,7 @@ class Scene:
 
     @functools.cached_property
     def _holders(self) -> NormalHolders:
-        """Normals of the reference's surface, hard where those of the subject are."""
+        """Normals of the reference's surface, with the hard edges of the subject."""
         assert self.reference is not None
         vertices, surface = self.reference.vertices, self.subject.surface
         return holders_of(MeshSequence(vertices, self.faces, surface=surface, validate=False))
@@ -219,7 +219,7 @@ class Scene:
     def _angles(self, frame: int, truth: Float) -> Float:
         """Angles ``(V,)``, in degrees, of the normals drawn to those of the reference's surface.
 
-        The mean over the triangles at a vertex; 0 where there is none.
+        Each is the mean over the triangles at a vertex, or 0 if there are none.
         """
         holders, drawn = self._holders, self.drawn_normals(frame)
         own, b = surface_normals(np.stack([self.positions(frame), truth]), holders)
@@ -263,11 +263,11 @@ class Scene:
 
     @property
     def measured_name(self) -> str:
-        """Names of the measured parts."""
+        """Names of the measured parts, joined by " and "."""
         return " and ".join(p.name for p in self.parts if p.measured)
 
     def summary(self, with_error: bool, unit: Unit) -> str:
-        """Line of text with numbers of vertices, frames and bones and, on request, the error."""
+        """Line of text: numbers of vertices, frames and bones and, if `with_error`, the error."""
         texts = [f"{self.subject.n_vertices:,} vertices", f"{self.subject.n_frames:,} frames"]
         if self.has_parts:
             texts[0] = f"{self.measured_name}: {int(self.measured.sum()):,} vertices"

@@ -1,4 +1,4 @@
-"""Animations that ship with the package; ``ORIGIN.md`` in this folder tells their origin."""
+"""Animations that ship with the package; ``ORIGIN.md`` in this folder states their origin."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What a model takes to store: bytes, and which keys of its bones can be left out."""
+"""Storage of a model: its size in bytes, and which keys of its bones can be left out."""

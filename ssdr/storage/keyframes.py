@@ -20,7 +20,7 @@ __all__ = ["Tracks"]
 
 Array = NDArray[np.float64]
 
-# Numbers of frames from one key to the next: all up to six, then each about a quarter larger.
+# Frames from one key to the next: all up to six, then each about a quarter larger.
 _SPANS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32)
 # Spans for more than _MANY frames × bones, since then each span takes a second or more.
 _FEW_SPANS, _MANY = (1, 2, 4, 8), 2_000_000
@@ -58,12 +58,12 @@ class Tracks:
         Transforms of bones relative to their parents.  A bone that does not translate has the same
         position in all frames.
     spans : list of int
-        Numbers of frames from one key to the next that are tried, ascending.
+        Distances from one key to the next, in frames, that are tried, ascending.
     cost : list of (F − span, B) arrays
         For each span, the squared error of the frames between a key at frame t and the next key at
         t + span, for every t; inf if the keys are in different shots.
     still : (B,) int array
-        Frame whose transform, used in all frames, gives each bone the least error.
+        Index of the frame whose transform, used in all frames, gives each bone the least error.
     still_cost : (B,) array
         Squared error of each bone with that transform in all frames.
     """
@@ -160,9 +160,9 @@ class Tracks:
         return dataclasses.replace(self.skinning, transforms=transforms, keyframes=keys)
 
     def sparsest(self, tolerance: float, holds: Callable[[Skinning], bool]) -> Skinning | None:
-        """The skinning with fewest keys for which `holds` is true, of some; None if it never is.
+        """The sparsest of the tried skinnings for which `holds` is true, or None if it never is.
 
-        The price of a byte is bisected in a range that a tolerance in the mesh's units gives.
+        The price of a byte is bisected over a range that `tolerance`, in the mesh's units, sets.
         """
         low, high = 1e-12 * tolerance**2, 1e3 * tolerance**2 * self.skinning.n_vertices
         best = None

@@ -40,11 +40,11 @@ class Size:
         of a similarity bone, and 56 of an affine bone, which engines play as two nodes.  A key has
         12 bytes less if the bone does not translate relative to its parent or, for a root, does not
         translate at all.  It has 2 more (4 if there are more than 65,536 frames) for its frame
-        number, unless the bone has a key at every frame.
+        index, unless the bone has a key at every frame.
     shapes : int
-        Bytes of shapes: 12 per displaced vertex (three float32), and 2 for its number (4 if there
+        Bytes of shapes: 12 per displaced vertex (three float32), and 2 for its index (4 if there
         are more than 65,536 vertices) in a shape that does not displace all; 4 per amount, and 2
-        (4) for its frame where others of the shape are 0.
+        (4) for its frame index where other amounts of the shape are 0.
 
     Examples
     --------
@@ -108,7 +108,7 @@ def size(skinning: Skinning, *, storage: WeightStorage = "uint16") -> Size:
 
 
 def _shape_bytes(shapes: Shapes) -> int:
-    """Bytes of displacements and amounts, each dense or sparse, whichever is fewer."""
+    """Bytes of displacements and amounts, each dense or sparse, whichever takes fewer."""
     total = 0
     for values, each in ((shapes.moved.T, 12), (shapes.amounts != 0, 4)):
         used = values.sum(axis=0)
@@ -138,5 +138,5 @@ def key_bytes(skinning: Skinning) -> NDArray[np.int64]:
 
 
 def time_bytes(frames: int) -> int:
-    """Bytes of a key's frame number in an animation of `frames` frames."""
+    """Bytes of a key's frame index in an animation of `frames` frames."""
     return 2 if frames <= 1 << 16 else 4

@@ -1,4 +1,4 @@
-"""Bones that stretch as rotations and scales, with axes that stay steady from frame to frame."""
+"""Stretching bones as rotations and scales, with axes that stay steady from frame to frame."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 def _turns_of_axes() -> Array:
-    """The 24 rotations (24, 3, 3) that carry the axes onto one another, the identity first."""
+    """The 24 rotations (24, 3, 3) that map axes to axes up to sign, the identity first."""
     found = []
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
@@ -31,11 +31,11 @@ _TURNS = _turns_of_axes()
 def steady_axes(matrices: Array) -> tuple[Array, Array, Array]:
     """Rotations U, factors S and rotations Vᵀ of matrices M = U S Vᵀ whose determinant is positive.
 
-    The singular value decomposition leaves open which axis is which, and their signs; between
-    frames, where U and Vᵀ are interpolated along arcs and S linearly, the choice matters.  From
-    each frame to the next it is the one with which the matrix midway comes closest to the mean of
-    both; as only the choices of two frames relative to each other count, this is the best of the
-    whole clip.
+    The singular value decomposition leaves the order and the signs of the axes open.  The choice
+    matters between frames, where U and Vᵀ are interpolated along arcs and S linearly.  In each
+    frame it is the one with which the matrix midway from the previous frame comes closest to the
+    mean of the two frames' matrices.  As only choices relative to the previous frame matter, this
+    is the best choice for the whole clip.
 
     Parameters
     ----------

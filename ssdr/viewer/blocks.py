@@ -26,12 +26,12 @@ class Blocks:
     data: list[bytes] = dataclasses.field(default_factory=list)
 
     def raw(self, data: bytes) -> int:
-        """Number of a new block that holds `data` unchanged."""
+        """Append `data` unchanged as a new block and return the block's index."""
         self.data.append(data)
         return len(self.data) - 1
 
     def array(self, values: NDArray[Any], *, delta: bool = False) -> dict[str, Any]:
-        """Document entry of an array: the number of the new block that holds it, and its layout.
+        """Append an array as a new block; return its document entry, with block index and layout.
 
         The bytes of its numbers are sorted by significance and compressed by zlib.
 
@@ -55,7 +55,7 @@ class Blocks:
         }
 
     def fixed(self, values: NDArray[np.floating], *, delta: bool = True) -> dict[str, Any]:
-        """Document entry of an array stored in fixed point, as multiples of 2⁻²².
+        """Append an array in fixed point, as multiples of 2⁻²², and return its document entry.
 
         The step is larger for numbers above 2⁸.
         """

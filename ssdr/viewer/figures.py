@@ -1,4 +1,4 @@
-"""Table and summary line of the figures that a page states."""
+"""Table and summary line of the quantities that a page states."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def figures(
 def summary(
     model: Skinning, skinned: bool, motion: Motion, truth: Truth | None, file: Path | None
 ) -> str:
-    """One line of text with the most important figures."""
+    """One line of text with the most important quantities."""
     parts = [f"{model.n_bones:,} bones"] if skinned else []
     parts += [f"{model.n_vertices:,} vertices", f"{model.n_frames:,} frames"]
     if truth is not None:

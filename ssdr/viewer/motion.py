@@ -32,15 +32,15 @@ class Motion:
     whole : (26, 3) float64
         Outermost vertices of up to 64 frames in 26 directions.
     path : (F, 3) float64
-        Path of the middle of the mesh across the ground, relative to the first frame.
+        Path of the middle of the bounding box across the ground, relative to the first frame.
     body : (26, 3) float64
         Outermost vertices as in `whole`, after `path` is subtracted from them.
     diagonal : float
-        Diagonal of the bounding box in the frame where it is largest; of the reference, if any.
+        Diagonal of the bounding box (of the reference, if any) in the frame where it is largest.
     mean, rms, largest, high : (F,) float64
         Mean, root mean square, largest and 99.5th percentile of the errors of each frame.
     worst : (F,) int64
-        Vertex of the largest error.
+        Index of the vertex with the largest error in each frame.
     reach : float
         Largest absolute difference of a coordinate between model and reference.
     """
@@ -64,7 +64,7 @@ class Motion:
 
     @property
     def worst_frame(self) -> int:
-        """Frame of the largest error."""
+        """Index of the frame with the largest error."""
         return int(self.largest.argmax())
 
     def in_words(self, length: float) -> str:
@@ -74,9 +74,10 @@ class Motion:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Truth:
-    """Reference with the vertices of the model.
+    """Reference, of which the vertices of the model are read.
 
-    If the model was welded, `rows` are the reference's vertices that the model keeps.
+    If the model was welded and the reference was not, `rows` (V,) holds their indices in the
+    reference.
     """
 
     sequence: MeshSequence
@@ -89,7 +90,7 @@ class Truth:
         Raises
         ------
         InputError
-            If it has other numbers of frames or vertices than the model.
+            If its number of frames or vertices differs from the model's.
         """
         rows, count = None, model.n_vertices
         if model.vertex_map is not None and reference.n_vertices != count:
@@ -109,7 +110,7 @@ class Truth:
         return MeshSequence(vertices, model.faces, surface=model.surface, validate=False)
 
     def read(self, frames: slice) -> Float:
-        """Vertices of some frames."""
+        """Vertices ``(f, V, 3)`` of some frames."""
         block = np.asarray(self.sequence.frames(frames), dtype=np.float64)
         return block if self.rows is None else block[:, self.rows]
 
@@ -117,12 +118,12 @@ class Truth:
 def walk(model: Skinning, truth: Truth | None, vertical: Float, *, hidden: bool = False) -> Motion:
     """Extent and path of a model over all frames, and its errors against a reference.
 
-    A model that is `hidden` counts for errors alone.
+    A `hidden` model counts only for the errors, not for extent and path.
 
     Raises
     ------
     InputError
-        If coordinates are too large to be squared, as those of the lengths that a page states.
+        If coordinates are too large to be squared.
     """
     boxes, paths, diagonal, reach = [], [], 0.0, 0.0
     outer = Outermost(), Outermost()

@@ -50,7 +50,7 @@ def _frame(subject: MeshSequence | Skinning) -> str:
     text, _ = page_text(subject)
     if len(text) > _PAGE_BYTES:
         return ""
-    # Of an origin of its own, so that it reads nothing of the notebook.
+    # The frame has an origin of its own, so that it reads nothing of the notebook.
     return (
         f'<iframe sandbox="allow-scripts" loading="lazy" title="{html.escape(repr(subject))}" '
         f'style="width:100%;height:{_HEIGHT}px;border:0" srcdoc="{html.escape(text)}"></iframe>'

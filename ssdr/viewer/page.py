@@ -90,7 +90,7 @@ def view(
 
     The page is one HTML file with everything in it. It needs no network and can be sent by mail.
     It plays the animation, lights it as engines do, compares it with the input, colours it by
-    texture, bone, weight, error or error of normals, and turns the joints of a rigid tree.
+    texture, bone, weight, error or error of normals, and rotates the joints of a rigid hierarchy.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def view(
         Whether the page holds the vertices of `reference`, as 16-bit differences from the model.
         Otherwise it only states the error.
     file : path, optional
-        File of the model, whose size is among the figures.
+        File of the model, whose size the page states.
     reference_name : str
         Where `reference` comes from, in words.
     max_bytes : int

@@ -1,4 +1,4 @@
-"""Content of a page: a document of names, counts and figures, and blocks of arrays.
+"""Content of a page: a document of names and numbers, and blocks of arrays.
 
 Positions are stored in units of the mesh's diagonal, relative to the middle of the rest pose or of
 all frames, so that float32 in a shader is exact enough wherever the mesh is and whatever its unit.
@@ -166,7 +166,7 @@ def payload(
 
 
 def _standing(sequence: MeshSequence) -> Skinning:
-    """Model of one bone that stands still, from which a sequence is stored as differences."""
+    """Model with one bone at rest, relative to which a sequence is stored as differences."""
     still = np.tile(np.eye(3, 4), (sequence.n_frames, 1, 1, 1))
     return _bones_of(sequence, np.zeros(sequence.n_vertices, dtype=np.int32), still)
 
@@ -188,7 +188,10 @@ def _bones_of(sequence: MeshSequence, bones: NDArray[Any], transforms: NDArray[A
 
 
 def weight_entries(model: Skinning, blocks: Blocks) -> dict[str, Any]:
-    """Entries of bones and weights, the largest first; the weights of a vertex sum to exactly 1."""
+    """Append indices and weights, the largest first, to `blocks`; return their document entries.
+
+    The stored weights of a vertex sum to exactly 1.
+    """
     order = np.argsort(-model.weights, axis=1, kind="stable")
     weights = np.take_along_axis(model.weights, order, axis=1).astype(np.float64)
     steps = np.rint(_WEIGHT_STEPS * weights).astype(np.int32)
@@ -227,7 +230,10 @@ def _rig(model: Skinning, center: Float, scale: float, blocks: Blocks) -> dict[s
 
 
 def _shape_entries(model: Skinning, scale: float, blocks: Blocks) -> dict[str, Any]:
-    """Entries of what shapes add to the vertices that they move; normals stay those without."""
+    """Append the displacements of shapes to `blocks`; return their document entries.
+
+    Normals are not displaced.
+    """
     if model.shapes is None:
         return {"shapes": None}
     shape, vertex = np.nonzero(model.shapes.moved)
@@ -298,7 +304,7 @@ def _error(motion: Motion, frames: NDArray[np.int64]) -> dict[str, Any]:
 def _angles(
     reference: MeshSequence, subject: Skinning | MeshSequence
 ) -> metrics.NormalErrors | None:
-    """Error of normals; None where no triangle has an area."""
+    """Error of normals, or None if no triangle has an area."""
     try:
         return metrics.normals(reference, subject)
     except InputError:
@@ -313,7 +319,7 @@ def _input(
     scale: float,
     blocks: Blocks,
 ) -> dict[str, Any]:
-    """Differences of the input from the model."""
+    """Append the differences of the input from the model; return their document entry."""
 
     def difference(k: int) -> Float:
         one = slice(int(frames[k]), int(frames[k]) + 1)
@@ -332,9 +338,10 @@ def difference_entry(
     scale: float,
     blocks: Blocks,
 ) -> dict[str, Any]:
-    """Document entry of an input: the 16-bit `difference` (V, 3) of each frame, in spans of frames.
+    """Append the 16-bit differences of an input in spans of frames; return their document entry.
 
-    `reach` is the largest difference, and `scale` the length of the page's unit.
+    `difference` returns those (V, 3) of a frame, `reach` is the largest, and `scale` the length of
+    the page's unit.
     """
     step = (reach or 1.0) / 32767
     length = max(1, _SPAN_BYTES // (6 * n_vertices))

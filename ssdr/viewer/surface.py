@@ -30,12 +30,12 @@ def surface_entries(
     turned: bool = False,
     holders: NormalHolders | None = None,
 ) -> dict[str, Any]:
-    """Document entries of the triangles, sorted by material, their UVs, normals and textures.
+    """Append triangles, sorted by material, UVs, normals and textures; return document entries.
 
     A vertex is copied where its UV or its normal differs between triangles: at a seam or a hard
     edge.  `copies` lists the vertex of each copy.  If there are hard edges, vertices and copies
-    with the same number in `groups` share a normal of the surface, by default those at one vertex
-    with one value.  Normals that are `turned` with the bones are among the entries, too.
+    with the same index in `groups` share a normal of the surface: by default those of one vertex
+    with equal values.  If normals are `turned` with the bones, they are among the entries, too.
     """
     uv = normals = None
     materials: tuple[Material, ...] = ()
@@ -73,12 +73,15 @@ def surface_entries(
 
 
 def _directions(normals: Any, blocks: Blocks) -> dict[str, Any]:
-    """Entry of unit vectors, in steps of 2⁻¹⁵."""
+    """Append unit vectors in steps of 2⁻¹⁵, and return their document entry."""
     return {**blocks.array(np.rint(32767 * normals).astype(np.int16)), "step": 1 / 32767}
 
 
 def _look(material: Material | None, uv: Any, blocks: Blocks, notes: list[str]) -> dict[str, Any]:
-    """Colour (linear RGB) and texture of a material; both None without a material."""
+    """Colour (linear RGB) of a material, and the entry of its texture, which is appended.
+
+    Both are None without a material.
+    """
     if material is None:
         return {"color": None, "texture": None}
     texture = None

@@ -1,7 +1,7 @@
 """Blender extension that turns an animated mesh into an armature with vertex groups and an action.
 
-It needs Blender's own NumPy alone: the solver runs as a process of its own, the command ``ssdr`` in
-a Python environment that the preferences name or the button there makes.
+It needs only Blender's NumPy. The solver is the command ``ssdr``, which runs as a separate process
+in a Python environment that the preferences name or their button makes.
 """
 
 from . import ui

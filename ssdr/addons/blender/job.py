@@ -39,11 +39,11 @@ class Job:
         self._steps = self.steps()
 
     def steps(self) -> Steps:
-        """The work, which yields the fraction that is done and a text."""
+        """Do the work, and yield the fraction that is done and a text at each step."""
         raise NotImplementedError
 
     def step(self) -> bool:
-        """Do the next step; False once nothing is left to do.
+        """Do the next step and return True, or return False if nothing is left to do.
 
         Raises
         ------
@@ -91,7 +91,7 @@ def _solved(line: str) -> tuple[float, str]:
 
 
 class Decompose(Job):
-    """The armature of an object."""
+    """Job that gives an object an armature, which replaces its animation."""
 
     def __init__(self, context: Any, source: Any, options: Any, python: Path) -> None:
         check(source)
@@ -170,7 +170,7 @@ class Decompose(Job):
 
 
 class ShowPage(Job):
-    """A web page of an object's bones beside the animation that they replaced."""
+    """Job that writes a web page of an object's bones beside the animation that they replaced."""
 
     def __init__(self, source: Any, python: Path) -> None:
         folder = folders.get(source.name) if source else None
@@ -189,7 +189,7 @@ class ShowPage(Job):
 
 
 class Install(Job):
-    """A Python environment with ssdr in it."""
+    """Job that makes a Python environment with ssdr in it."""
 
     def __init__(self, environment: Path, source: str, online: bool) -> None:
         if online and not bpy.app.online_access:

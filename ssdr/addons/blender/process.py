@@ -48,7 +48,7 @@ def installation(environment: Path, source: str, online: bool) -> list[list[str]
 
 
 def follow(words: list[str], folder: Path) -> Generator[str, None, str]:
-    """Run a command, and yield the last line of its stderr again and again until it ends.
+    """Run a command, and repeatedly yield the last line of its stderr until it ends.
 
     Its output is written to files in `folder`.  The generator returns what the command wrote to
     stdout.  Closing the generator kills the process.

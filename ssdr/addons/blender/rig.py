@@ -17,7 +17,7 @@ ERROR = "ssdr_error"
 
 
 def read(path: Path) -> dict[str, Any]:
-    """The arrays of a model that ssdr wrote; ``names`` are those of its bones."""
+    """Read the arrays of a model that ssdr wrote; ``names`` holds the names of its bones."""
     with np.load(path, allow_pickle=False) as archive:
         model = {name: archive[name] for name in archive.files}
     count = model["transforms"].shape[1]
@@ -134,7 +134,10 @@ def _color(mesh: Any, errors: Any) -> None:
 
 
 def _armature(context: Any, source: Any, model: dict[str, Any], place: Any) -> Any:
-    """Armature in rest pose with the bones of `model`, whose names become those in Blender."""
+    """Create an armature in rest pose with the bones of `model`.
+
+    The names in `model` are replaced by those that Blender gives the bones.
+    """
     name = f"{source.name} bones"
     rig = bpy.data.objects.new(name, bpy.data.armatures.new(name))
     for collection in source.users_collection:
@@ -186,7 +189,7 @@ def _heads_and_tails(model: dict[str, Any]) -> tuple[Any, Any]:
 
 
 def _from_roots(parents: Any) -> list[int]:
-    """Numbers of the bones, each after its parent."""
+    """Indices of the bones, each after its parent."""
     order: list[int] = []
     level = np.flatnonzero(parents < 0)
     while len(level):
@@ -266,7 +269,7 @@ def _action(rig: Any, model: dict[str, Any], part: slice, first: int, name: str)
 
 
 def _curves(rig: Any, name: str) -> Any:
-    """The curves of a new action of the armature."""
+    """Create an action of the armature, and return its curves."""
     action = bpy.data.actions.new(name)
     motion = rig.animation_data
     motion.action = action
@@ -283,7 +286,7 @@ def _quaternions(matrices: Any) -> Any:
     x, y, z = r[:, 0, 0], r[:, 1, 1], r[:, 2, 2]
     a, b, c = r[:, 2, 1] - r[:, 1, 2], r[:, 0, 2] - r[:, 2, 0], r[:, 1, 0] - r[:, 0, 1]
     d, e, f = r[:, 1, 0] + r[:, 0, 1], r[:, 0, 2] + r[:, 2, 0], r[:, 2, 1] + r[:, 1, 2]
-    # Four times the outer product of the quaternion with itself: its longest row is the best one.
+    # Four times the outer product of the quaternion with itself: the row of largest norm is best.
     products = np.array(
         [
             [1 + x + y + z, a, b, c],

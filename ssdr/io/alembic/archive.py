@@ -1,8 +1,8 @@
 """Script that reads the meshes of an Alembic archive as they are stored.
 
 Run it as ``python archive.py job.json``. It needs only NumPy and alembic3d, not the package. It
-runs in a process of its own because a damaged archive can crash the library. It writes its results
-to an archive of arrays, which the package checks, and of an archive that is not read the reason.
+runs in a process of its own because a damaged archive can crash the library. It writes its results,
+or the reason why the archive is not read, to an archive of arrays, which the package checks.
 """
 
 import contextlib
@@ -26,7 +26,7 @@ _MOST_SAMPLES = 1 << 22  # of a property; two days at 24 a second
 
 
 class Refused(Exception):
-    """An archive that is not read; its text is all that the user sees."""
+    """An archive is not read; the message is all that the user sees."""
 
 
 class Reader:
@@ -37,7 +37,7 @@ class Reader:
     meshes, transforms : lists of dicts
         Each transform comes after its parent.
     names : list of lists of str
-        Names of each mesh that is shown, also of those that are not read, and of all above it.
+        For each visible mesh, read or not: names of all objects above it, then its own name.
     arrays : dict
     """
 
@@ -70,7 +70,7 @@ class Reader:
         self.meshes.append(self.mesh(mesh, names, above))
 
     def find(self, top: Any) -> Iterator[tuple[list[str], list[tuple[str, Any]], Any]]:
-        """Names, transforms above and object of each mesh that is shown, in the archive's order."""
+        """Yield names, transforms above and object of each visible mesh; list the hidden ones."""
         waiting: list[Any] = [(top, [], [], False)]
         while waiting:
             item, names, chain, hidden = waiting.pop()
@@ -100,7 +100,7 @@ class Reader:
             )
 
     def transform(self, schema: Any, above: int) -> dict[str, Any]:
-        """Record of a transform below number `above`, and its matrices for row vectors."""
+        """Record of a transform with parent index `above`; stores its matrices for row vectors."""
         if not schema.getNumSamples():
             values = self.put(np.eye(4)[None])
             return {"parent": above, "clock": ([0.0], 1.0, 1), "values": values}
@@ -112,7 +112,7 @@ class Reader:
         return {"parent": parent, "clock": clock(schema), "values": values}
 
     def mesh(self, item: Any, names: list[str], above: int) -> dict[str, Any]:
-        """Record of a mesh, and its arrays."""
+        """Record of a mesh; stores its arrays."""
         schema = item.getSchema()
         points = schema.getPositionsProperty()
         times = selectors(points)
@@ -144,7 +144,7 @@ class Reader:
         return record
 
     def param(self, param: Any, width: int) -> tuple[str, str, str | None] | None:
-        """Scope of UVs or normals, and the keys of their values and indices; None without them."""
+        """Store UVs or normals, if any; return their scope and the keys of values and indices."""
         if not (param and param.valid() and param.getNumSamples()):
             return None
         # Not its expanded values: indices of a damaged archive would be read beyond the values.
@@ -174,14 +174,14 @@ def selectors(item: Any) -> list[Any]:
     Raises
     ------
     Refused
-        If there are none or too many, or a time does not select its own sample.
+        If there are no samples or too many, or a time does not select its own sample.
     """
     sampling, count = item.getTimeSampling(), item.getNumSamples()
     if not 0 < count <= _MOST_SAMPLES:
         raise Refused(f"{count} samples, from 1 to {_MOST_SAMPLES} were expected")
     found = []
     for k in range(1 if item.isConstant() else count):
-        # The bindings take a number for a time, even an integer that is meant as an index.
+        # The bindings take any number as a time, even an integer that is meant as an index.
         selector = Abc.ISampleSelector(sampling.getSampleTime(k))
         if selector.getIndex(sampling, count) != k:
             raise Refused(f"the time of sample {k} does not follow those before it")
@@ -196,7 +196,7 @@ def array(item: Any, dtype: Any, selector: Any = None) -> Any:
 
 
 def change(points: Any, topology: list[Any]) -> str:
-    """Phrase on the first sample with other faces or another number of vertices; else empty."""
+    """Text on the first sample whose faces or number of vertices differ; empty if none does."""
     moving = [item for item in topology if not item.isConstant()]
     times = max((selectors(item) for item in (points, *moving)), key=len)
 

@@ -19,14 +19,14 @@ from ..signatures import describe
 _DEFAULT_RATE = 24.0
 _MOST_SAMPLES = 1 << 22
 _SAMPLING = struct.Struct("<IdI")  # samples, seconds in a period, stored times
-_DATA = 1 << 63  # bit of an address in Ogawa that tells data from a group
+_DATA = 1 << 63  # bit of an address in Ogawa that marks data, not a group
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FrameTimes:
-    """FrameTimes at which a cache is read: `count` from the time `first` (s) on, `rate` a second.
+    """Times of the frames at which a cache is read: `count` from time `first` (s), `rate` a second.
 
-    `missed` (N,) are the times of samples that lie on no frame.
+    `missed` (N,) holds the times of samples that lie on no frame.
     """
 
     first: float
@@ -40,12 +40,12 @@ class FrameTimes:
 
 
 def sample_times(stored: Sequence[float], period: float, count: int) -> NDArray[np.float64]:
-    """Times (S,) in seconds of `count` samples, of which those `stored` repeat after a `period`.
+    """Times (S,) in seconds of `count` samples, where the times `stored` repeat every `period`.
 
     Raises
     ------
     FormatError
-        If there are too many, or they do not rise.
+        If there are too many samples, or their times do not increase.
     """
     check(0 < count <= _MOST_SAMPLES and len(stored), f"{count} samples at {len(stored)} times")
     cycle, place = np.divmod(np.arange(count), len(stored))
@@ -58,17 +58,18 @@ def sample_times(stored: Sequence[float], period: float, count: int) -> NDArray[
 
 
 def choose_frames(clocks: Iterable[NDArray[np.float64]], fps: float | None) -> FrameTimes:
-    """FrameTimes for the samples of several objects; all samples are frames if that is possible.
+    """FrameTimes for the samples of several objects, if possible with a frame at each sample.
 
-    The rate is `fps`, else that of the two closest samples if all samples lie on its frames and
-    these are at most four for each sample. Else it is that of most samples, but at least 24.
+    The rate is `fps`, if given. Otherwise it is that of the two closest samples, if all samples lie
+    on its frames and there are fewer than four frames for each sample. If not, it is the median
+    rate of the samples, but at least 24.
 
     Parameters
     ----------
     clocks : several (S,) arrays
         Times of the samples of each object, in seconds.
     fps : float or None
-        FrameTimes per second that the caller asks for.
+        Frames per second, or None to choose the rate.
     """
     known = list(clocks)
     moving = [times for times in known if len(times) > 1] or known[:1]
@@ -89,18 +90,18 @@ def choose_frames(clocks: Iterable[NDArray[np.float64]], fps: float | None) -> F
 
 
 def usual_rate(rate: float) -> float:
-    """Whole rate or rate of television, such as 30 / 1.001, that `rate` is but for its rounding."""
+    """`rate` rounded to a whole or television rate (30 / 1.001), if it is equal up to rounding."""
     usual = (float(round(rate)), round(rate * 1.001) / 1.001)
     return next((one for one in usual if one and abs(one - rate) < 1e-7 * one), rate)
 
 
 def archive_clocks(path: Path) -> list[NDArray[np.float64]]:
-    """Times of the samples of an archive for each of its clocks, from the file itself.
+    """Sample times of each clock of an archive, read from the file without a library.
 
     Raises
     ------
     FormatError
-        If the file is not Alembic, or of the old kind HDF5.
+        If the file is not Alembic, or is of the old kind HDF5.
 
     References
     ----------
@@ -114,7 +115,7 @@ def archive_clocks(path: Path) -> list[NDArray[np.float64]]:
 
         check_kind(stream.read(16))
         (root,) = numbers("<Q", 8)
-        (address,) = numbers("<Q", root + 8 * 5)  # the fifth child of the root, after their number
+        (address,) = numbers("<Q", root + 8 * 5)  # of the fifth child, after the count of children
         start = address & ~_DATA
         (size,) = numbers("<Q", start)
         whole = address & _DATA and start + 8 + size <= path.stat().st_size

@@ -22,15 +22,15 @@ Arrays = Mapping[str, NDArray[Any]]
 
 
 def object_name(names: Sequence[str]) -> str:
-    """Name of an object that holds a mesh, as Blender calls it, from all names in the mesh's path.
+    """Name that Blender gives the object of a mesh, from the names on the path to the mesh.
 
-    It is that of the transform above the mesh.
+    It is the name of the transform above the mesh.
     """
     return names[-2:][0]
 
 
 class Track:
-    """Values (S, ...) of an array over time, which move on straight lines between its samples.
+    """Values (S, ...) of an array over time, interpolated linearly between its samples.
 
     An array that never changes has one value, however many samples are stated.
     """
@@ -44,7 +44,7 @@ class Track:
         return len(self.values) > 1
 
     def at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Values (F, ...) at `times` (F,) in seconds; a sample itself up to 0.1 ms from it."""
+        """Values (F, ...) at `times` (F,) in seconds; a time within 0.1 ms of a sample gets its."""
         values, exact = self.values, np.float64
         if not self.moves:
             return np.broadcast_to(values[0].astype(exact), (len(times), *values.shape[1:]))
@@ -65,7 +65,7 @@ class Transforms:
         self.tracks = [Track(record, arrays[record["values"]]) for record in records]
 
     def chain(self, k: int) -> list[int]:
-        """Transform number `k` and all above it, the highest first."""
+        """Indices of transform `k` and of all above it, the highest first."""
         found = []
         while k >= 0:
             found.append(k)
@@ -73,7 +73,7 @@ class Transforms:
         return found[::-1]
 
     def world(self, k: int, times: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Matrices (F, 4, 4) of transform number `k` and all above it, for column vectors."""
+        """Matrices (F, 4, 4) from the space of transform `k` to world space, for column vectors."""
         found = np.broadcast_to(np.eye(4), (len(times), 4, 4))
         for one in self.chain(k):
             found = found @ np.swapaxes(self.tracks[one].at(times), 1, 2)
@@ -89,14 +89,14 @@ class CacheMesh:
         As ``archive.py`` writes them.
     transforms : Transforms
     materials : list of str
-        Names of the materials that are known so far; those of this mesh are added.
+        Names of the materials that are known so far, to which those of this mesh are appended.
 
     Attributes
     ----------
     names : list of str
-        Its name and those of all above it, the highest first.
+        Names of all objects above it, the highest first, then its own.
     clocks : list of (S,) arrays
-        Times of the samples of its points and of all transforms above.
+        Times of the samples of its points and of each transform above it.
     """
 
     def __init__(
@@ -147,13 +147,16 @@ class CacheMesh:
         ends = 2 * (np.cumsum(counts) - counts) + counts - 1
         self.corners = ends[self.polygon, None] - corners
         if self._mirrored:
-            self.corners = self.corners[:, ::-1]  # a mirroring transform turns triangles
+            self.corners = self.corners[:, ::-1]  # a mirroring transform flips triangles
         self.faces = indices[self.corners]
 
     def _read_sets(
         self, sets: Sequence[Any], arrays: Arrays, materials: list[str]
     ) -> NDArray[np.int64]:
-        """Number of each triangle's material, which is the set of faces that it is in; -1: none."""
+        """Material index (T,) of the triangles, -1 where there is none; extends `materials`.
+
+        Each set of faces is a material.
+        """
         of_polygon = np.full(self.polygon.max(initial=-1) + 1, -1)
         for name, key in sets:
             faces, name = arrays[key], readable(name)
@@ -182,7 +185,7 @@ class CacheMesh:
         return np.asarray(rows[place])
 
     def shape(self, times: NDArray[np.float64]) -> Shape:
-        """Points before the transforms; if they change, a function from frame to points."""
+        """Points (V, 3) before the transforms; if they change, a function from frame to points."""
         if not self.points.moves:
             return np.asarray(self.points.values[0], dtype=np.float64)
         return lambda frame: self.points.at(times[frame : frame + 1])[0]

@@ -39,37 +39,38 @@ def read(
 ) -> MeshSequence:
     """Read all meshes that are shown, in world space, at the times that the file states.
 
-    Without alembic3d, Blender reads the file. Between two samples, vertices and transforms move on
-    straight lines.
+    Without alembic3d, Blender reads the file. Between two samples, vertices and transforms are
+    interpolated linearly.
 
     Parameters
     ----------
     path : Path
     fps : float, optional
-        FrameTimes per second at which to sample. By default each sample is a frame; if the samples
-        have no common rate, there are frames at about that of most of them, at 24 a second at
-        least, and a warning states the largest distance that this makes.
+        Frames per second at which to sample. By default each sample is a frame. If the samples
+        have no common rate, the median rate is used, but at least 24, and a warning states the
+        largest distance between the missed samples and what is read.
     meshes : str or several of them, optional
         Names of the meshes to read, or of objects above them; all by default.
     time_limit : float
         Seconds after which reading is stopped.
     max_bytes : int, optional
         Most memory that reading may take; by default 1000 times the size of the file, but at
-        least 1 GiB and at most 16 GiB. For Blender, the vertices of all frames, and 16 GiB.
+        least 1 GiB and at most 16 GiB. With Blender, the limit applies to the vertices of all
+        frames, and is 16 GiB by default.
 
     Returns
     -------
     MeshSequence
         Vertices in float32, as in the file, which states neither unit nor up axis; meshes are
         sorted by the names of the objects above them. Each polygon is cut into a fan of triangles.
-        Materials are the file's sets of faces, of which it states the names alone.
+        Materials are the file's sets of faces, which have nothing but names.
 
     Raises
     ------
     FormatError
         If the file is damaged or holds no mesh that is shown, or the topology of a mesh changes.
     InputError
-        If there is no such mesh.
+        If the file has no mesh of such a name.
     MissingDependencyError
         If there is neither alembic3d nor Blender.
     """
@@ -135,7 +136,7 @@ def _installed() -> bool:
 def _read_archive(
     path: Path, wanted: list[str] | None, time_limit: float, max_bytes: int
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Records and arrays that ``archive.py`` finds in a file; of the meshes `wanted`, or of all."""
+    """Run ``archive.py`` on a file: records and arrays of the meshes `wanted`, or of all (None)."""
     job = {"path": str(path.resolve()), "meshes": wanted, "max_bytes": max_bytes}
     # what can be imported here can be imported there
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}

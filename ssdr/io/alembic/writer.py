@@ -20,8 +20,8 @@ from ..storage_error import StorageError
 def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:
     """Write a cache of one mesh, whose first frame is at 0 s.
 
-    Normals are written for every frame if the sequence has any, with the hard edges of these. Each
-    material is a set of faces, which keeps its name alone.
+    If the sequence has normals, those of every frame are written, with the same hard edges. Each
+    material is written as a set of faces with its name, and nothing else of it.
 
     Parameters
     ----------

@@ -82,7 +82,7 @@ def read_arrays(
 
 
 def write_arrays(path: Path, arrays: Mapping[str, Any], *, compress: bool = True) -> int:
-    """Write an archive and return its size in bytes; the same arrays give the same bytes.
+    """Write an archive and return its size in bytes.  Equal arrays give equal bytes.
 
     Arrays are copied in chunks along the first axis, so that lazy ones (memory maps, zarr arrays)
     take little memory.
@@ -167,7 +167,7 @@ def _open(path: Path) -> Iterator[tuple[IO[bytes], zipfile.ZipFile, _Members]]:
 
 
 def _read_header(stream: IO[bytes], member: str = "the array") -> _Header:
-    """Type, shape and memory order in a ``.npy`` header; the stream then stands at the data.
+    """Read type, shape and memory order from a ``.npy`` header, which ends where the data begin.
 
     Raises
     ------
@@ -208,7 +208,7 @@ def _read(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> NDArray[Any]:
     with archive.open(info) as member:
         array = _npy.read_array(member, allow_pickle=False, max_header_size=_MOST_HEADER)
         member.read(1)  # the checksum is compared at the end of the member
-    return np.ascontiguousarray(array).reshape(array.shape)  # it makes a scalar a vector
+    return np.ascontiguousarray(array).reshape(array.shape)  # which had made a scalar a vector
 
 
 def _map(path: Path, stream: IO[bytes], info: zipfile.ZipInfo, header: _Header) -> NDArray[Any]:

@@ -236,7 +236,7 @@ def _write(thing: Any, path: Path, arrays: dict[str, Any], compress: bool) -> Sa
 
 
 def _clips_from(arrays: Mapping[str, NDArray[Any]]) -> Any:
-    """Clips that the arrays of an archive describe; None if they describe none."""
+    """Clips that the arrays of an archive describe, or None."""
     text = _text(arrays, "clip_names")
     if not text:
         return None
@@ -251,7 +251,7 @@ def _clips_from(arrays: Mapping[str, NDArray[Any]]) -> Any:
 def _shapes_from(
     arrays: Mapping[str, NDArray[Any]], path: Path, max_bytes: int | None
 ) -> Shapes | None:
-    """Shapes that the arrays of an archive describe; None if they describe none."""
+    """Shapes that the arrays of an archive describe, or None."""
     missing = [name for name in _SHAPES if name not in arrays]
     if len(missing) == len(_SHAPES):
         return None
@@ -286,7 +286,7 @@ def _text(arrays: Mapping[str, NDArray[Any]], key: str) -> str:
 
 
 def _only(array: NDArray[Any], key: str, what: str, kinds: str) -> Any:
-    """Single entry of an array; an InputError if it has several, or a kind not in `kinds`."""
+    """Single entry of an array, checked to be the only one and of a kind in `kinds`."""
     if array.size != 1 or array.dtype.kind not in kinds:
         raise InputError(key, f"one {what}", f"{array.dtype} of shape {array.shape}")
     return array.ravel()[0]
@@ -317,7 +317,7 @@ def _surface_arrays(thing: MeshSequence | Skinning) -> dict[str, NDArray[Any]]:
 
 
 def surface_from(arrays: Mapping[str, NDArray[Any]]) -> Surface | None:
-    """Surface that the arrays of an archive describe; None if they describe none."""
+    """Surface that the arrays of an archive describe, or None."""
     fields: dict[str, Any] = {}
     if "vertex_normals" in arrays:
         arrays = {**arrays, "surface_normals": arrays["vertex_normals"][arrays["faces"]]}

@@ -94,9 +94,9 @@ def read(
 def sequence_of(
     arrays: dict[str, NDArray[Any]], path: Path, clip: str, fps: float | None
 ) -> MeshSequence:
-    """Sequence of what ``script.py`` has read, turned to y up; `fps` is what the caller asks for.
+    """Sequence, with y up, of the arrays that ``script.py`` has read; warns of keys between frames.
 
-    Keys between its frames are told.
+    `fps` is the requested rate, or None.
     """
     sequence = MeshSequence(
         arrays["vertices"],
@@ -139,7 +139,7 @@ def left_out(
 
 
 def _list(path: Path, fps: float | None, time_limit: float) -> dict[str, NDArray[Any]]:
-    """Arrays of the action "list", kept for the next question about the same file."""
+    """Run the action "list", or return its arrays from the last call if the file is the same."""
     state = path.stat()
     key = str(path.resolve()), state.st_mtime_ns, state.st_size, fps
     if key not in _listed:
@@ -243,10 +243,10 @@ def ask_blender(
     max_bytes: int | None = None,
     **job: Any,
 ) -> dict[str, NDArray[Any]]:
-    """Arrays that an action of ``script.py`` writes when it reads a file.
+    """Run an action of ``script.py`` that reads a file, and return the arrays that it writes.
 
-    `job` holds further settings of the action. An error in the script becomes a FormatError, and a
-    name of a mesh that there is not an InputError.
+    `job` holds further settings of the action. An error in the script becomes a FormatError, and
+    the name of a mesh that does not exist becomes an InputError.
     """
     command(SCRIPT)  # a missing Blender is reported before a damaged file
     suffix = path.suffix.lower()

@@ -33,7 +33,7 @@ def environment() -> Path:
 
 
 def command(script: Path | str, *arguments: str) -> list[str]:
-    """Command line that runs a script with ``bpy``; ``bpy`` is not imported to find it.
+    """Command line that runs a script with ``bpy``, found without importing ``bpy``.
 
     The command uses the first of these that exists: the Blender program that the environment
     variable ``SSDR_BLENDER`` names, the Python that ``SSDR_BLENDER_PYTHON`` names, the Python that
@@ -85,7 +85,7 @@ def _scripts(folder: Path) -> Path:
 
 
 def _python_of(folder: Path) -> str | None:
-    """Python of the environment in a folder; None if ``bpy`` is not installed in it."""
+    """Python of the environment in a folder, or None if ``bpy`` is not installed in it."""
     places = [*folder.glob("lib/python*/site-packages/bpy"), folder / "Lib/site-packages/bpy"]
     installed = any(place.is_dir() for place in places)
     return shutil.which("python", path=_scripts(folder)) if installed else None

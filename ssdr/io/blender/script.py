@@ -187,7 +187,7 @@ def read(job: dict[str, Any]) -> None:
 
 
 def vertex_numbers(items: list[Any]) -> Any:
-    """Index of the model's vertex for each vertex of a mesh, from this package's ``_VERTEX``."""
+    """Model vertex index of each vertex of the meshes, from this package's ``_VERTEX``."""
     attributes = [item.data.attributes["_VERTEX"].data for item in items]
     found = [surfaces.values(data, "value", np.float32) for data in attributes]
     return np.concatenate(found).astype(np.int64)
@@ -257,7 +257,7 @@ def merge_copies(item: Any) -> None:
 
 
 def copies(faces: Any) -> Any:
-    """Array with the number, for each triangle, of earlier triangles on the same three vertices."""
+    """Count, for each triangle, of the earlier triangles on the same three vertices."""
     rows = np.sort(faces, axis=1)
     order = np.lexsort(rows.T)
     sorted_rows, number = rows[order], np.arange(len(rows))
@@ -312,7 +312,7 @@ def main() -> None:
         job = json.load(stream)
     try:
         (write if job["action"] == "write" else read)(job)
-    except (ValueError, RuntimeError) as error:  # what is said of the file, here or by Blender
+    except (ValueError, RuntimeError) as error:  # a problem of the file, found here or by Blender
         said = str(error).strip()
         if isinstance(error, RuntimeError):
             said = f"Blender says: {said.removeprefix('Error: ')}"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 _LEAST_TOTAL = 1e-4  # Blender does not move a vertex whose weights sum to less
-_MOST_LOOKS = 100  # keys at which vertices are compared
+_MOST_LOOKS = 100  # largest number of keys at which vertices are compared
 _SAME_PLACE = 1e-6  # of a mesh's size; float32 rounding of matrices moves a still mesh by less
 
 
@@ -29,10 +29,10 @@ def world_points(item: Any, graph: Any) -> tuple[Any, Any]:
 
 
 def lost_between(items: list[Any], timeline: Any) -> tuple[float, float]:
-    """How far vertices are from the file's at the keys that a timeline misses; the diagonal then.
+    """Largest error of vertices at the keys that a timeline misses, and largest diagonal then.
 
-    The distance is the largest, at 100 keys at most, from the vertices interpolated linearly
-    between the two frames around.
+    The error is the distance between the vertices at a key and those interpolated linearly between
+    the two frames around it. At most 100 keys are compared.
     """
     ticks, distance, diagonal = timeline.missed, 0.0, 0.0
 
@@ -120,7 +120,7 @@ class SkinnedObject:
 
 
 class Armature:
-    """An armature, those of its deforming bones whose names are in `named`, and their motion."""
+    """An armature with its deforming bones whose names are in `named`, and their motion."""
 
     def __init__(self, item: Any, named: set[str]) -> None:
         self.item = item
@@ -132,7 +132,7 @@ class Armature:
         self.poses: list[Any] = []
 
     def _parent(self, bone: Any) -> int:
-        """Index in `names` of the nearest ancestor of a bone that is in `names`; -1 without one."""
+        """Index in `names` of a bone's nearest ancestor that is in `names`, or -1."""
         above = bone.parent
         while above is not None and above.name not in self.names:
             above = above.parent
@@ -197,7 +197,7 @@ class SkinnedMeshes:
             skin.sample(graph, places)
 
     def _relative_motion(self, skin: SkinnedObject) -> Any:
-        """A⁻¹ O O₀⁻¹ (F, 4, 4) of a mesh; only A₀⁻¹ (1, 4, 4) if the mesh follows its armature."""
+        """A⁻¹ O O₀⁻¹ (F, 4, 4) of a mesh, or A₀⁻¹ (1, 4, 4) if the mesh follows its armature."""
         still = np.linalg.inv(self._rest_places[skin.armature.name])[None]
         moved = np.array(skin.relative)
         size = np.abs(skin.rest).max() + 1e-30
@@ -269,7 +269,7 @@ class ArmaturePoints:
         self.bytes_per_frame = 96 * sum(len(a.names) for a in self.armatures)
 
     def read_rest(self, timeline: Any) -> None:
-        """Read where the armatures are in the first frame."""
+        """Read the armatures' world matrices in the first frame."""
         graph = timeline.go(0)
         self._places = [armature.place(graph) for armature in self.armatures]
 

@@ -30,8 +30,8 @@ def senses(items: list[Any]) -> Any:
 def join(items: list[Any], arrays: dict[str, Any], path: str, mirrored: Any) -> None:
     """Add the faces, UVs, normals and materials of all meshes, one after another, to `arrays`.
 
-    `path` is the file that Blender has loaded; textures are read only from its folder. Triangles
-    of the objects that are `mirrored` are turned round, as their normals are not.
+    `path` is the file that Blender has loaded; textures are read only from its folder. The
+    orientation of triangles of `mirrored` objects is reversed, since their normals are not.
     """
     names = ("faces", "surface_uv", "surface_normals", "surface_material_index")
     found: dict[str, list[Any]] = {name: [] for name in names}
@@ -97,9 +97,9 @@ def describe(number: int, material: Any, arrays: dict[str, Any], path: str) -> d
 
 
 def picture(image: Any, arrays: dict[str, Any], path: str) -> bytes:
-    """Bytes of an image file that is packed or lies in the folder of the file `path`; else empty.
+    """Bytes of an image that is packed or lies in the folder of the file `path`, otherwise empty.
 
-    An image in another folder is added to ``arrays["outside"]``.
+    The path of an image in another folder is added to ``arrays["outside"]``.
     """
     if image.packed_file:
         return bytes(image.packed_file.data)

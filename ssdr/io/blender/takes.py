@@ -14,7 +14,7 @@ import numpy as np
 _LONGEST_NAME = 255 if bpy.app.version >= (5, 0, 0) else 63  # bytes, of an object or action
 _LONGEST_BONE = 63
 _LARGEST_RATE = 32767  # of Blender's integer for the frame rate
-_ON = 0.01  # of a frame: keys so near to one lie on it
+_ON = 0.01  # frames: a key closer than this to a frame lies on it
 _USUAL = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 100.0, 120.0)
 Pairs = list[tuple[Any, Any]]  # objects or shape keys, each with the action that moves it
 
@@ -23,7 +23,7 @@ Pairs = list[tuple[Any, Any]]  # objects or shape keys, each with the action tha
 class Timeline:
     """The `count` frames of a take, from `first` on Blender's timeline in steps of `step`.
 
-    `missed` (N,) are the keys that lie on none of them, counted in frames.
+    `missed` (N,) holds the times, in frames, of the keys that lie on no frame.
     """
 
     first: float
@@ -55,7 +55,7 @@ def stated_rate() -> float:
     """Frame rate of the scene, corrected for Blender's rounding to float32."""
     render = bpy.context.scene.render
     rate = float(render.fps / render.fps_base)
-    # the second is a rate of television, such as 30 / 1.001
+    # the second is a television rate, such as 30 / 1.001
     simple = (round(rate, 3), round(rate * 1.001) / 1.001)
     return next((one for one in simple if abs(one - rate) <= 2e-7 * rate), rate)
 
@@ -105,7 +105,7 @@ def off_frames(ticks: Any, count: float = np.inf) -> Any:
 
 
 def rate_of(seconds: Any, stated: float) -> float:
-    """First of several frame rates whose frames meet all keys; the file's rate if none does.
+    """First of several frame rates at which all keys lie on frames, or the file's rate if none.
 
     `seconds` are the times of the keys. The rates are that of the file (`stated`), the one at which
     the two closest keys are one frame apart, and usual rates.

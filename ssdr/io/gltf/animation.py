@@ -66,20 +66,20 @@ class Animation:
 
 
 def mesh_name(document: Document) -> str:
-    """Name of the file's meshes if all have the same, else the name of the file without suffix."""
+    """Name that all meshes of the file share, or else the name of the file without suffix."""
     names = {readable(mesh.get("name", "")) for mesh in document.items("meshes")}
     return (names.pop() if len(names) == 1 else "") or document.path.stem
 
 
 def animation_names(document: Document) -> tuple[str, ...]:
-    """Unique names of the file's animations; if it has none, one name, that of `mesh_name`."""
+    """Unique names of the file's animations, or only that of `mesh_name` if there are none."""
     found = [animation.get("name") or "" for animation in document.items("animations")]
     names = [readable(name) or f"animation_{k}" for k, name in enumerate(found)]
     return unique_names(names or [mesh_name(document)])
 
 
 def read_animations(document: Document, fps: float | None = None) -> list[Animation]:
-    """All animations in the order of the file; a single still frame if it has none."""
+    """All animations in the order of the file, or one of a single still frame if it has none."""
     names = animation_names(document)
     return [read_animation(document, k, fps, name) for k, name in enumerate(names)]
 
@@ -87,9 +87,9 @@ def read_animations(document: Document, fps: float | None = None) -> list[Animat
 def read_animation(
     document: Document, index: int, fps: float | None = None, name: str | None = None
 ) -> Animation:
-    """Animation number `index` of the file, with frames at its own rate or at `fps`.
+    """Animation with the index `index` in the file, with frames at its own rate or at `fps`.
 
-    `name` is its name among all of them, if that is known already.
+    `name` is its entry of `animation_names`, if that is known already.
     """
     name = animation_names(document)[index] if name is None else name
     if not document.items("animations"):
@@ -235,12 +235,12 @@ class Nodes:
             yield node
 
     def reserve(self, nodes: Iterable[int]) -> None:
-        """Spend what the transforms of these nodes and of all above them take, before they do.
+        """Charge the budget for the transforms of these nodes and of all above them, in advance.
 
         Raises
         ------
         FormatError
-            If the file asks for more memory than it may.
+            If the file needs more memory than the limit.
         """
         n_frames, spent = len(self.animation.times), 0
         for node in nodes:
@@ -253,7 +253,7 @@ class Nodes:
         self.document.budget.spend(spent, what)
 
     def matrices(self, node: int) -> NDArray[np.float64]:
-        """Global transforms ``(F, 4, 4)`` of a node; ``(1, 4, 4)`` if the node does not move."""
+        """Global transforms ``(F, 4, 4)`` of a node, or ``(1, 4, 4)`` if it does not move."""
         self.reserve([node])
         chain = [node]
         while chain[-1] not in self._cache and chain[-1] in self._parent:

@@ -44,7 +44,7 @@ class Builder:
     notes : list of str
         Other messages for the user.
     packs : bool
-        Whether arrays are stored as integers where they may be.
+        Whether arrays are stored as integers where glTF allows it.
     """
 
     packs = False
@@ -106,10 +106,10 @@ class Builder:
         return len(accessors) - 1
 
     def displaced(self, arrays: NDArray[Any], use: str) -> list[int]:
-        """Add accessors of what morph targets add to the attribute `use`, and return their indices.
+        """Add accessors of the displacements of attribute `use` in morph targets; return indices.
 
-        One is sparse where that takes fewer bytes; sparse ones share two buffer views, since a view
-        of its own for each takes more than many targets hold.
+        An accessor is sparse where that takes fewer bytes. All sparse ones share two buffer views,
+        since the JSON of a separate view is larger than the data of many targets.
         """
         wide = np.uint16 if arrays.shape[1] < 65536 else np.uint32
         found: list[int] = []
@@ -145,7 +145,7 @@ class Builder:
                     "values": {"bufferView": views[1], "byteOffset": len(self.blocks[second])},
                 }
                 for place, data in ((first, rows.tobytes()), (second, stored[rows].tobytes())):
-                    # of different types, each begins at a multiple of 4 bytes
+                    # types differ, so each array begins at a multiple of 4 bytes
                     self.blocks[place] = bytes(self.blocks[place]) + data + b"\0" * (-len(data) % 4)
             self.json["accessors"].append(item)
             found.append(len(self.json["accessors"]) - 1)

@@ -1,8 +1,8 @@
 """Small glTF files for engines: coarse keys and coordinates, compressed by meshopt.
 
 The arrays of a rig are rounded first, so that its error is that of the file; then
-:class:`Packed` stores them in few buffer views, one for each kind of array, since a view of its
-own for each array would take more bytes than many arrays do.
+:class:`Packed` stores them in few buffer views, one for each kind of array, since a separate view
+for each array would take more bytes than many arrays do.
 
 References
 ----------
@@ -42,7 +42,7 @@ _FINE = 1 / 65535  # least step of positions, as a share of the largest extent
 
 @dataclasses.dataclass(frozen=True)
 class Grid:
-    """Step sizes to which the numbers in a compact file are rounded.
+    """Origin and step sizes of the grid to which the numbers in a compact file are rounded.
 
     Attributes
     ----------
@@ -76,13 +76,13 @@ class Grid:
         return np.clip(counts, 0, 65535).astype(np.uint16)
 
     def displacements(self, moved: NDArray[Any]) -> NDArray[Any]:
-        """What morph targets add to the counts: int16 or, beyond its range, float32."""
+        """Displacements of morph targets in steps: int16 or, beyond its range, float32."""
         counts = np.rint(moved / self.step)
         fits = np.abs(counts).max(initial=0) <= 32767
         return np.asarray(counts.astype(np.int16 if fits else np.float32))
 
     def round(self, rig: Rig) -> Rig:
-        """Rig whose arrays are those that a reader of the file decodes."""
+        """Copy of `rig` with its arrays as a reader of the file decodes them."""
         unit = 2.0**self.exponent
         turns: NDArray[Any] = rig.rotations
         for _ in range(_SETTLES):  # rounding may change which component is the largest
@@ -95,7 +95,7 @@ class Grid:
             rig,
             rest=(self.low + self.step * self.counts(rig.rest)).astype(np.float32),
             rotations=(sign * turns).astype(np.float32),
-            # a joint that does not translate has no keys of it: its node holds the float32
+            # a joint that does not translate has no such keys: its node holds the float32 offset
             offsets=np.where(rig.translating[:, None], at, rig.offsets).astype(np.float32),
             translations=np.where(rig.translating[:, None], moved, rig.translations).astype(
                 np.float32
@@ -116,14 +116,14 @@ class Grid:
 def coarse_rig(
     model: Skinning, tolerance: float | None, levels: list[Skinning], **options: Any
 ) -> tuple[Rig, Grid]:
-    """Rig with as few keys and as coarse numbers as the tolerance allows.
+    """Rig with as few keys and as coarse numbers as the tolerance allows, and its grid.
 
     Parameters
     ----------
     model : Skinning
     tolerance : float or None
-        Largest distance of a vertex in any frame from its place in the model; None keeps all keys
-        and 16 bits.
+        Largest distance of a vertex, in any frame, from its position in the model. None keeps all
+        keys and 16 bits.
     levels : list of Skinning
         Coarser levels of detail, which get the same grid.
     **options
@@ -172,7 +172,7 @@ def encoded_quaternions(turns: NDArray[Any], bits: int) -> NDArray[np.int16]:
 
 
 def decoded_quaternions(stored: NDArray[np.int16]) -> NDArray[np.float64]:
-    """Quaternions that a reader decodes from those of :func:`encoded_quaternions`."""
+    """Quaternions (..., 4) that a reader decodes from the result of :func:`encoded_quaternions`."""
     largest, one = stored[..., 3:].astype(int) & 3, stored[..., 3:].astype(int) | 3
     small = stored[..., :3] / (one * math.sqrt(2))
     w = np.sqrt(np.maximum(0.0, 1 - (small**2).sum(axis=-1, keepdims=True)))
@@ -184,7 +184,7 @@ def decoded_quaternions(stored: NDArray[np.int16]) -> NDArray[np.float64]:
 def fetch_order(corners: Corners, groups: NDArray[np.integer]) -> tuple[Corners, NDArray[Any]]:
     """Copy of a mesh whose triangles, and then vertices, come in the order that packs best.
 
-    `groups` (T,) numbers the material of each triangle; it is returned in the new order.
+    `groups` (T,) holds the material index of each triangle; it is returned in the new order.
     """
     library = require("meshoptimizer", "meshopt", "compression by meshopt")
     n, parts, order = len(corners.vertex), [], []
@@ -214,7 +214,7 @@ def fetch_order(corners: Corners, groups: NDArray[np.integer]) -> tuple[Corners,
 def steady_slots(rig: Rig, vertex: NDArray[np.integer]) -> tuple[NDArray[Any], NDArray[Any]]:
     """Indices and weights (N, K) of the vertices `vertex`, in an order that compresses well.
 
-    A bone of two consecutive vertices has the same column at both.
+    A bone that moves two consecutive vertices has the same column at both.
     """
     indices, weights = rig.indices[vertex].tolist(), rig.weights[vertex].tolist()
     last: list[int] = [-1] * rig.indices.shape[1]
@@ -278,7 +278,10 @@ class Packed(Builder):
         return item, array
 
     def _stored(self, array: NDArray[Any], use: str) -> tuple[NDArray[Any], str, str | None]:
-        """Array as stored, its meshopt filter, and its type once decoded (None: unchanged)."""
+        """Encode an array for its `use`: the stored array, its meshopt filter, its decoded type.
+
+        The decoded type is None if it is that of the stored array.
+        """
         if use == "POSITION":
             return np.pad(self.grid.counts(array), ((0, 0), (0, 1))), "NONE", None
         if use.startswith("+"):

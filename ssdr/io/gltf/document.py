@@ -77,7 +77,7 @@ class Document:
         return value
 
     def _json_chunk(self, data: bytes) -> bytes:
-        """JSON chunk of a ``.glb``; the binary chunk is kept as the bytes of buffer 0."""
+        """Return the JSON chunk of a ``.glb``, and store its binary chunk as buffer 0."""
         check(len(data) >= 20, f"truncated: {len(data)} bytes")
         version, total, length, kind = struct.unpack_from("<III4s", data, 4)
         check(version == 2, f"binary glTF version {version}; 2 is read")
@@ -236,7 +236,7 @@ class Document:
     def _rows(
         self, item: dict[str, Any], dtype: np.dtype[Any], width: int, count: int, what: str
     ) -> NDArray[Any]:
-        """Elements (count, width) to which `item` refers, as an array over the file's own bytes.
+        """Elements (count, width) to which `item` refers, as a view of the file's bytes.
 
         `item` is an accessor, or the `indices` or `values` of a sparse accessor.
         """

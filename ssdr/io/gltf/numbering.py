@@ -32,7 +32,7 @@ _KNOWN = """EXT_mesh_gpu_instancing EXT_meshopt_ EXT_texture_ KHR_draco_mesh_com
 
 
 def check_numbers(json: dict[str, Any]) -> str:
-    """Description of the first invalid list or index of a document; empty if all are valid."""
+    """Description of the first invalid list or index of a document, empty if all are valid."""
     for kind in _PLACES:
         items = json.get(kind, [])
         if not isinstance(items, list) or not all(isinstance(item, dict) for item in items):
@@ -79,7 +79,7 @@ def used(json: dict[str, Any], kind: str) -> set[int]:
 def remove_unused(json: dict[str, Any], before: dict[str, Any]) -> None:
     """Remove accessors and buffer views that the document `before` used and `json` does not use.
 
-    Items that `before` did not use either stay.
+    Items that are used in neither document stay.
     """
     for kind in ("accessors", "bufferViews"):
         remove(json, kind, used(before, kind) - used(json, kind))

@@ -45,7 +45,7 @@ class PrimitiveGroup:
     skin : int or None
         Index of the node's skin.
     mirrored : bool
-        Whether the node mirrors its mesh, which has no skin, so that `faces` are turned round.
+        Whether the node mirrors its mesh (without a skin), so that `faces` have been flipped.
     corners : (T, 3) int
         Vertex of the file at each corner.
     material : (T,) int
@@ -107,7 +107,7 @@ class PrimitiveGroup:
         self.corners, self.faces = faces, self.label[faces]
 
     def _attribute(self, name: str, kind: str, **options: Any) -> Any:
-        """Values of the attribute `name` at all vertices; None if there is no such attribute."""
+        """Values of the attribute `name` at all vertices, or None if there is no such attribute."""
         if name not in self._attributes:
             return None
         values = self.document.accessor(self._attributes[name], kind, name, **options)
@@ -151,9 +151,9 @@ class PrimitiveGroup:
     def _close_seams(
         self, compared: list[NDArray[Any]]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Merge the copies of a vertex that this package's writer has made at seams.
+        """Indices that merge the copies of a vertex that this package's writer has made at seams.
 
-        Its attribute ``_VERTEX`` gives copies of a vertex the same number. If copies differ in one
+        Its attribute ``_VERTEX`` gives copies of a vertex the same index. If copies differ in one
         of the arrays `compared`, the file has been edited since, and no vertices are merged.
 
         Returns
@@ -188,7 +188,7 @@ class PrimitiveGroup:
         return morphed if (amounts != amounts[:1]).any() else morphed(0)
 
     def at_rest(self, nodes: Nodes) -> tuple[NDArray[np.float64], Shapes | None]:
-        """Vertices before skinning without morph targets, and these with their amounts."""
+        """Vertices before morphing and skinning, and the morph targets with their amounts."""
         amounts, count = self._amounts(nodes), len(nodes.animation.times)
         if not amounts.size:
             return self.positions, None
@@ -221,7 +221,7 @@ class PrimitiveGroup:
         return result
 
     def bones(self, transforms: NDArray[np.float64]) -> Bones:
-        """Bones of the skin with their names, parents, rest positions and these `transforms`."""
+        """Bones of the skin with names, parents, rest positions and the given `transforms`."""
         nodes, joints = self._nodes, self._joints
         number = {joint: k for k, joint in enumerate(joints)}
         parents = [next((number[a] for a in nodes.ancestors(j) if a in number), -1) for j in joints]
@@ -238,9 +238,9 @@ class PrimitiveGroup:
 
 
 def names_of(document: Document, number: int) -> list[str]:
-    """Names by which the mesh of a node can be chosen: that of the node, then its own.
+    """Names by which the mesh of node `number` can be chosen: those of the node and of the mesh.
 
-    If neither has one, the node's number makes one.
+    If neither has a name, one is made of the node's index.
     """
     node = document.items("nodes")[number]
     items = node, document.items("meshes")[node["mesh"]]
@@ -258,7 +258,7 @@ def read_parts(
     FormatError
         If there is no mesh, or an accessor or joint is not usable.
     InputError
-        If no mesh of the scene has one of the names.
+        If one of the names is that of no mesh of the scene.
     """
     parts: list[PrimitiveGroup] = []
     numbers = list(nodes.shown)
@@ -291,9 +291,10 @@ def read_parts(
 
 
 class JointPoints(PrimitiveGroup):
-    """The nodes that move in one of the `clips`, and those below them, with a vertex at each.
+    """Point cloud in place of the mesh of a file without one, with a vertex at each moving node.
 
-    Their rest pose is that of the file without an animation.
+    Moving nodes are those that one of the `clips` moves, and all nodes below them. The rest pose is
+    that of the file without an animation.
 
     Raises
     ------
@@ -337,9 +338,9 @@ def _decode(document: Document, primitive: dict[str, Any]) -> None:
 
 
 def triangles(document: Document, primitive: dict[str, Any], count: int) -> NDArray[np.int64]:
-    """Triangles (T, 3) of a primitive, also of a strip or fan; none if the primitive draws points.
+    """Triangles (T, 3) of a primitive, which may be a strip or fan; T = 0 if it draws points.
 
-    Corners are indices into the primitive's vertices, whose number is `count`.
+    Corners are indices into the `count` vertices of the primitive.
     """
     index = np.arange(count)
     if "indices" in primitive:

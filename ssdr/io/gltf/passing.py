@@ -54,7 +54,7 @@ def _keep_clips(json: dict[str, Any], before: dict[str, Any], kept: set[int]) ->
 
 
 def template_problem(path: Path) -> str:
-    """Reason why a readable file cannot be a template of the writer; empty if it can."""
+    """Reason why a readable file cannot be a template of the writer, empty if it can."""
     with reading(path):
         compressed = DRACO in Document(path).items("extensionsUsed")
     return "its geometry is compressed with Draco" if compressed else ""

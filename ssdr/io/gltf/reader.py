@@ -98,7 +98,7 @@ def list_clips(path: Path, *, fps: float | None = None) -> tuple[Clip, ...]:
 
 
 def list_meshes(path: Path) -> tuple[str, ...]:
-    """Names of the meshes of the scene: those of their nodes, else their own."""
+    """Names of the meshes of the scene: that of the node, or else that of the mesh itself."""
     with reading(path):
         document = Document(path)
         still = Nodes(document, Animation("", 24.0, np.zeros(1), {}))

@@ -27,9 +27,9 @@ def add_targets(
 
 
 def state_targets(mesh: dict[str, Any], shapes: Shapes) -> None:
-    """State the names and amounts of a mesh's targets where it is shown without its animation.
+    """Set, in the JSON of a mesh, the names of its targets and their amounts without an animation.
 
-    The amounts are 0 if a frame has none of any, else the mean over the frames.
+    The amounts are 0 if all are 0 in some frame, otherwise the means over the frames.
     """
     amounts = shapes.amounts * bool(shapes.amounts.any(axis=1).all())
     mesh["weights"] = amounts.mean(axis=0).tolist()
@@ -39,7 +39,7 @@ def state_targets(mesh: dict[str, Any], shapes: Shapes) -> None:
 def add_channel(
     builder: Builder, animation: dict[str, Any], shapes: Shapes, clip: Clip, start: float = 0.0
 ) -> None:
-    """Add the amounts in the frames of a clip to an animation of node 0."""
+    """Add a channel with the amounts in the frames of a clip to an animation of node 0."""
     times = (start + seconds(np.arange(clip.n_frames), clip.fps)).astype(np.float32)
     amounts = shapes.amounts[clip.frames].reshape(-1)
     target = {"node": 0, "path": "weights"}
@@ -50,7 +50,10 @@ def add_channel(
 
 
 def stored_amounts(amounts: NDArray[Any], packed: bool) -> NDArray[Any]:
-    """Amounts as stored: multiples of 1/255 as uint8; if `packed`, those of 0 to 1 as uint16."""
+    """Amounts as stored: uint8 if all are multiples of 1/255 in [0, 1], otherwise float32.
+
+    If `packed`, other amounts in [0, 1] are stored as uint16.
+    """
     inside = amounts.min(initial=0) >= 0 and amounts.max(initial=0) <= 1
     if inside and np.abs(255 * amounts - np.rint(255 * amounts)).max(initial=0) < 1e-5:
         return np.asarray(np.rint(255 * amounts), dtype=np.uint8)

@@ -69,7 +69,7 @@ def add_skin(builder: Builder, rig: Rig, title: str, first: int) -> dict[str, An
 
 
 def _moved(rig: Rig, clip: Clip) -> list[int]:
-    """Bones that leave their place of rest in a clip, as which their nodes stand; at least one."""
+    """Indices of the bones that leave the rest transform of their node in a clip; at least one."""
     if rig.axes is not None:
         return list(range(rig.n_bones))
     some = clip.frames

@@ -43,8 +43,8 @@ class Template:
     meshes : str or several of them, optional
         Names of the meshes that are replaced; all by default.
     clip_names : mapping
-        Names of clips in the model, by their names in the file, for clips whose names differ; None
-        for a clip that is left out on purpose.
+        Maps the name of a clip in the file to its name in the model, where these differ, or to None
+        if the clip is left out on purpose.
 
     Attributes
     ----------
@@ -56,8 +56,8 @@ class Template:
     FormatError
         If the file cannot be read or is compressed with Draco.
     InputError
-        If the model has other triangles or another number of vertices than the file, or no mesh of
-        the file has a name in `meshes`.
+        If the model has other triangles or another number of vertices than the file, or a name in
+        `meshes` is that of no mesh.
     """
 
     def __init__(
@@ -118,7 +118,7 @@ class Template:
                 primitive["attributes"] = dict(attributes)
                 primitive.pop("targets", None)
                 if part.mirrored and primitive.get("mode", 4) != 0:
-                    # The node mirrored the mesh and joints do not, so triangles are turned round.
+                    # The node mirrored the mesh and joints do not, so triangles are flipped.
                     faces = triangles(self.document, old, len(part.label))[:, ::-1]
                     flat = faces.reshape(-1).astype(np.uint16 if faces.max() < 65535 else np.uint32)
                     number = self.builder.accessor(flat, "SCALAR", target=ELEMENTS)
@@ -129,7 +129,7 @@ class Template:
     def _new_attributes(
         self, part: PrimitiveGroup, rest: NDArray[np.float32], normals: NDArray[np.float32]
     ) -> dict[str, int]:
-        """Accessors of a part's attributes in the pose `rest`, with the model's normals.
+        """Add accessors of a part's attributes in the pose `rest`, with the model's normals.
 
         Tangents are carried to that pose; skin weights are left out.
         """
@@ -209,7 +209,7 @@ class Template:
     def _put_clips(self, rig: Rig, title: str, first: int) -> None:
         """Add the keys of each clip to the file's animation of its name, or to a new animation.
 
-        A clip begins at 0 s, unless the file's animation has tracks left that it must keep up with.
+        A clip begins at 0 s, unless the animation has other tracks left: then it begins as before.
         """
         animations = self.json.setdefault("animations", [])
         for clip in rig.clips:
@@ -249,7 +249,7 @@ class Template:
         remove_unused(json, original)
 
     def _unneeded_nodes(self, skins: set[int]) -> set[int]:
-        """Nodes to remove: joints of only the old `skins`, and nodes with only these joints below.
+        """Indices of nodes to remove: joints of `skins` alone, and nodes with only those below.
 
         A note says how many joints must stay because other nodes are below them.
         """

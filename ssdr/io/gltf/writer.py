@@ -52,9 +52,9 @@ def write_skinning(
     Parameters
     ----------
     skinning : Skinning
-        In metres with y up.  A bone that stretches becomes two nodes, of which the outer one turns
-        and scales and the inner one, the joint, turns.  Its shapes become morph targets, whose
-        normals are fitted; not with a template or levels.
+        In metres with y up.  A bone that stretches becomes two nodes, of which the outer one
+        rotates and scales and the inner one, the joint, rotates.  Shapes become morph targets,
+        whose normals are fitted; they cannot be written with a template or levels.
     path : Path
     influences : int, optional
         Number of largest weights to keep for each vertex; all by default. glTF holds 8, and many
@@ -72,8 +72,8 @@ def write_skinning(
     meshes : str or several of them, optional
         Names of the template's meshes that the model replaces, or of their nodes; all by default.
     clip_names : mapping of str to str, optional
-        Names of clips in the model, by their names in the template, for clips whose names differ;
-        None for a clip that is left out on purpose and not reported as lost.
+        Maps the name of a clip in the template to its name in the model, where these differ, or to
+        None if the clip is left out on purpose and not to be reported as lost.
     strict : bool
         Whether to raise an error, instead of reporting the loss, if contents of the template
         cannot be kept.
@@ -85,9 +85,9 @@ def write_skinning(
         (``EXT_meshopt_compression``; needs the extra meshopt).  The order of the vertices is not
         kept.
     tolerance : float or str, optional
-        With a compression: largest distance of a vertex in any frame from its place in the model,
-        as a length or a share of the diagonal such as ``"0.1%"``.  Keys are left out, and numbers
-        rounded, as far as it allows.  By default all keys and 16 bits stay.
+        With a compression: largest distance of a vertex, in any frame, from its position in the
+        model, as a length or a share of the diagonal such as ``"0.1%"``.  Keys are left out, and
+        numbers rounded, as far as it allows.  By default all keys and 16 bits are kept.
 
     Returns
     -------
@@ -132,7 +132,9 @@ def compact_size(
     compression: Compression = "meshopt",
     tolerance: float | str | None = None,
 ) -> tuple[int, Skinning]:
-    """Bytes of a ``.glb``, which is written and removed, and the skinning that its reader decodes.
+    """Size in bytes of a model's ``.glb``, and the skinning that a reader decodes from the file.
+
+    The file is written to a temporary folder.
 
     Parameters
     ----------
@@ -175,7 +177,7 @@ def _rounded(
     levels: Sequence[Skinning],
     rounding: dict[str, Any],
 ) -> tuple[Rig, Builder]:
-    """Rig of a model, rounded as a compression asks for, and an empty document for it."""
+    """Rig of a model, rounded for a compression, and an empty document for it."""
     check_choice(compression, "compression", Compression)
     builder = Builder()
     if compression == "none":
@@ -247,7 +249,10 @@ def orient_joints(rig: Rig, axes: NDArray[np.float64]) -> Rig:
 
 
 def _level(rig: Rig, finest: Skinning, level: Skinning, rounding: dict[str, Any]) -> Rig:
-    """Rig of a coarser level, after checking that its bones are the first of the finest."""
+    """Rig of a coarser level of detail: `rig` with the level's own rest pose and weights.
+
+    Raises InputError unless the transforms of the level are those of the first bones of `finest`.
+    """
     count = level.n_bones
     same = level.transforms.shape == finest.transforms[:, :count].shape
     if not (same and np.array_equal(level.transforms, finest.transforms[:, :count])):
@@ -263,7 +268,7 @@ def _fill(
     title: str,
     coarser: Sequence[tuple[Skinning, Rig]] = (),
 ) -> None:
-    """Add all of a file that holds nothing but the model, and its coarser levels of detail."""
+    """Fill an empty document with the model and its coarser levels of detail."""
     json = builder.json
     json["meshes"], nodes = [], []
     for k, level in enumerate([(model, rig), *coarser]):

@@ -80,8 +80,8 @@ def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> Sav
     sequence : MeshSequence
     path : Path
         A pattern such as ``folder/frame_%04d.obj``; the folder is made if it is missing. A sequence
-        of one frame may have a plain name. Files of these names are overwritten; of others that
-        match the pattern a warning tells.
+        of one frame may have a plain name. Files of these names are overwritten. A warning is
+        issued if other files match the pattern.
     start : int
         Number of the first file.
 
@@ -125,7 +125,7 @@ def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> Sav
 
 
 def _matching(path: Path) -> list[Path]:
-    """Files whose names a printf pattern makes of some number."""
+    """Files whose names result from a printf pattern and some number."""
     name = _PRINTF.sub(lambda m: f"[0-9]{{{int(m[1] or 1)},}}", re.escape(path.name))
     return [f for f in path.parent.glob("*") if re.fullmatch(name, f.name)]
 

@@ -1,7 +1,7 @@
 """Wavefront OBJ files, read in their order of vertices, and their MTL materials.
 
 trimesh is not used here because it splits vertices at seams of texture coordinates. Here vertices
-stay whole, and the coordinates are stored at the corners of triangles.
+are not split, and the coordinates are stored at the corners of triangles.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def _faces(
 
 
 def _corner(word: bytes, tables: dict[bytes, list[list[bytes]]]) -> list[int]:
-    """Indices (from 0) of the vertex, UV and normal of a corner; -1 for what is missing."""
+    """Indices (from 0) of the vertex, UV and normal of a corner, -1 where one is missing."""
     corner = []
     parts = [*word.split(b"/"), b"", b""]
     for part, table in zip(parts, tables.values(), strict=False):
@@ -221,7 +221,7 @@ class ObjWriter:
         self._f = "".join(f"{line}\n" for line in lines).encode()
 
     def write(self, path: Path, vertices: NDArray[Any], *, first: bool) -> None:
-        """Write one frame; normals are those of the surface if `first`, else computed anew."""
+        """Write one frame, with the normals of the surface if `first`, else of `vertices`."""
         parts = [self._head, _rows("v", vertices), self._vt]
         normals = self._surface.normals
         if normals is not None:

@@ -1,7 +1,7 @@
 """OFF and STL files, with checks that a file is complete.
 
 STL is read by trimesh. OFF is not, because trimesh reads no polygons of five or more corners from
-it, and drops rows that are cut off without an error.
+it, and silently drops rows that are cut off.
 """
 
 from __future__ import annotations

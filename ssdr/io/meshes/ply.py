@@ -127,7 +127,10 @@ def _header(data: bytes) -> tuple[_Elements, bool, int]:
 def _even(
     length: int, properties: list[_Property], body: memoryview
 ) -> tuple[_Columns, int] | None:
-    """Columns and size in bytes of an element, all of whose rows have equal layout; else None."""
+    """Read an element whose rows all have the same layout: its columns, and their size in bytes.
+
+    None if the lengths of lists differ or the file is too short.
+    """
     fields: list[Any] = []
     at = 0
     for name, kind, count in properties:
@@ -149,7 +152,7 @@ def _even(
 
 
 def _uneven(length: int, properties: list[_Property], body: memoryview) -> tuple[_Columns, int]:
-    """Columns and size in bytes of an element whose rows hold lists of different lengths."""
+    """Read an element whose rows hold lists of any lengths: its columns, and its size in bytes."""
     problem = f"states {length} rows, but the file ends before"
     least = sum(np.dtype(count or kind).itemsize for _, kind, count in properties)
     check(length * least <= len(body), problem)
@@ -174,7 +177,7 @@ def _uneven(length: int, properties: list[_Property], body: memoryview) -> tuple
 
 
 def _lengths(length: int, properties: list[_Property], body: memoryview) -> Iterator[int]:
-    """Lengths of the lists of each row, up to the first that is no length or not in the file."""
+    """Yield the lengths of all lists, row by row, until one is invalid or beyond the file's end."""
     steps, skipped = [], 0
     for _, kind, count in properties:
         size = np.dtype(kind).itemsize

@@ -24,7 +24,7 @@ _log = logging.getLogger(__name__)
 
 
 def read_materials(path: Path, meshes: Sequence[MeshPrim]) -> list[Material]:
-    """Materials of the meshes of the file `path`; also sets `material` of each mesh."""
+    """Read the materials of the meshes of the file `path`, and set `material` of each mesh."""
     found = _Materials(path)
     for mesh in meshes:
         mesh.material = found.of_polygons(mesh)[mesh.polygon]
@@ -110,7 +110,7 @@ class _Materials:
 
 
 def _source(holder: Any) -> Any:
-    """The attribute that gives a shader input its value; None if there is no such attribute."""
+    """The attribute that gives a shader input its value, or None if there is no such attribute."""
     found = UsdShade.Utils.GetValueProducingAttributes(holder) if holder else []
     return found[0] if found else None
 

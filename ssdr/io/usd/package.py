@@ -19,7 +19,7 @@ _ENCRYPTED = 1  # flag of a file in a zip archive
 
 
 def unpacked(path: Path, owner: Any) -> Path:
-    """First file of a package, unpacked with all others to a folder that lives as long as `owner`.
+    """Unpack a package to a folder that lives as long as `owner`, and return its first file.
 
     To be called inside :func:`~ssdr.io.registry.reading`.
 

@@ -18,7 +18,7 @@ from ..scene import Bones, Shape, facing, file_weights
 
 _log = logging.getLogger(__name__)
 _FIRST = Usd.TimeCode.EarliestTime()
-_MOST_LOOKS = 64  # times at which a mesh is looked at to see whether it is mirrored
+_MOST_LOOKS = 64  # largest number of times at which it is checked whether a mesh is mirrored
 
 
 class MeshPrim:
@@ -45,7 +45,7 @@ class MeshPrim:
     polygon : (T,) int array
         Index of the polygon that each triangle is a piece of.
     seen : Usd.TimeCode or float or None
-        Without a skin: a time code at which the mesh shows the side that it shows most.
+        Without a skin: a time code at which the mesh has the orientation that it has most often.
     material : (T,) int array
         As in `ScenePart`, once :func:`~ssdr.io.usd.materials.read_materials` has set it.
     """
@@ -77,7 +77,7 @@ class MeshPrim:
             self.corners, self.faces = self.corners[:, ::-1], self.faces[:, ::-1]
 
     def _is_mirrored(self) -> bool:
-        """Whether the mesh's own transform mirrors it; sets the time code at which that is seen."""
+        """Whether the mesh's own transform mirrors it at most times; sets `seen`."""
         codes = np.unique(self._moves())
         chosen = np.linspace(0, len(codes) - 1, min(len(codes), _MOST_LOOKS)).astype(int)
         times = codes[chosen].tolist() or [_FIRST]
@@ -195,7 +195,7 @@ class MeshPrim:
         return np.asarray(np.linalg.solve(self._bind, frames))
 
     def bones(self, transforms: NDArray[np.float64]) -> Bones:
-        """Bones of the mesh with these `transforms`; without a skin, one bone without a parent."""
+        """Bones of the mesh with the given `transforms`; without a skin, one without a parent."""
         if self.joints is None:
             name = str(self.prim.GetName())
             return Bones([name], np.full(1, -1), np.zeros((1, 3)), transforms)
@@ -252,9 +252,9 @@ class MeshPrim:
         return self._points(float(codes[0]))
 
     def at_rest(self, codes: NDArray[np.float64]) -> tuple[NDArray[np.float64], Shapes | None]:
-        """Points before skinning without blend shapes, and these with their amounts.
+        """Points before blend shapes and skinning, and the blend shapes with their amounts.
 
-        An inbetween is a shape of its own.
+        An inbetween is a separate shape.
         """
         if self._shapes is None:
             points = self.shape(codes)
@@ -275,7 +275,7 @@ class MeshPrim:
         return points, Shapes(moved, amounts[:, used], names=names) if used else None
 
     def _shape_name(self, part: int) -> str:
-        """Name of a subshape: that of its blend shape or, of an inbetween, its own."""
+        """Name of a subshape: that of its blend shape or, for an inbetween, its own."""
         inbetween = self._shapes.GetInbetween(part)
         if inbetween:
             return str(inbetween.GetAttr().GetBaseName())
@@ -303,7 +303,7 @@ class MeshPrim:
         return list(zip(*self._shapes.ComputeSubShapeWeights(weights), strict=True))
 
     def _displace(self, points: NDArray[np.float64], amount: float, shape: int, by: Any) -> None:
-        """Add `amount` of a subshape's offsets `by` to points; `shape` is its blend shape."""
+        """Add `amount` times a subshape's offsets `by` to `points`; `shape` is its blend shape."""
         moved = np.array(by, dtype=np.float64).reshape(-1, 3)
         row = np.array(self._shapes.ComputeBlendShapePointIndices()[shape], dtype=np.int64)
         row = row if len(row) else np.arange(self.n_points)

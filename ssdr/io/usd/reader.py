@@ -155,8 +155,8 @@ class StageReader:
     ) -> Sample:
         """Bind a clip and return the visible meshes and the time codes of the clip's frames.
 
-        `fps` replaces the frame rate of the clip. If `joints_alone`, the joints of skeletons stand
-        for meshes where there are none.
+        `fps` replaces the frame rate of the clip. If `joints_alone` and there are no meshes, the
+        joints of skeletons are returned in their place.
 
         Raises
         ------
@@ -193,14 +193,14 @@ class StageReader:
         return Sample(Clip(clip.name, 0, len(codes), rate), meshes, codes, missed)
 
     def mesh_names(self) -> tuple[str, ...]:
-        """Names of the visible meshes; where two are equal, their paths."""
+        """Names of the visible meshes, or their paths where two names are equal."""
         return _names(self._shown(Usd.PrimRange(self.stage.GetPseudoRoot(), _ALL)))
 
     def _shown(self, prims: Iterable[Any]) -> list[Any]:
         return [prim for prim in prims if prim.IsA(UsdGeom.Mesh) and self._is_shown(prim)]
 
     def _spend(self, prims: Sequence[Any]) -> None:
-        """Spend what the arrays of meshes take, before they are made: many may share a few points.
+        """Charge the budget for the arrays of meshes in advance, since many may share few points.
 
         Each mesh is counted once, for all clips.
         """
@@ -224,7 +224,7 @@ class StageReader:
     def _clock(
         self, meshes: list[MeshPrim], clip: StageClip, fps: float | None
     ) -> tuple[float, NDArray[np.float64], Missed]:
-        """Frames per second of a clip, the time code (F,) of each frame, and samples between."""
+        """Frames per second of a clip, time code (F,) of each frame, and samples between frames."""
         stage = self.stage
         tempo = float(stage.GetTimeCodesPerSecond())
         check(0 < tempo < math.inf, f"timeCodesPerSecond is {tempo}")
@@ -264,7 +264,7 @@ class StageReader:
 
 
 def _names(prims: Sequence[Any]) -> tuple[str, ...]:
-    """Name of each prim; its path if another has the same name."""
+    """Name of each prim, or its path if another prim has the same name."""
     count = collections.Counter(str(prim.GetName()) for prim in prims)
     return tuple(
         str(prim.GetName() if count[str(prim.GetName())] == 1 else prim.GetPath()) for prim in prims

@@ -41,9 +41,9 @@ def put_skeleton(
     Returns
     -------
     list of str or None
-        The paths of the joints that move vertices, in the order of the model's bones; None if the
-        skeleton has these joints, in that order. It has them in another if a bone comes before its
-        parent, which USD forbids.
+        Paths of the joints that move vertices, in the order of the model's bones. None if these are
+        all joints of the skeleton, in its order. The order differs if a bone of the model comes
+        before its parent, which USD forbids.
     """
     plain = unique_names([identifier(bone) for bone in rig.names])
     order = np.arange(rig.n_bones)
@@ -92,8 +92,8 @@ def _put_keys(
 ) -> None:
     """Add the keys of a clip to a SkelAnimation, with the first frame at the time code `start`.
 
-    `order` (B,) are the bones in the order of the skeleton's joints; `tempo` is the number of time
-    codes per second.
+    `order` (B,) holds the bone indices in the order of the skeleton's joints; `tempo` is the number
+    of time codes per second.
     """
     translations, rotations = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
     scales = animation.CreateScalesAttr()
@@ -121,7 +121,7 @@ def bind_shapes(stage: Any, prim: Any, shapes: Shapes) -> None:
     for place, displacements in zip(places, shapes.displacements, strict=True):
         rows = np.flatnonzero(displacements.any(axis=1))
         shape = UsdSkel.BlendShape.Define(stage, place)
-        # without points, a blend shape would be one of all of them
+        # a blend shape without point indices would apply to all points
         rows = rows if len(rows) else np.zeros(1, dtype=np.int64)
         shape.CreateOffsetsAttr(Vt.Vec3fArray.FromNumpy(displacements[rows].astype(np.float32)))
         shape.CreatePointIndicesAttr(Vt.IntArray.FromNumpy(rows.astype(np.int32)))

@@ -54,7 +54,7 @@ def open_stage(path: Path) -> Any:
         text = text.removeprefix(f"{path}:")
         raise FormatError(f"not a usable USD file (USD says: {text[:300]})") from error
     check(stage, "not a usable USD file")
-    stage.Reload()  # layers are kept by name; the file may have been written anew
+    stage.Reload()  # USD caches layers by name; the file may have been written anew
     for layer in stage.GetUsedLayers():
         inside = not layer.realPath or is_inside(Path(layer.realPath), path.parent)
         check(inside, f"refers to {layer.realPath}, which {OUTSIDE}; {HINT}")
@@ -67,8 +67,8 @@ def _check_layers(path: Path) -> None:
     Raises
     ------
     FormatError
-        If one of them is nested too deeply, lies outside the folder of the file, is a device or a
-        package, or if they name more value clips than can be looked for.
+        If one of them is missing or not USD, is nested too deeply, lies outside the folder of the
+        file, is a device or a package, or if they name more value clips than can be looked for.
     """
     seen, waiting = set(), [path]
     templates: list[dict[str, Any]] = []
@@ -126,10 +126,10 @@ def _templates(layer: Any) -> list[dict[str, Any]]:
 
 
 def _check_templates(templates: list[dict[str, Any]]) -> None:
-    """Refuse patterns of value clips that name more files than USD could look for in time.
+    """Refuse patterns of value clips that name too many files for USD to look for.
 
-    A layer may change some of the times that a weaker one states, so that those of incomplete sets
-    count for all of them.
+    A layer may override some of the times that a weaker layer states, so the times of incomplete
+    sets are combined with those of each complete set.
     """
     whole = [times for times in templates if len(times) == len(_TEMPLATE)]
     partial = [times for times in templates if len(times) < len(_TEMPLATE)]
@@ -159,8 +159,8 @@ def _check_nesting(file: Path) -> None:
 def system_errors(path: Path, source: Path | None = None) -> Iterator[None]:
     """Context that turns USD's errors about writing `path` into the OSErrors that caused them.
 
-    USD reads a file's arrays only when it copies them. So if the system names no reason and there
-    is a `source`, from which `path` is written, that is damaged.
+    USD reads a file's arrays only when it copies them. So if the error states no reason of the
+    system, the `source` from which `path` is written, if any, is damaged.
 
     Raises
     ------

@@ -29,7 +29,7 @@ _READ = ("diffuseColor", "opacity", "metallic", "roughness")
 
 
 def template_problem(path: Path) -> str:
-    """Reason why a readable file cannot be a template of the writer; empty if it can."""
+    """Reason why a readable file cannot be a template of the writer, empty if it can."""
     with reading(path):
         reader = StageReader(path)
         return _problem([mesh.prim for mesh in reader.sample(reader.clips[0]).parts])
@@ -125,7 +125,7 @@ def put(
 
 
 def _scope(prims: list[Any]) -> Any:
-    """Prim above all `prims` that is, or can become, their SkelRoot; None if there is none.
+    """Prim above all `prims` that is, or can become, their SkelRoot, or None if there is none.
 
     It is the lowest common ancestor that is a SkelRoot; without one, the lowest that can become
     one.
@@ -176,8 +176,8 @@ def _put_points(
     """Put a mesh into the rest pose `rest` (in world space), and return the mesh's matrix.
 
     Points and normals are replaced, and blend shapes are removed. The matrix takes the new points
-    to world space; it is that at the time code at which the mesh is `seen`, or at `first` for one
-    with a skin, or the identity if that is not invertible.
+    to world space: it is the mesh's matrix at the time code `mesh.seen` or, for a mesh with a skin,
+    at `first`; if that is not invertible, it is the identity.
     `normals` (T, 3, 3) are those at triangle corners, in world space.
     """
     code = first if mesh.seen is None else mesh.seen
@@ -207,9 +207,9 @@ def _set(attribute: Any, values: NDArray[np.floating]) -> None:
 
 
 def _put_normals(prim: Any, mesh: MeshPrim, normals: NDArray[np.float64]) -> None:
-    """Replace the normals of a mesh by those at its triangle corners; their interpolation stays.
+    """Replace the normals of a mesh by those at its triangle corners, and keep the interpolation.
 
-    A value that several corners have is the mean of theirs.
+    A value that several corners share is the mean of their normals.
     """
     values, interpolation, attribute = mesh.normal_values()
     index = mesh.value_index(interpolation)
@@ -258,7 +258,7 @@ def copy(path: Path, target: Path, *, clips: Sequence[str | int] | None = None) 
 
 
 def _transfer(reader: StageReader, temporary: Path, target: Path) -> Any:
-    """New stage in the file `temporary`, with the contents of the reader's root layer.
+    """Create a stage in the file `temporary`, with the contents of the reader's root layer.
 
     Relative paths of assets are changed to be relative to the folder of `target`.
     """

@@ -64,8 +64,8 @@ def write_skinning(
         Names of the template's meshes that the model replaces, or of prims above them; all by
         default.
     clip_names : mapping of str to str, optional
-        Names of clips in the model, by their names in the template, for clips whose names differ;
-        None for a clip that is left out on purpose and not reported as lost.
+        Maps the name of a clip in the template to its name in the model, where these differ, or to
+        None if the clip is left out on purpose and not to be reported as lost.
     strict : bool
         Whether to raise an error, instead of reporting the loss, if contents of the template
         cannot be kept.
