@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import json
 import math
 import re
 import sys
@@ -129,6 +130,16 @@ def parsimony_rows() -> list[Row]:
         if r["one less"]:
             r["least"] = min(r["one less"])
             r["effort"] = f"{r['effort']:.1f} times" if r["effort"] else "proven"
+    return found
+
+
+def fewest_rows() -> list[Row]:
+    """Models of the fewest bones and of the fewest bytes, and what these have in their place."""
+    found = json.loads((RESULTS / "shapes.json").read_text())["smallest"]
+    for r in found:
+        r["ratio"] = r["bytes"]["bytes"] / r["bones"]["bytes"]
+        r["means"] = r["bytes"]["means"] if r["ratio"] < 1 else ""
+        r["shapes"] = r["bytes"]["shapes"] or ""
     return found
 
 
@@ -288,6 +299,14 @@ BLOCKS: dict[str, list[str | Callable[[], str]]] = {
         "error": "{error / tolerance:.2f}", "one bone less, best of all tries": "{least:.3g}",
         "effort on it": "{effort}", "bytes before and after pruning": "{bytes before:,}, {bytes:,}",
         "CPU s": "{cpu seconds:.1f}",
+    })],
+    "fewest_bytes": [Table(fewest_rows, {
+        "sequence": "{sequence}", "bones, influences": "{bones[bones]}, {bones[influences]}",
+        "bytes": "{bones[bytes]:,}", "CPU s": "{bones[cpu_s]:.1f}",
+        "in their place": "{means}",
+        "bones, influences ": "{bytes[bones]}, {bytes[influences]}", "shapes": "{shapes}",
+        "fewest bytes": "{bytes[bytes]:,}", "ratio": "{ratio:.2f}",
+        "CPU s ": "{bytes[cpu_s]:.1f}",
     })],
     "first_call": [
         "Seconds; dancer_small, 12 bones, effort fast.",

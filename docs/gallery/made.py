@@ -1,7 +1,7 @@
 """The files that the pages of the gallery work on: ``python docs/gallery/made.py FOLDER``.
 
-A face and a starfish come from the formulas below, two clips from the sample.  The dress was
-simulated (dress.toml) and lies beside this script.
+A face, a ball and a starfish come from the formulas below, two clips from the sample.  The dress
+was simulated (dress.toml) and lies beside this script.
 """
 
 from __future__ import annotations
@@ -35,8 +35,28 @@ def starfish(frames: int = 32) -> ssdr.MeshSequence:
     return ssdr.MeshSequence(vertices, ball.faces, 16, name="starfish")
 
 
-def face(frames: int = 72) -> tuple[ssdr.MeshSequence, Array]:
-    """A head of 21 cm that speaks, in metres, and its morph targets (8, V, 3)."""
+def bouncing_ball(frames: int = 48) -> ssdr.MeshSequence:
+    """A rubber ball of 20 cm that bounces twice: long as it flies, flat where it lands."""
+    ball = trimesh.creation.icosphere(subdivisions=4)
+    turn = np.linspace(0, 2 * np.pi, frames, endpoint=False)
+    part = (2 * np.arange(frames) / frames) % 1.0
+    flight = np.clip((part - 0.2) / 0.8, 0, 1)
+    speed = np.where(part < 0.2, -np.cos(np.pi * part / 0.2), 1 - 2 * flight)
+    flat = 0.6 * np.sin(np.pi * np.clip(part / 0.2, 0, 1))
+    long = 1 + 0.4 * speed**2
+    high, lean = long - flat + 6 * flight * (1 - flight), 0.3 * speed * np.cos(turn)
+    x, y, z = ball.vertices.T[:, None]
+    flat, long, high, lean, way = (a[:, None] for a in (flat, long, high, lean, np.sin(turn)))
+    up = np.logaddexp(0, 20 * (y * long + high)) / 20  # nothing goes through the floor
+    wide = (1 + 0.5 * flat * np.exp(-1.5 * up)) / np.sqrt(long)
+    vertices = np.stack([
+        x * wide + lean * (up - high) + 1.2 * way, up, z * wide,
+    ], axis=-1)  # fmt: skip
+    return ssdr.MeshSequence(0.1 * vertices, ball.faces, 24, name="ball")
+
+
+def face(frames: int = 72) -> tuple[ssdr.MeshSequence, ssdr.Skinning]:
+    """A head of 21 cm that speaks, in metres, and the rig of eight morph targets that moves it."""
     ball = trimesh.creation.icosphere(subdivisions=4)
     x, y, z = ball.vertices.T
     polar = np.arccos(np.clip(z, -1, 1))  # half of the vertices go to the face
@@ -75,17 +95,23 @@ def face(frames: int = 72) -> tuple[ssdr.MeshSequence, Array]:
     time = np.arange(frames)[:, None] / frames
     rate, start = np.array([6, 1, 2, 2, 1, 3, 1, 2]), np.array([0, 3, 5, 1, 1, 2, 5, 4]) / 6
     strength = np.maximum(np.sin(2 * np.pi * (rate * time - start)), 0) ** 2
-    vertices = 0.1 * (rest + np.tensordot(strength, targets, 1))
-    return ssdr.MeshSequence(vertices, ball.faces, 24, name="face"), 0.1 * targets
+    names = ("jaw", "smile", "pucker", "brow_left", "brow_right", "blink", "cheeks", "nose")
+    rig = ssdr.Skinning.from_dense(
+        0.1 * rest, np.ones((len(rest), 1)), np.tile(np.eye(3, 4), (frames, 1, 1, 1)),
+        faces=ball.faces, fps=24, name="face",
+        shapes=ssdr.Shapes(0.1 * targets, strength, names=names),
+    )  # fmt: skip
+    return ssdr.MeshSequence(rig.skin(), ball.faces, 24, name="face"), rig
 
 
 def write(folder: Path) -> None:
     """Write the files of all pages."""
     (folder / "generated").mkdir(parents=True, exist_ok=True)
     shutil.copy(Path(__file__).with_name("dress.npz"), folder)
-    head, targets = face()
+    head, rig = face()
     ssdr.save(head, folder / "face.npz")
-    np.save(folder / "targets.npy", targets)
+    ssdr.save(rig, folder / "rig.glb")
+    ssdr.save(bouncing_ball(), folder / "ball.npz")
     clean = starfish()
     jitter = np.random.default_rng(0).normal(0, 0.004, clean.vertices.shape)
     generated = dataclasses.replace(clean, vertices=clean.vertices + jitter)

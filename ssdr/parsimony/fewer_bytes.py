@@ -33,6 +33,9 @@ from .solved_frames import SolvedFrames
 
 __all__ = ["fewer_bytes"]
 
+# What more bones may save: so much of the influences beyond one a vertex and, where the motion is
+# so smooth that a tenth of the keys could go, of the keys.
+_SAVED, _SMOOTH = 0.7, 0.9
 _GROWTH = 1.4  # next number of rigid bones, relative to the previous one
 _LESS = 0.97  # estimated bytes, relative to the fewest so far, up to which a series continues
 _POLISH = 12  # steps before bytes are estimated
@@ -67,17 +70,20 @@ def fewer_bytes(
     frames, held = models.frames, models.best[models.held_bones].model
     fewest, kept, best = estimated_bytes(frames, held, tolerance), None, rigid
     bone = float(key_bytes(frames.skinning(held)).mean()) * frames.problem.n_frames
-    spare = int(_SPARE * fewest / bone)
+    spare, size = int(_SPARE * fewest / bone), frames.size(rigid[0])
+    smooth = size.keys < _SMOOTH * bone * held.n_bones
+    saved = _SAVED * (size.weights - 4 * rigid[0].n_vertices + smooth * size.keys)
+    most = min(bounds.most, held.n_bones + int(max(saved, 0) / size.keys * held.n_bones))
     found = {
-        "more bones": _more_bones(models, bounds),
+        "more bones": _more_bones(models, most),
         "affine bones": _affine(models, bounds, effort, spare),
     }
     for what, others in found.items():
         for one in others:
-            size = estimated_bytes(*one, tolerance)
-            if size > _LESS * fewest:
+            estimated = estimated_bytes(*one, tolerance)
+            if estimated > _LESS * fewest:
                 break
-            fewest, kept = size, (what, *one)
+            fewest, kept = estimated, (what, *one)
 
     def stored(pruned: Pruned) -> float:
         size, error = frames.kept(pruned[0], frames.error_of_all(pruned[0]), tolerance)
@@ -98,11 +104,11 @@ def fewer_bytes(
     return best
 
 
-def _more_bones(models: ModelsByBones, bounds: Bounds) -> Iterator[tuple[SolvedFrames, Model]]:
-    """Yield models of more and more rigid bones, as long as these hold the tolerance."""
+def _more_bones(models: ModelsByBones, most: int) -> Iterator[tuple[SolvedFrames, Model]]:
+    """Yield models of more rigid bones, up to `most`, as long as these hold the tolerance."""
     bones = models.held_bones
-    while bones < bounds.most:
-        bones = min(bounds.most, max(bones + 1, math.ceil(_GROWTH * bones)))
+    while bones < most:
+        bones = min(most, max(bones + 1, math.ceil(_GROWTH * bones)))
         if bones not in models.best:
             models.attempt(bones, start_and_polish, "more bones")
         last, start = partial(polish, steps=_POLISH, gain=0.005), models.best[bones].model
@@ -141,9 +147,14 @@ def _with_shapes(
     Returns None if shapes do not pay or the model misses the tolerance.
     """
     frames, problem, held = models.frames, models.frames.problem, models.held_bones
-    # bones, each of so many bytes, that a shape has to replace
+    # bones, each of so many bytes, that a shape has to replace; one alone is not worth the trial
     each = (12 * problem.inputs[0].n_vertices + 4 * problem.n_frames) / bone
-    if held - 1 < each or frames.measure == "max" or problem.rig != "none" or problem.locked.rest:
+    if (
+        held - 1 < 2 * each
+        or frames.measure == "max"
+        or problem.rig != "none"
+        or problem.locked.rest
+    ):
         return None
     if 1 not in models.best:
         models.attempt(1, start_and_polish, "a bone for shapes")
