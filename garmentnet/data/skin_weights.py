@@ -24,8 +24,8 @@ __all__ = ["BodyBound", "find_body_bound", "strongest"]
 
 # Largest error, metres, of skinning by the body at which a vertex counts as bound, in all frames.
 _CLOSE = 1e-4
-# Largest error, metres, of a vertex whose place at rest is solved for, and how often it is.  The error
-# of a pin falls to an eighth in ten solves; that of other vertices soon stays.
+# Largest error, metres, of a vertex whose place at rest is solved for, and how often it is.  The
+# error of a pin falls to an eighth in ten solves; that of other vertices soon stays.
 _NEAR = 0.05
 _SOLVES, _EVERY = 80, 10
 _INFLUENCES = 8  # joints per vertex, as many as engines support
