@@ -1,6 +1,6 @@
 """How far a network comes with so many frames of a garment, beside plain methods.
 
-From a store of more clips than are learned, with ``tiny`` and one epoch in ten of its detail::
+From a store of more clips than are learned, with ``tiny`` and two epochs of its detail::
 
     python benchmarks/garment/data_curve.py out/sleeve.clips --frames 120 240 480 720
 
@@ -55,12 +55,17 @@ def draw(rows: dict[str, dict[str, float]]) -> None:
         for name in ("network", "body-skinned", "ridge", "mean shape"):
             style = "-o" if name == "network" else "--"
             axis.plot([r["frames"] for r in own], [r[name] for r in own], style, label=name)
-        axis.set(xscale="log", yscale="log", title=Path(store).stem, xlabel="training frames")
+        axis.set(
+            xscale="log",
+            title=Path(store).stem.rpartition("_")[2],
+            xlabel="training frames",
+        )
         ticks = [row["frames"] for row in own]
         axis.set_xticks(ticks, [str(t) for t in ticks])
         axis.minorticks_off()
+        axis.set_ylim(bottom=0)
     axes[0, 0].set_ylabel("RMSE on validation, mm")
-    axes[0, -1].legend(frameon=False)
+    axes[0, 0].legend(frameon=False, loc="lower left")
     figure.tight_layout()
     figure.savefig(PICTURE, dpi=130)
 

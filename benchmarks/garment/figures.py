@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from benchmarks import common
 
-PAGES = ("garmentnet-results", "garment-scenes", "garmentnet-live")
+PAGES = ("garmentnet", "garmentnet-results", "garment-scenes", "garmentnet-live")
 RECORD = common.RESULTS / "garment-pages.json"
 _COMMAND = re.compile(r"(?:python benchmarks|garmentnet [a-z])\S[^`\n]*")
 

@@ -92,15 +92,17 @@ def test_other_clips_of_the_same_name_have_other_bones(copy):
 
 @pytest.mark.parametrize(("step", "off"), [(0.0, 0.0), (2.3e-4, 0.0), (0.0, 0.01)])
 def test_what_the_body_carries_is_found_in_rounded_clips(toy_store, tmp_path, rng, step, off):
-    """Two rings move with the root, one from other places than those at rest; others do not."""
+    """Two rings are skinned, one by all joints and from other places than at rest."""
     outfit = {k: getattr(toy_store, k) for k in ("rest", "faces", "body", "skeleton", "fps")}
     store = ClipStore.create(tmp_path / "a.clips", **outfit)
     clip = toy_store.clip(NAME)
     vertices = clip.sequence.frames(slice(None)).copy()
     bound = np.arange(32)
-    root = clip.joints[:, 0]
     places = store.rest[bound] + off * rng.normal(size=(32, 3)) * (bound < 16)[:, None]
-    vertices[:, bound] = places @ root[:, :, :3].swapaxes(1, 2) + root[:, None, :, 3]
+    for weights, ring in (((0.6, 0.3, 0.1), bound < 16), ((1, 0, 0), bound >= 16)):
+        blend = np.einsum("j,fjab->fab", weights, clip.joints)
+        moved = places @ blend[:, :, :3].swapaxes(1, 2) + blend[:, None, :, 3]
+        vertices[:, bound[ring]] = moved[:, ring]
     store.add(
         NAME,
         vertices=vertices,
