@@ -54,6 +54,8 @@ def measure(what: str, python: str = "") -> Row:
             folder = cache if what.endswith("cached") else str(Path(cache, str(k)))
             began, before = time.perf_counter(), os.times()
             other = {"python": python, "PYTHONPATH": ""} if python else {}
+            # a user's modules are compiled to bytecode, also where the environment forbids it
+            other |= {"PYTHONDONTWRITEBYTECODE": "", "PYTHONPYCACHEPREFIX": str(Path(cache, "pyc"))}
             said = fresh(["-P", "-c", CASES[what]], threads=2, NUMBA_CACHE_DIR=folder, **other)
             seconds, after = time.perf_counter() - began, os.times()
             cpu = sum(after[2:4]) - sum(before[2:4])  # user and system, of ended children

@@ -106,7 +106,10 @@ class RestSurface:
     def factor(self, rest: Array) -> float:
         """The factor 1 + c·S of a rest pose (V, 3)."""
         moved = rest - self.pose
-        strain = float(np.vdot(moved, self.degree[:, None] * moved - self.edges @ moved))
+        return self._factor_of(moved, self.edges @ moved)
+
+    def _factor_of(self, moved: Array, around: Array) -> float:
+        strain = float(np.vdot(moved, self.degree[:, None] * moved - around))
         return 1.0 + _STRENGTH * max(strain, 0.0)
 
     def pulls(self, rest: Array, error: float, importance: Array) -> Array:
@@ -119,7 +122,7 @@ class RestSurface:
         around = np.asarray(self.edges @ moved)
         some = np.maximum(self.degree, 1e-300)[:, None]
         out = np.empty((len(rest), 4))
-        scale = 2.0 * _STRENGTH * error / self.factor(rest)
+        scale = 2.0 * _STRENGTH * error / self._factor_of(moved, around)
         out[:, 0] = scale * self.degree / np.maximum(importance, 1e-6)
         out[:, 1:] = self.pose + 0.5 * (moved + around / some)
         return out
