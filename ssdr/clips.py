@@ -24,7 +24,7 @@ class Clip:
     ----------
     name : str
     start, stop : int
-        First frame, and the frame after the last.
+        Index of the first frame, and of the frame after the last.
     fps : float
         Frames per second.
 

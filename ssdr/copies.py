@@ -27,7 +27,7 @@ def coincident(blocks: Iterable[NDArray[np.floating]], n_vertices: int) -> Rows:
         some = np.flatnonzero(np.bincount(label)[label] > 1)
         if not len(some):
             break
-        # -0.0 equals 0.0, but not its bytes
+        # adding 0.0 makes -0.0 equal to 0.0 in its bytes, too
         paths = np.ascontiguousarray(block[:, some].transpose(1, 0, 2)).reshape(len(some), -1) + 0.0
         rows = paths.view(np.dtype((np.void, paths.dtype.itemsize * paths.shape[1]))).ravel()
         here = np.zeros(n_vertices, dtype=np.intp)

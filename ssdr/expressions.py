@@ -207,7 +207,7 @@ def _start(rest: Array, model: Skinning | None = None) -> Start:
 def _at_rest(model: Skinning, least: float) -> Skinning:
     """Copy of a model whose bones are the identity in the neutral frame.
 
-    So is a bone in every expression in which it moves no vertex by more than `least`.
+    A bone is also the identity in each expression in which it moves no vertex by more than `least`.
     """
     rest = np.asarray(model.rest, dtype=np.float64)
     moves = np.array(model.transforms, dtype=np.float64)

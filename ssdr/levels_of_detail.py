@@ -36,7 +36,7 @@ _TRIALS: dict[Effort, int] = {"fast": 4, "balanced": 48, "best": 160}
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class LevelsOfDetail(Decomposition):
-    """Models with decreasing numbers of bones, each of which has the first bones of the previous.
+    """Models with decreasing numbers of bones, where each has the first bones of the finer ones.
 
     All else is as in :class:`Decomposition`, whose `skinning` and `rmse` are those of the finest
     level.

@@ -90,8 +90,8 @@ def surface_normals(frames: NDArray[np.floating], holders: NormalHolders) -> Arr
     """Unit normals ``(F, N, 3)`` of a surface in F frames ``(F, V, 3)``.
 
     Each is the mean of the normals of the triangles at its corners, weighted by their angles there.
-    Triangles without area do not count.  A normal without any other triangle, or whose sum cancels,
-    is unknown and 0.
+    Triangles without area do not count.  A normal for which none is left, or whose sum cancels, is
+    unknown and 0.
 
     References
     ----------

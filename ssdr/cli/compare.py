@@ -73,7 +73,7 @@ def compare(options: CompareOptions) -> None:
     def drawn(result: Comparison, a: MeshSequence, shots: list[MeshSequence]) -> Comparison:
         """Copy of `result` with the errors of the normals that engines draw.
 
-        Unless B is a skinning with A's triangles, `result` itself.
+        If B is not a skinning with A's triangles, `result` itself is returned.
         """
         if not isinstance(model, Skinning) or model.n_vertices != a.n_vertices:
             return result

@@ -39,7 +39,7 @@ def check_outputs(
     InputError
         If a suffix is unknown, a format can only be read, an option names an unknown suffix, or an
         output is named twice, is an input, lies in a folder that cannot be written to or would
-        replace a file beside it that belongs to another.
+        overwrite a companion file that is not its own.
     MissingDependencyError
         If a format needs a package that is not installed.
     """

@@ -16,7 +16,7 @@ _AXES = "orientations of the joints"
 
 
 def shared_format(source: Path, target: Path) -> Format | None:
-    """Format of both files, or None if it is not the same or cannot be copied with all contents."""
+    """Format that both files have if it can be copied with all contents, otherwise None."""
     format_ = readable_format(source)
     if format_ is None or not format_.has("copy") or format_of(target)[1] is not format_:
         return None
@@ -31,7 +31,7 @@ def options_with_template(
     new_bones: bool,
     clips: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Options of :func:`ssdr.save` for an output, with an input as template if one can be.
+    """Options of :func:`ssdr.save` for an output, with an input as template if one is suitable.
 
     The template is the first input of the output's format that can be one. A warning names the
     contents of the inputs that are not kept; with the option ``strict=true`` there is an error

@@ -32,7 +32,7 @@ _BLOCK = 32 << 20
 _FEWEST = 8  # frames in a block, whatever their size
 # Number of spans: enough for the workers of a cluster, few because each returns sums of (V, 4B).
 _SPANS = 32
-_ROW = 8  # frames in a row, where not all are taken
+_ROW = 8  # frames in a span, where not all frames are covered
 _logger = logging.getLogger(__name__)
 
 

@@ -34,7 +34,7 @@ _BINS = 18001  # of the histogram of angles, each a hundredth of a degree
 def holders_of(
     sequence: MeshSequence, model: MeshSequence | Skinning | None = None
 ) -> NormalHolders:
-    """Normals of a sequence with its hard edges or, if it has no normals, those of a model of it.
+    """Normals of a sequence, with its hard edges or, if it has no normals, those of `model`.
 
     If hard edges are known, copies of a vertex, as there are at seams of UVs, have the same
     normals.  Vertices that coincide in several frames are taken for copies.

@@ -74,8 +74,8 @@ def load(
     up : {"y", "z"}, optional
         Up axis of the result, in place of what the file states. Coordinates stay as they are.
     folder : path, optional
-        Folder below which files to which this one refers may be read, too. By default they must be
-        in or below the folder of this one.
+        Further folder: files in or below it may be read, too, where this file refers to them. By
+        default they must be in or below the folder of this file.
     **options
         Options of the format; the page on formats lists them.
 
@@ -155,7 +155,7 @@ def list_clips(
 def list_meshes(
     path: str | os.PathLike[str], *, folder: str | os.PathLike[str] | None = None
 ) -> tuple[str, ...]:
-    """Names of the meshes of a file, which become one where it is read.
+    """Names of the meshes of a file, which are joined into one when it is read.
 
     The option ``meshes=`` of :func:`load` and :func:`load_skinning` takes one or several of them.
     Formats that have no named meshes list none.
@@ -258,11 +258,11 @@ def save(
     """Write a sequence or a skinning to a file.
 
     It is converted to metres with y up for glTF and FBX, and to the space of a template. The note
-    of the report says what was done and what is not known.
+    of the report says what was converted and what is not known.
 
     A file that exists is overwritten. If writing stops with an error, the old file stays, and no
-    incomplete one is left. If the format cannot hold a
-    skinning, its skinned vertices are written, with the frames of all clips one after the other.
+    incomplete one is left. If the format cannot hold a skinning, its skinned vertices are written,
+    with the frames of all clips one after the other.
 
     Parameters
     ----------

@@ -286,9 +286,10 @@ def build_rig(
 
 
 def _with_inner(rig: Rig, within: NDArray[np.float64]) -> Rig:
-    """Rig with a second joint below each, which rotates by `within` (F, B, 3, 3) and is the bone.
+    """Rig with a second joint below each, which rotates by `within` (F, B, 3, 3).
 
-    The outer joint of a bone is a child of the inner joint of the bone's parent.
+    The second joint moves the vertices.  The first is a child of the second joint of the bone's
+    parent.
     """
     count, above = rig.n_bones, -1 if rig.parents is None else rig.parents
     own = np.arange(count, dtype=np.int32)

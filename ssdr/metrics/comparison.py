@@ -35,8 +35,8 @@ class Comparison(Distances):
     sted : Sted or None
         None if it was not requested.
     normals : NormalErrors or None
-        Errors of the normals that engines draw of a skinning or, if the mesh is none, of its
-        surface normals; None without triangles.
+        Errors of the normals that engines draw if the mesh is a skinning, otherwise of its surface
+        normals; None without triangles.
 
     Examples
     --------

@@ -110,7 +110,7 @@ class Panels:
         return self.rows[-1][0]
 
     def draw(self, frame: int) -> list[Image.Image]:
-        """Draw one frame in the style of each row; one picture per row."""
+        """Draw one frame in the style of each row, and return one picture per row."""
         stages: dict[int, Stage] = {}  # by scene, since all its rows share one
         pictures = []
         for scene, style in self.rows:

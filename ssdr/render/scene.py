@@ -30,8 +30,8 @@ Unit = tuple[str, float]
 Float = NDArray[np.float64]
 
 _SOME_FRAMES = 24  # frames that represent a sequence; fewer may miss motion
-# Share of the errors that a scale holds, less where few are much larger than all others, and an
-# error that float32 rounding alone does not reach, relative to the diagonal or in degrees.
+# Share of the errors that a scale covers (not all, since a few may be much larger than the others),
+# and an error above the rounding of float32, relative to the diagonal or in degrees.
 ERRORS: dict[Style, tuple[float, float]] = {"error": (0.995, 1e-6), "normals": (0.95, 0.1)}
 
 

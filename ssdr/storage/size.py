@@ -15,7 +15,7 @@ from ..skinning import Skinning, check_skinning
 
 __all__ = ["Size", "influence_bytes", "key_bytes", "size", "time_bytes"]
 
-# Float32 numbers: rotation and translation; a scale, too; two rotations, translation, three scales.
+# In float32: rotation and translation; also a scale; two rotations, translation and three scales.
 _KEY_BYTES = {"rigid": 28, "similarity": 32, "affine": 56}
 _TRANSLATION_BYTES = 12
 

@@ -158,7 +158,7 @@ def _armature(context: Any, source: Any, model: dict[str, Any], place: Any) -> A
 
 
 def _heads_and_tails(model: dict[str, Any]) -> tuple[Any, Any]:
-    """Heads and tails (B, 3) of the bones: a joint, and the mean of the child joints if any.
+    """Heads and tails (B, 3) of the bones: the joint, and the mean of its child joints, if any.
 
     Near the direction opposite to the parent's, Blender computes rest matrices that are off from
     rotations by 4e-5; a bone that would point there points exactly the opposite way.

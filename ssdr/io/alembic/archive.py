@@ -70,7 +70,7 @@ class Reader:
         self.meshes.append(self.mesh(mesh, names, above))
 
     def find(self, top: Any) -> Iterator[tuple[list[str], list[tuple[str, Any]], Any]]:
-        """Yield names, transforms above and object of each visible mesh; list the hidden ones."""
+        """Yield names, transforms above and object of visible meshes; add others to `hidden`."""
         waiting: list[Any] = [(top, [], [], False)]
         while waiting:
             item, names, chain, hidden = waiting.pop()

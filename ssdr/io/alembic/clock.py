@@ -90,7 +90,7 @@ def choose_frames(clocks: Iterable[NDArray[np.float64]], fps: float | None) -> F
 
 
 def usual_rate(rate: float) -> float:
-    """`rate` rounded to a whole or television rate (30 / 1.001), if it is equal up to rounding."""
+    """`rate` without its rounding, if it is close to a whole or television rate (30 / 1.001)."""
     usual = (float(round(rate)), round(rate * 1.001) / 1.001)
     return next((one for one in usual if one and abs(one - rate) < 1e-7 * one), rate)
 

@@ -44,7 +44,7 @@ class Track:
         return len(self.values) > 1
 
     def at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Values (F, ...) at `times` (F,) in seconds; a time within 0.1 ms of a sample gets its."""
+        """Values (F, ...) at `times` (F,) in seconds; within 0.1 ms of a sample, its own value."""
         values, exact = self.values, np.float64
         if not self.moves:
             return np.broadcast_to(values[0].astype(exact), (len(times), *values.shape[1:]))

@@ -43,7 +43,7 @@ def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:
 
 
 def _write(library: Any, sequence: MeshSequence, path: Path, error: StorageError) -> None:
-    """Write to `path`; the file is complete once all objects of the library are gone."""
+    """Write to `path`; the file is complete once all objects of the library are deleted."""
     import imath
 
     abc, geometry = library.Abc, library.AbcGeom

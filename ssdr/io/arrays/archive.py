@@ -208,7 +208,7 @@ def _read(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> NDArray[Any]:
     with archive.open(info) as member:
         array = _npy.read_array(member, allow_pickle=False, max_header_size=_MOST_HEADER)
         member.read(1)  # the checksum is compared at the end of the member
-    return np.ascontiguousarray(array).reshape(array.shape)  # which had made a scalar a vector
+    return np.ascontiguousarray(array).reshape(array.shape)  # the call makes a scalar a vector
 
 
 def _map(path: Path, stream: IO[bytes], info: zipfile.ZipInfo, header: _Header) -> NDArray[Any]:

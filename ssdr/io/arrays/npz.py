@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-# Of the arrays' names and meaning; raised when an old reader would misread.  Shapes are new in 3,
-# and files without them stay 2.
+# Of the arrays' names and meaning; raised when old readers would misread a file.  Version 3 has
+# shapes; files without shapes have version 2.
 FORMAT_VERSION = 3
 _SURFACE = (
     *("surface_uv", "surface_normals", "surface_material_index", "materials", "texture_*"),

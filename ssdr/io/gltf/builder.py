@@ -106,7 +106,7 @@ class Builder:
         return len(accessors) - 1
 
     def displaced(self, arrays: NDArray[Any], use: str) -> list[int]:
-        """Add accessors of the displacements of attribute `use` in morph targets; return indices.
+        """Add accessors for what morph targets add to the attribute `use`; return their indices.
 
         An accessor is sparse where that takes fewer bytes. All sparse ones share two buffer views,
         since the JSON of a separate view is larger than the data of many targets.

@@ -214,7 +214,7 @@ def fetch_order(corners: Corners, groups: NDArray[np.integer]) -> tuple[Corners,
 def steady_slots(rig: Rig, vertex: NDArray[np.integer]) -> tuple[NDArray[Any], NDArray[Any]]:
     """Indices and weights (N, K) of the vertices `vertex`, in an order that compresses well.
 
-    A bone that moves two consecutive vertices has the same column at both.
+    A bone that moves two consecutive vertices has the same column in both rows.
     """
     indices, weights = rig.indices[vertex].tolist(), rig.weights[vertex].tolist()
     last: list[int] = [-1] * rig.indices.shape[1]

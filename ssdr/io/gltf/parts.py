@@ -291,7 +291,7 @@ def read_parts(
 
 
 class JointPoints(PrimitiveGroup):
-    """Point cloud in place of the mesh of a file without one, with a vertex at each moving node.
+    """Point cloud for a file without a mesh, with a vertex at each moving node.
 
     Moving nodes are those that one of the `clips` moves, and all nodes below them. The rest pose is
     that of the file without an animation.

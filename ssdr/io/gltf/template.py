@@ -209,7 +209,7 @@ class Template:
     def _put_clips(self, rig: Rig, title: str, first: int) -> None:
         """Add the keys of each clip to the file's animation of its name, or to a new animation.
 
-        A clip begins at 0 s, unless the animation has other tracks left: then it begins as before.
+        A clip begins at 0 s, unless the animation has other tracks left: then it keeps its start.
         """
         animations = self.json.setdefault("animations", [])
         for clip in rig.clips:

@@ -125,10 +125,10 @@ def put(
 
 
 def _scope(prims: list[Any]) -> Any:
-    """Prim above all `prims` that is, or can become, their SkelRoot, or None if there is none.
+    """Prim above all `prims` that is or can become their SkelRoot; None if there is no such prim.
 
-    It is the lowest common ancestor that is a SkelRoot; without one, the lowest that can become
-    one.
+    It is the lowest common ancestor that is a SkelRoot or, if there is none, the lowest that can
+    become one.
     """
     common = prims[0].GetPath().GetParentPath()
     for prim in prims[1:]:
