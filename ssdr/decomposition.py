@@ -48,7 +48,8 @@ def decompose(
 
     Minimises Σ_t Σ_i |v_i^t − Σ_j w_ij (R_j^t p_i + T_j^t)|² over rest pose p,
     weights w (w >= 0, Σ_j w_ij = 1, at most K of them per vertex) and bones (R, T),
-    rigid unless `bone_model` says otherwise.
+    rigid unless `bone_model` says otherwise; by default with terms that keep the rest pose a
+    surface (`rest_pose`) and fit the normals (`normals`).
 
     Parameters
     ----------
@@ -111,7 +112,9 @@ def decompose(
         complete or not at all.  It is an ordinary model, which `start` and every command accept.
         While frames are streamed, it has only the frames that have been read.
     callback : callable, optional
-        Called with a :class:`Progress` after every step; the run stops if it returns True.
+        Called with a :class:`Progress` after every step; the run stops if it returns True, with
+        the best model so far, whose rest pose may still have folds.  An exception that it raises,
+        like a KeyboardInterrupt, ends the call without a result, but for the checkpoint.
 
     Returns
     -------

@@ -46,7 +46,7 @@ CHANGES: tuple[Change, ...] = (exchange_bones, alternate_some, exchange_influenc
 def merge(d: Descent, *, steps: int = 3, alternations: int = 4) -> Iterator[None]:
     """Remove the bones in excess of `d.bones`, a third of them in each step, and alternate.
 
-    The cheapest bones go first: those whose removal raises the objective least.  `steps` only
+    The cheapest bones go first: those whose removal raises the squared error least.  `steps` only
     estimates how many steps this takes, for 1.6 times `d.bones` bones.
     """
     while d.model.n_bones > d.bones:

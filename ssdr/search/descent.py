@@ -4,6 +4,9 @@ A step is a function of a descent, such as :func:`~ssdr.search.steps.polish`, an
 function that calls steps one after another.  The next step starts from the present model, which may
 have more bones, more influences or, after a change, more error than the best model.  The latter has
 exactly the requested number of bones.
+
+:meth:`Descent.follow` runs a schedule twice, first to add up the work of its steps for the estimate
+of the time left.  What a schedule does outside steps must not touch the model then.
 """
 
 from __future__ import annotations
@@ -55,8 +58,8 @@ class Work:
     done, expected : float
         Work done so far and work of the whole schedule, in units of one alternation.
     plan : list of (phase, number of steps) or None
-        Steps of the schedule, collected while it is only planned and steps change nothing; None
-        while it is followed.
+        While not None, the schedule runs only to list its steps: no step changes anything, and
+        there may be no model.
     report : callable or None
         Called with the phase after each step.
     """

@@ -1,7 +1,7 @@
 """Changes of a model that lead out of a poor minimum: bones and influences added, moved, removed.
 
 A change returns a changed copy of the model; the caller keeps it if its objective is lower.  The
-cheapest bones are those whose removal raises the objective least.
+cheapest bones are those whose removal raises the squared error least.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def merge_bones(
 ) -> Model:
     """Remove the cheapest third of the bones in excess of `bones` from a copy, then alternate.
 
-    The cheapest bones are those whose removal raises the objective least.
+    The cheapest bones are those whose removal raises the squared error least.
     """
     excess = model.n_bones - bones
     cost = _removal_costs(data, model, locked)
@@ -90,9 +90,9 @@ def move_cheapest_bone(
 ) -> Model | None:
     """Move one of the cheapest bones to the patch with most error.
 
-    The cheapest bones are those whose removal raises the objective least.  The moved bone is fitted
-    by Kabsch to a patch of V/(2B) vertices, for V vertices and B bones.  Returns None if no bone
-    can move or no error is left.
+    The cheapest bones are those whose removal raises the squared error least.  The moved bone is
+    fitted by Kabsch to a patch of V/(2B) vertices, for V vertices and B bones.  Returns None if no
+    bone can move or no error is left.
     """
     if not float(data.importance @ model.error) > 0:
         return None
@@ -137,9 +137,9 @@ def exchange_bones(
 ) -> Model:
     """Add one or two bones, polish, then remove the same number of the cheapest bones.
 
-    The cheapest bones, whose removal raises the objective least, are chosen only after the polish,
-    when the new bones have taken over vertices from the old ones.  Until then each vertex has one
-    more influence, so that it can follow both an old and a new bone.
+    The cheapest bones, whose removal raises the squared error least, are chosen only after the
+    polish, when the new bones have taken over vertices from the old ones.  Until then each vertex
+    has one more influence, so that it can follow both an old and a new bone.
     """
     k, _, steps = _draw_influences(model, rng)
     count = int(rng.integers(1, _MOST_EXCHANGED + 1))
@@ -357,7 +357,7 @@ def _with_patch(
 
 
 def _removal_costs(data: Trajectories, model: Model, locked: Locked) -> Array:
-    """Rise (B,) of the objective by the removal of each bone alone; inf if it has to stay."""
+    """Rise (B,) of the squared error by the removal of each bone alone; inf if it has to stay."""
     cost = bone_costs(data, model)
     # all bones up to the last locked one stay, since locked bones are known by their index
     cost[: len(locked.bones)] = np.inf

@@ -84,10 +84,11 @@ def polish(d: Descent, *, steps: int, gain: float = 0.0) -> Iterator[None]:
 
 @step("relax", cost=40)
 def relax(d: Descent, *, steps: int = 4, polish_steps: int = 8) -> Iterator[None]:
-    """Polish with up to `steps` additional influences per vertex, and drop one at a time.
+    """Widen to K + `steps` influences per vertex; polish, then drop the smallest, down to K.
 
-    There are `polish_steps` polish steps at each number of influences.  The number is at most
-    doubled, since a polish holds (K + 2)² floats per vertex for K influences.
+    A vertex can so exchange its influences for others, which steps at K influences cannot do.
+    There are `polish_steps` polish steps at each number of influences, which is at most 2 K, since
+    a polish holds (K + 2)² floats per vertex.
     """
     k = d.influences
     model = d.model.with_influences(min(2 * k, k + steps, d.model.n_bones))

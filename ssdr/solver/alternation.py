@@ -37,8 +37,8 @@ def repeat_alternation(
 ) -> None:
     """Take `count` alternations of bones, weights and rest pose (in place).
 
-    The error never increases, except when a vertex's influences are reduced to K: that keeps the
-    largest weights, even if other bones would fit better (Le and Deng 2012, section 3).
+    The objective never increases, except when a vertex's influences are reduced to K: that keeps
+    the largest weights, even if other bones would fit better (Le and Deng 2012, section 3).
     """
     penalty, pull, stiff = 0.0, None, None
     for _ in range(count):

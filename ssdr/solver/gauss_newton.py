@@ -1,12 +1,13 @@
 """Gauss–Newton on the bones, with weights and rest pose projected out.
 
-With E the objective and v the unknowns of the vertices (weights and rest pose), the bones M are
-to minimise φ(M), the minimum of E(M, v) over v.  In unknowns x that move the bones (see
+With Q the squared error and the terms of rest pose and normals, and v the unknowns of the vertices
+(weights and rest pose), the bones M are to minimise φ(M), the minimum of Q(M, v) over v; the term
+of the joints is added.  In unknowns x that move the bones (see
 :mod:`~ssdr.solver.tangents`), a step solves
 
     [Jᵀ (H_mm − H_mv H_vv⁻¹ H_vm) J + λD] x = −Jᵀ ∇φ
 
-by conjugate gradients.  H is the Gauss–Newton Hessian of E in the stacked transforms m and in v,
+by conjugate gradients.  H is the Gauss–Newton Hessian of Q in the stacked transforms m and in v,
 and J = ∂m/∂x is the derivative that `Tangent.image` applies.  λ is the damping, and D is its scale
 for each unknown, which the tangent defines.
 

@@ -9,14 +9,23 @@ u_i is the importance of vertex i and s_t² the importance of frame t.  S is the
 pose (:mod:`~ssdr.solver.rest_surface`); its factor is 1 if the rest pose is free or given.  N is
 the error of the normals as engines draw them: rest normals n_i, rotated by the blended matrices.
 Its factor is 1 until a solve includes normals, near its end.  All are factors, since then a change
-of one counts as much as the same relative change of another, whatever the data; the quotient
-E/(ν + N) is the square of the length at which a unit of error of a normal counts as one of a
-position.  The smoothness (:class:`WeightSmoothness`) is 0 unless requested.  Here it counts as a
-part of the error E, and so does the constant `slack` of the trajectories, which is positive only if
-errors far below a tolerance are worth nothing.
+of one counts as much as the same relative change of another, whatever the data.  The smoothness
+(:class:`WeightSmoothness`) is 0 unless requested.  The first bracket is 1 unless ``rig="rigid"``
+has to find the joints; d_j is the distance of joint j from where the skin of its two bones meets.
+Below, E includes the smoothness and the constant `slack` of the trajectories, which is positive
+only if errors far below a tolerance are worth nothing.
 
-The first bracket is 1 unless a tree with rigid joints was requested; d_j is the distance of joint j
-from where the skin of its two bones meets.
+A step does not minimise the product itself: around the present model, each factor 1 + x becomes a
+quadratic term of strength E/(1 + x) beside the error.  Every function that gives such a term, and
+where the term enters:
+
+    term        function                 vertex step          bone step       polish
+    normals     normal_length            a second point       a second point  the same
+    rest pose   rest_pulls               a pull on p_i        -               through the vertices
+    smoothness  WeightSmoothness.terms   a pull on w_i        -               ignored
+    joints      Objective.joint_penalty  -                    -               bones
+
+The length at which a normal counts as a point is √(E / (F V (ν + N))).
 
 Motion often hardly determines a joint: if a leg swings in a plane, the hip could lie anywhere on a
 line, and a wrong place adds almost no error.  There the skin decides.  The penalty is a factor of
@@ -168,8 +177,9 @@ class Objective:
 class JointPenalty:
     """Quadratic approximation of the joint penalty around a model.
 
-    If joints move by δ_j, the objective is to second order, up to a constant, `factor` times
-    (squared error, with the terms of rest pose and normals, + Σ_j stiffness_j |offset_j + δ_j|²).
+    If joints move by δ_j, the objective is to second order, up to a constant,
+    factor · (Q + Σ_j stiffness_j |offset_j + δ_j|²), where Q is the squared error with the terms of
+    rest pose and normals.
     The points where skin meets are treated as constant.
 
     Attributes
@@ -205,7 +215,7 @@ def normal_length(data: Trajectories, model: Model, penalty: float = 0.0) -> flo
 def rest_pulls(data: Trajectories, model: Model, locked: Locked, penalty: float = 0.0) -> Array:
     """Pulls (V, 4) on the rest positions towards the surface, as of ``RestSurface.pulls``.
 
-    They are 0 without a surface, for a locked rest pose, and for a start, which has no errors yet.
+    They are 0 if the rest pose is free or locked, and for a start, which has no errors yet.
     `penalty` is what the objective adds to the error.
     """
     known = np.isfinite(model.error).all()  # a start has no error yet

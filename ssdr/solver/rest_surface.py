@@ -115,8 +115,8 @@ class RestSurface:
     def pulls(self, rest: Array, error: float, importance: Array) -> Array:
         """Pulls (V, 4) at a rest pose: stiffness μ and target m of the terms μ |p_i − m|².
 
-        `error` is the squared error of the model.  A term adds to the squared error of its vertex
-        before the sum is multiplied by the vertex's `importance` (V,).
+        `error` is the squared error of the model.  The stiffness is divided by the `importance`
+        (V,), since a term is added to its vertex's error before importance multiplies the sum.
         """
         moved = rest - self.pose
         around = np.asarray(self.edges @ moved)

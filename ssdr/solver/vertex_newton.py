@@ -37,7 +37,7 @@ class VertexSystem:
     inverse : (V, D, D) float64
         Inverse of each vertex's Gauss–Newton matrix.
     gradient : (V, D) float64
-        Half gradient of each vertex's squared error.
+        Half gradient of each vertex's squared error with the terms of rest pose and normals.
     length : float
         Length of a normal treated as a point.
     """
@@ -54,7 +54,7 @@ def optimise_vertices(
 ) -> VertexSystem:
     """Optimise weights and rest pose under the model's transforms (in place).
 
-    No vertex's error rises.
+    No vertex's error rises, counted with its normal and the pull on its rest position.
 
     Parameters
     ----------

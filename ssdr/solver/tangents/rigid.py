@@ -31,7 +31,11 @@ _GROUPS = 32  # most factors
 
 
 class RigidTangent(Tangent):
-    """Unknowns x (F, B, 6): (ω, τ) of each bone, which change M by δM = M [[ω]× τ; 0 0]."""
+    """Unknowns x (F, B, 6): (ω, τ) of each bone, which change M by δM = M [[ω]× τ; 0 0].
+
+    A subclass with other constant `generators` is possible for transforms that such a change does
+    not lead out of; others need a :class:`Tangent` of their own.
+    """
 
     precision: type[np.floating[Any]] = np.float32
     generators = GENERATORS  # (4, 3, n) for the n unknowns of a bone
