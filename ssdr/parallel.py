@@ -97,7 +97,7 @@ def run_chunks(function: Callable[..., Any], bounds: list[tuple[int, int]]) -> l
     >>> ssdr.parallel.run_chunks(lambda chunk, start, stop: sum(range(start, stop)), bounds)
     [6, 22, 17]
     """
-    threads = min(get_threads(), len(bounds))
+    threads = min(get_threads(), len(bounds)) if len(bounds) > 1 else 1
     if threads <= 1:
         return [function(k, start, stop) for k, (start, stop) in enumerate(bounds)]
     pool = _shared_pool()
