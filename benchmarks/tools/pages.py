@@ -143,6 +143,13 @@ def fewest_rows() -> list[Row]:
     return found
 
 
+def ea_bone_rows() -> Iterable[Row]:
+    """Models of ea_bone with four influences and with eight, by their bytes."""
+    found = json.loads((RESULTS / "shapes.json").read_text())
+    both = [r | {"K": k} for k, name in ((4, "bytes"), (8, "eight")) for r in found.get(name, ())]
+    return sorted(both, key=lambda r: r["bytes"])
+
+
 def part_rows(step: str) -> list[Row]:
     """Milliseconds of each part of a step by case, with the part's bound."""
     found = [
@@ -307,6 +314,11 @@ BLOCKS: dict[str, list[str | Callable[[], str]]] = {
         "bones, influences ": "{bytes[bones]}, {bytes[influences]}", "shapes": "{shapes}",
         "fewest bytes": "{bytes[bytes]:,}", "ratio": "{ratio:.2f}",
         "CPU s ": "{bytes[cpu_s]:.1f}",
+    })],
+    "ea_bone_bytes": [Table(ea_bone_rows, {
+        "model": "{what}", "influences": "{K}", "bytes": "{bytes:,}", "E": "{E:.3f}",
+        "E of the file": "{E_of_file:.3f}", "between frames": "{E_between_frames:.2f}",
+        "drawn normals": "{normals:.2f}°", "CPU s": "{cpu_s:.1f}",
     })],
     "first_call": [
         "Seconds; dancer_small, 12 bones, effort fast.",
