@@ -18,7 +18,7 @@ from ssdr.problem.problem import Initial
 from ssdr.search.descent import Descent, Schedule
 from ssdr.search.starts import start
 from ssdr.search.steps import alternate
-from ssdr.solver.model import Locked, Model
+from ssdr.solver.model import Constraints, Model
 from ssdr.solver.trajectories import Trajectories
 
 
@@ -49,7 +49,7 @@ def descent_of(
     bones: int,
     influences: int = 4,
     *,
-    locked: Locked | None = None,
+    constraints: Constraints | None = None,
     initial: Initial | None = None,
 ) -> Descent:
     """A descent that has not begun."""
@@ -58,7 +58,7 @@ def descent_of(
         bones=bones,
         influences=influences,
         rng=np.random.default_rng(0),
-        locked=locked or Locked(),
+        constraints=constraints or Constraints(),
         initial=initial or Initial(),
     )
 

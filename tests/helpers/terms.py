@@ -10,7 +10,7 @@ import ssdr
 from helpers import motions, naive
 from ssdr.solver import objective, rest_surface
 from ssdr.solver.alternation import bone_step, vertex_step
-from ssdr.solver.model import FREE, Locked, Model
+from ssdr.solver.model import FREE, Constraints, Model
 from ssdr.solver.rest_normals import with_rest_normals
 from ssdr.solver.rest_surface import RestSurface
 from ssdr.solver.trajectories import Trajectories, gather
@@ -79,7 +79,7 @@ class Case:
     normals: bool = True
     compressed: bool = False
     counts: str = "equal"
-    locked: Locked = FREE
+    constraints: Constraints = FREE
 
 
 def problem(

@@ -15,7 +15,7 @@ from ssdr.hierarchy.tree import Tree
 from ssdr.joints.placement import snap_to_joints
 from ssdr.solver.alternation import vertex_step
 from ssdr.solver.gauss_newton import GaussNewton
-from ssdr.solver.model import FREE, Locked, Model
+from ssdr.solver.model import FREE, Constraints, Model
 from ssdr.solver.objective import normal_length, rest_pulls
 from ssdr.solver.rest_normals import with_rest_normals
 from ssdr.solver.rest_surface import RestSurface
@@ -29,14 +29,14 @@ _TURNS = Rotation.random(12, rng=np.random.default_rng(8)).as_matrix().reshape(4
 _TURNS[:, 2] = np.nan
 CASES = {
     "free": FREE,
-    "rest": Locked(rest=True),
-    "weights": Locked(weights=_SOME),
-    "all weights": Locked(weights=_ALL),
-    "rest and weights": Locked(rest=True, weights=_ALL),
-    "bones": Locked(bones=np.array([False, True, False])),
-    "joints": Locked(joints=True),
-    "motion alone": Locked(rest=True, weights=_ALL, joints=True),
-    "locked": Locked(rotations=_TURNS),
+    "rest": Constraints(rest=True),
+    "weights": Constraints(weights=_SOME),
+    "all weights": Constraints(weights=_ALL),
+    "rest and weights": Constraints(rest=True, weights=_ALL),
+    "bones": Constraints(bones=np.array([False, True, False])),
+    "joints": Constraints(joints=True),
+    "motion alone": Constraints(rest=True, weights=_ALL, joints=True),
+    "locked": Constraints(rotations=_TURNS),
 }
 KINDS = {"rigid": 6, "similarity": 7, "affine": 12}  # unknowns of a bone
 TREES = {"tree": [1, -1, 1], "forest": [-1, 0, -1], "roots alone": [-1, -1, -1]}
@@ -74,12 +74,12 @@ class Tiny:
         start[..., 3] += 0.05 * rng.standard_normal(start[..., 3].shape)
         self.model = Model.with_weights(start, inner, indices, weights, self.k)
         model_of = "rigid" if tree else kind
-        self.locked = dataclasses.replace(CASES[case], bone_model=model_of)  # type: ignore[arg-type]
-        vertex_step(self.data, self.model, locked=self.locked)
+        self.constraints = dataclasses.replace(CASES[case], bone_model=model_of)  # type: ignore[arg-type]
+        vertex_step(self.data, self.model, constraints=self.constraints)
         if tree:
             points = np.random.default_rng(5).normal(size=(3, 3))
             self.model.tree = Tree(np.array(tree, dtype=np.int64), points, rigid=False)
-            snap_to_joints(self.data, self.model, self.locked)
+            snap_to_joints(self.data, self.model, self.constraints)
         if "surface" in more:
             pose = inner + 0.3 * rng.standard_normal(inner.shape)
             surface = RestSurface.build(self.data, pose)
@@ -95,7 +95,7 @@ class Tiny:
 
     def gauss_newton(self, **options: object) -> GaussNewton:
         """Gauss–Newton whose conjugate gradients go on until they are exact."""
-        newton = GaussNewton(self.data, self.model, locked=self.locked, **options)  # type: ignore[arg-type]
+        newton = GaussNewton(self.data, self.model, constraints=self.constraints, **options)  # type: ignore[arg-type]
         newton.tangent.conjugate_steps = 3000
         return newton
 
@@ -105,7 +105,7 @@ class Tiny:
         tree = self.model.tree
         if tree is None:
             return self.frames * self.bones * KINDS[self.kind]
-        joints = 0 if self.locked.joints else len(tree.non_roots)
+        joints = 0 if self.constraints.joints else len(tree.non_roots)
         return 3 * (self.frames * (self.bones + len(tree.roots)) + joints)
 
     def shaped(self, x: np.ndarray) -> np.ndarray:
@@ -133,11 +133,11 @@ class Tiny:
         points = tree.points.copy()
         size = 3 * (self.bones + len(tree.roots))
         of_frames = x[: self.frames * size].reshape(self.frames, size)
-        if not self.locked.joints:
+        if not self.constraints.joints:
             points[tree.non_roots] += x[self.frames * size :].reshape(-1, 3)
         turns = _rotations(of_frames[:, : 3 * self.bones].reshape(self.frames, self.bones, 3))
         shifts = of_frames[:, 3 * self.bones :].reshape(self.frames, -1, 3)
-        kept = {j: turn for j, _, turn in self.locked.joint_rotations(tree)}
+        kept = {j: turn for j, _, turn in self.constraints.joint_rotations(tree)}
         for j in parents_first(tree.parents):
             k = tree.parents[j]
             old = out[:, j, :, :3].copy()
@@ -152,12 +152,12 @@ class Tiny:
 
     def freedoms(self) -> list[tuple[int, int]]:
         """(vertex, variable): weights of the support but the first, rest position, normal."""
-        keep = self.locked.vertex_mask(self.n)
+        keep = self.constraints.vertex_mask(self.n)
         out = []
         for i in range(self.n):
             used = int((self.model.weights[i] > 0).sum())
             out += [(i, q) for q in range(1, used) if not keep[i]]
-            if not self.locked.rest:
+            if not self.constraints.rest:
                 out += [(i, -c) for c in (3, 2, 1)]
             if self.data.normals is not None:
                 out += [(i, -c) for c in (6, 5, 4)]
@@ -183,7 +183,7 @@ class Tiny:
             gaps.append(length * (turned - self.truth))
         root = np.sqrt(self.data.importance)[:, None]
         rows = [root * gap * self.data.frame_scale[:, None, None] for gap in gaps]
-        pulls = rest_pulls(self.data, self.model, self.locked)
+        pulls = rest_pulls(self.data, self.model, self.constraints)
         rows.append((root * np.sqrt(pulls[:, :1]) * (rest - pulls[:, 1:]))[None])
         return np.concatenate(rows).ravel()
 
@@ -201,8 +201,8 @@ class Tiny:
         """Which unknowns are not of a locked bone."""
         if self.model.tree is not None:
             return np.ones(self.unknowns, dtype=bool)
-        locked = np.repeat(self.locked.bone_mask(self.bones), KINDS[self.kind])
-        return ~np.tile(locked, self.frames)
+        constraints = np.repeat(self.constraints.bone_mask(self.bones), KINDS[self.kind])
+        return ~np.tile(constraints, self.frames)
 
 
 def _rotations(vectors: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ import ssdr
 from ssdr.hierarchy.tree import Tree
 from ssdr.joints.mirror import find_mirror, mirrored_edges, side_names
 from ssdr.search.tree_moves import mirror_edge
-from ssdr.solver.model import Locked, Model
+from ssdr.solver.model import Constraints, Model
 from ssdr.solver.trajectories import gather
 
 # A trunk, two arms of two bones, a head; bones of the right (x < 0) come first.
@@ -149,7 +149,8 @@ def test_a_joint_of_one_side_gets_its_image_on_the_other():
     wrong[4] = 0  # the left hand hangs on the trunk
     model.tree = Tree(wrong, scale * np.asarray(figure.joint_positions, np.float64), rigid=False)
     tried = [
-        mirror_edge(data, model, np.random.default_rng(k), Locked()).tree.parents for k in range(6)
+        mirror_edge(data, model, np.random.default_rng(k), Constraints()).tree.parents
+        for k in range(6)
     ]
     good = [
         {frozenset(e) for e in enumerate(p.tolist()) if e[1] >= 0}

@@ -8,13 +8,13 @@ import pytest
 import ssdr
 from helpers.measures import rmse_of, solved, wavy
 from ssdr.parsimony.pruning import FewerInfluences
-from ssdr.solver.model import Locked
+from ssdr.solver.model import Constraints
 from ssdr.solver.trajectories import gather
 
 
 def test_dropped_influences_cost_what_is_said() -> None:
     data = gather([ssdr.MeshSequence(wavy())], bones=5)
-    nested = FewerInfluences(data, solved(data, 5), Locked())
+    nested = FewerInfluences(data, solved(data, 5), Constraints())
     assert (np.diff(nested.counts, axis=0) <= 0).all()
     assert (nested.counts[-1] == 1).all()
     assert (np.diff(nested.errors.sum(axis=1)) > 0).all()

@@ -25,7 +25,7 @@ from ssdr.search.moves import (
     move_cheapest_bone,
     polish_steps,
 )
-from ssdr.solver.model import FREE, Locked, Model
+from ssdr.solver.model import FREE, Constraints, Model
 from ssdr.solver.trajectories import Trajectories, gather
 
 
@@ -36,7 +36,7 @@ def test_one_bone_more_never_fits_worse(seed: int, bones: int, influences: int) 
     frames = rng.standard_normal((5, 30, 3)) + 2 * rng.standard_normal((1, 30, 3))
     data = gather([ssdr.MeshSequence(frames)], bones=8)
     model = solved(data, bones, influences)
-    grown = add_bone(data, model, alternations=2, locked=Locked())
+    grown = add_bone(data, model, alternations=2, constraints=Constraints())
     assert grown.n_bones == bones + 1
     assert grown.n_influences == model.n_influences
     assert grown.weighted_error(data) <= model.weighted_error(data)
@@ -47,7 +47,7 @@ def test_one_bone_more_never_fits_worse(seed: int, bones: int, influences: int) 
     assert measured == pytest.approx(said, rel=1e-6, abs=1e-9)
 
 
-Change = Callable[[Trajectories, Model, np.random.Generator, Locked], Model]
+Change = Callable[[Trajectories, Model, np.random.Generator, Constraints], Model]
 
 
 @pytest.mark.parametrize("count", [INFLUENCES, INFLUENCES + 1, 15])
@@ -77,10 +77,10 @@ def test_fewer_influences_keep_the_largest() -> None:
 
 
 def relax(
-    data: Trajectories, model: Model, locked: Locked, *, extra: int, steps: int
+    data: Trajectories, model: Model, constraints: Constraints, *, extra: int, steps: int
 ) -> tuple[Model, int]:
     """A relaxed copy, and the number of steps."""
-    d = descent_of(data, BONES, INFLUENCES, locked=locked)
+    d = descent_of(data, BONES, INFLUENCES, constraints=constraints)
     d.model = model.copy()
     phases: list[str] = []
     d.follow(partial(search_steps.relax, steps=extra, polish_steps=steps), phases.append)
@@ -106,8 +106,8 @@ def test_relaxing_leaves_locked_weights_and_bones_alone() -> None:
     data, model = problem(2)
     keep = np.zeros(90, dtype=bool)
     keep[::3] = True
-    locked = Locked(weights=keep, bones=np.arange(BONES) < 2)
-    relaxed, _ = relax(data, model, locked, extra=2, steps=2)
+    constraints = Constraints(weights=keep, bones=np.arange(BONES) < 2)
+    relaxed, _ = relax(data, model, constraints, extra=2, steps=2)
     assert np.array_equal(relaxed.indices[keep], model.indices[keep])
     assert np.array_equal(relaxed.weights[keep], model.weights[keep])
     assert np.array_equal(relaxed.transforms[:, :2], model.transforms[:, :2])
@@ -126,8 +126,10 @@ def test_relaxing_finds_what_the_polish_alone_does_not() -> None:
     assert np.median(gains) < 0.9
 
 
-def rebuild(data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked) -> Model:
-    return add_and_merge_bones(data, model, rng, locked, alternations=3)
+def rebuild(
+    data: Trajectories, model: Model, rng: np.random.Generator, constraints: Constraints
+) -> Model:
+    return add_and_merge_bones(data, model, rng, constraints, alternations=3)
 
 
 CHANGES = (exchange_bones, alternate_some, exchange_influences, rebuild)
@@ -154,8 +156,8 @@ def test_changes_leave_locked_weights_and_bones_alone(change: Change) -> None:
     data, model = problem(2)
     keep = np.zeros(90, dtype=bool)
     keep[::3] = True
-    locked = Locked(weights=keep, bones=np.arange(BONES) < 2)
-    changed = change(data, model, np.random.default_rng(0), locked)
+    constraints = Constraints(weights=keep, bones=np.arange(BONES) < 2)
+    changed = change(data, model, np.random.default_rng(0), constraints)
     assert np.array_equal(changed.transforms[:, :2], model.transforms[:, :2])
     for i in np.flatnonzero(keep):
         was, now = np.zeros(BONES), np.zeros(BONES)

@@ -14,7 +14,7 @@ from ssdr.problem.problem import Initial
 from ssdr.search.passes import AllFrames, carried
 from ssdr.solver.alternation import bone_step, vertex_step
 from ssdr.solver.initialization import start_model
-from ssdr.solver.model import Locked, Model
+from ssdr.solver.model import Constraints, Model
 from ssdr.solver.rest_normals import with_rest_normals
 from ssdr.solver.rest_surface import RestSurface
 from ssdr.solver.trajectories import gather
@@ -34,7 +34,7 @@ def test_a_pass_is_one_exact_alternation() -> None:
     model = start_model(data, data.frame(0), 4, 4, np.random.default_rng(0))
     vertex_step(data, model)
     passes = AllFrames(
-        sequences, found, data, model, locked=Locked(), initial=Initial(), importance=None
+        sequences, found, data, model, constraints=Constraints(), initial=Initial(), importance=None
     )
     values = [passes.pass_over(entering=3) for _ in range(3)]
     assert values == sorted(values, reverse=True)
@@ -58,7 +58,13 @@ def test_a_pass_knows_the_strain_of_the_rest_pose_and_the_error_of_normals() -> 
     vertex_step(data, model)
     model = with_rest_normals(data, model)
     passes = AllFrames(
-        sequences, found, data, model, locked=Locked(), initial=Initial(), importance=counts
+        sequences,
+        found,
+        data,
+        model,
+        constraints=Constraints(),
+        initial=Initial(),
+        importance=counts,
     )
     values = [passes.pass_over(entering=3) for _ in range(4)]
     assert values[1:] == sorted(values[1:], reverse=True)
@@ -93,7 +99,13 @@ def test_passes_end_when_one_gains_little_and_one_that_raises_the_objective_is_t
         ([9.0, 8.0, 7.0, 6.0], 4),
     ):
         passes = AllFrames(
-            sequences, found, data, model, locked=Locked(), initial=Initial(), importance=None
+            sequences,
+            found,
+            data,
+            model,
+            constraints=Constraints(),
+            initial=Initial(),
+            importance=None,
         )
         assert list(passes.improve(4, entering=3)) == values[:kept]
         assert (passes.model.rest == kept).all()
@@ -107,8 +119,8 @@ def test_of_bones_to_start_from_only_locked_ones_or_all_of_a_model_are_given_aga
     model = start_model(data, data.frame(0), 4, 2, np.random.default_rng(0))
     own = np.random.default_rng(1).standard_normal((20, 3, 3, 4))
     nearest = np.arange(20) % 12
-    locked = Locked(bones=np.array([False, True, False]))
-    moved = carried(model, nearest, 0.5, Initial(transforms=own, is_model=free), locked)
+    constraints = Constraints(bones=np.array([False, True, False]))
+    moved = carried(model, nearest, 0.5, Initial(transforms=own, is_model=free), constraints)
     np.testing.assert_array_equal(moved.rest, 0.5 * model.rest)
     kept = [0, 1, 2] if free else [1]
     np.testing.assert_array_equal(moved.transforms[:, kept], own[:, kept])
@@ -129,7 +141,7 @@ def test_rotations_leap_to_where_they_belong() -> None:
         start = np.repeat(exact[:1], 60, axis=0)
         model = Model.start(start, rest, rig.indices[:, 0], rig.indices.shape[1])
         model.indices[:], model.weights[:] = rig.indices, rig.weights
-        bone_step(data, model, sweeps=sweeps, locked=Locked(), leaps=leaps)
+        bone_step(data, model, sweeps=sweeps, constraints=Constraints(), leaps=leaps)
         r = model.transforms[..., :3]
         np.testing.assert_allclose(np.linalg.det(r), 1.0, atol=1e-9)
         np.testing.assert_allclose(

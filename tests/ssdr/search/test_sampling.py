@@ -14,7 +14,7 @@ from ssdr.search.descent import Descent, Schedule
 from ssdr.search.starts import first_model, merged_start
 from ssdr.search.steps import alternate, on_sample
 from ssdr.search.vertex_sample import motion_sample
-from ssdr.solver.model import Locked, Model
+from ssdr.solver.model import Constraints, Model
 from ssdr.solver.trajectories import Trajectories, gather
 
 BONES, INFLUENCES, EACH = 4, 2, 40
@@ -36,7 +36,7 @@ def few_vertices(d: Descent, schedule: Schedule) -> None:
 def descent(rest: bool = False) -> Descent:
     data = gather([ssdr.MeshSequence(strip())], bones=BONES, compress=False)
     initial = Initial(rest=data.frame(3).copy() if rest else None)
-    return descent_of(data, BONES, INFLUENCES, locked=Locked(rest=rest), initial=initial)
+    return descent_of(data, BONES, INFLUENCES, constraints=Constraints(rest=rest), initial=initial)
 
 
 def followed(*parts: Schedule, rest: bool = False) -> Descent:

@@ -16,7 +16,7 @@ from helpers.measures import descent_of, solved
 from ssdr.search.bone_steps import STEPS_OF_A_TRIAL, tried
 from ssdr.search.descent import Descent, step
 from ssdr.search.steps import unfold
-from ssdr.solver.model import SOLVED, Locked, Model
+from ssdr.solver.model import SOLVED, Constraints, Model
 from ssdr.solver.objective import Objective, WeightSmoothness
 from ssdr.solver.rest_surface import RestSurface
 from ssdr.solver.trajectories import gather
@@ -76,10 +76,10 @@ def folded(*, smoothness: float = 0.0) -> Descent:
     data = dataclasses.replace(data, surface=RestSurface.build(data, data.frame(0)))
     model = solved(data, 3)
     model.rest[60] += 1.5 * (model.rest[61] - model.rest[60])
-    optimise_vertices(data, model, locked=Locked(rest=True), entering=0)
+    optimise_vertices(data, model, constraints=Constraints(rest=True), entering=0)
     d = descent_of(data, 3)
     d.smoothness = WeightSmoothness.build(data, data.faces, smoothness)
-    d.objective = Objective(Locked(), d.smoothness)
+    d.objective = Objective(Constraints(), d.smoothness)
     d.begin_with(model)
     return d
 
@@ -108,7 +108,7 @@ def test_some_vertices_are_solved_as_all_are_and_the_others_stay() -> None:
     every, few = before.copy(), before.copy()
     rows = np.arange(0, data.n_vertices, 3)
     optimise_vertices(data, every, entering=0)
-    optimise_some(data, few, rows, locked=Locked(), times=1)
+    optimise_some(data, few, rows, constraints=Constraints(), times=1)
     for name in SOLVED:
         want = getattr(before, name).copy()
         want[rows] = getattr(every, name)[rows]

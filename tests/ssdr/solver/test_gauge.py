@@ -9,7 +9,7 @@ import ssdr
 from helpers import motions
 from helpers.stretches import KINDS, check_kind, rig, stretched
 from ssdr.solver.alternation import normalise_gauge
-from ssdr.solver.model import FREE, Locked, Model
+from ssdr.solver.model import FREE, Constraints, Model
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -27,7 +27,7 @@ def test_gauge_moves_nothing_and_makes_the_mean_stretch_one(kind: str) -> None:
     model = Model.start(m.copy(), rest, boxes.indices[:, 0].astype(np.intp), 2)
     before = motions.blend(model.rest, model.indices, model.weights, model.transforms)
     importance = 0.5 + rng.random(40)
-    normalise_gauge(model, importance, Locked(bone_model=kind))  # type: ignore[arg-type]
+    normalise_gauge(model, importance, Constraints(bone_model=kind))  # type: ignore[arg-type]
     after = motions.blend(model.rest, model.indices, model.weights, model.transforms)
     np.testing.assert_allclose(after, before, atol=1e-9)
     linear = model.transforms[..., :3]
@@ -40,7 +40,11 @@ def test_gauge_moves_nothing_and_makes_the_mean_stretch_one(kind: str) -> None:
         model.rest[:20].mean(axis=0), rest[:20].mean(axis=0), atol=1e-9
     )
     again = model.copy()
-    for held in (FREE, Locked(bone_model="affine", rest=True), Locked(bones=np.zeros(2, bool))):
+    for held in (
+        FREE,
+        Constraints(bone_model="affine", rest=True),
+        Constraints(bones=np.zeros(2, bool)),
+    ):
         normalise_gauge(again, importance, held)
         assert np.array_equal(again.rest, model.rest)
 

@@ -72,7 +72,7 @@ def test_steps_descend_and_leave_what_is_fixed(tiny: Tiny) -> None:
         assert newton.objective.value(tiny.data, model) == pytest.approx(values[-1], rel=1e-12)
     assert (np.diff(values) <= 0).all()
     assert values[-1] < 0.99 * values[0]
-    surface = None if tiny.locked.rest else tiny.data.surface
+    surface = None if tiny.constraints.rest else tiny.data.surface
     pose = None if surface is None else surface.pose
     assert terms.value(tiny.data, model, pose) == pytest.approx(values[-1], rel=1e-7)
     inner = np.stack([tiny.data.frame(t) for t in range(tiny.frames)])
@@ -80,19 +80,19 @@ def test_steps_descend_and_leave_what_is_fixed(tiny: Tiny) -> None:
     m = model.transforms * tiny.data.frame_scale[:, None, None, None]
     want = naive.squared_error(scaled, model.rest, model.indices, model.weights, m)
     np.testing.assert_allclose(model.error, want, rtol=1e-8, atol=1e-12)
-    keep = tiny.locked.vertex_mask(tiny.n)
+    keep = tiny.constraints.vertex_mask(tiny.n)
     assert np.array_equal(model.weights[keep], before.weights[keep])
     assert np.array_equal(model.indices[keep], before.indices[keep])
     assert model.weights.min() >= 0
     assert np.abs(model.weights.sum(axis=1) - 1).max() < 1e-12
-    if tiny.locked.rest:
+    if tiny.constraints.rest:
         assert np.array_equal(model.rest, before.rest)
-    locked = tiny.locked.bone_mask(tiny.bones)
-    assert np.array_equal(model.transforms[:, locked], before.transforms[:, locked])
-    check_kind(model.transforms, tiny.locked.bone_model)
+    constraints = tiny.constraints.bone_mask(tiny.bones)
+    assert np.array_equal(model.transforms[:, constraints], before.transforms[:, constraints])
+    check_kind(model.transforms, tiny.constraints.bone_model)
     if model.tree is not None:
         assert joint_gaps(model.transforms, model.tree.parents, model.tree.points).max() < 1e-13
-        if tiny.locked.joints:
+        if tiny.constraints.joints:
             assert np.array_equal(model.tree.points, before.tree.points)
 
 

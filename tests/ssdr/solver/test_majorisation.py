@@ -15,12 +15,12 @@ from ssdr.search.descent import Descent
 from ssdr.search.steps import alternate
 from ssdr.solver.alternation import repeat_alternation, vertex_step
 from ssdr.solver.gauss_newton import GaussNewton
-from ssdr.solver.model import FREE, Locked, Model
+from ssdr.solver.model import FREE, Constraints, Model
 from ssdr.solver.objective import Objective, WeightSmoothness, rest_pulls
 from ssdr.solver.trajectories import Trajectories
 from ssdr.solver.vertex_newton import optimise_vertices
 
-LOCKED = Locked(weights=np.arange(30) % 3 == 0, bones=np.array([False, True]))
+LOCKED = Constraints(weights=np.arange(30) % 3 == 0, bones=np.array([False, True]))
 CASES = {
     "surface": Case(normals=False),
     "normals": Case(surface=False),
@@ -29,14 +29,20 @@ CASES = {
     "vertices that do not count": Case(counts="few"),
     "compressed": Case(compressed=True),
     "compressed, importance": Case(compressed=True, counts="some"),
-    "locked": Case(locked=LOCKED),
-    "locked rest pose": Case(locked=Locked(rest=True)),
+    "locked": Case(constraints=LOCKED),
+    "locked rest pose": Case(constraints=Constraints(rest=True)),
 }
 STEPS = {
-    "vertex step": lambda data, model, locked: vertex_step(data, model, locked=locked),
-    "alternation": lambda data, model, locked: repeat_alternation(data, model, 1, locked),
-    "vertices": lambda data, model, locked: optimise_vertices(data, model, locked=locked),
-    "polish": lambda data, model, locked: GaussNewton(data, model, locked=locked).step(entering=1),
+    "vertex step": lambda data, model, constraints: vertex_step(
+        data, model, constraints=constraints
+    ),
+    "alternation": lambda data, model, constraints: repeat_alternation(data, model, 1, constraints),
+    "vertices": lambda data, model, constraints: optimise_vertices(
+        data, model, constraints=constraints
+    ),
+    "polish": lambda data, model, constraints: GaussNewton(
+        data, model, constraints=constraints
+    ).step(entering=1),
 }
 
 
@@ -44,13 +50,13 @@ STEPS = {
 @pytest.mark.parametrize("case", CASES)
 def test_no_step_raises_the_objective(case: str, step: str) -> None:
     chosen = CASES[case]
-    objective, fell = Objective(chosen.locked), 0.0
+    objective, fell = Objective(chosen.constraints), 0.0
     for seed in range(3):
         small = {} if chosen.compressed else {"n": 30, "frames": 8}
         data, model = terms.problem(chosen, seed, **small)
         value = first = objective.value(data, model)
         for _ in range(6):
-            STEPS[step](data, model, chosen.locked)
+            STEPS[step](data, model, chosen.constraints)
             before, value = value, objective.value(data, model)
             assert value <= before * (1 + 1e-12)
         fell = max(fell, 1 - value / first)
@@ -96,17 +102,17 @@ def _check_errors(data: Trajectories, model: Model) -> None:
         np.testing.assert_allclose(model.normal_error, want, rtol=1e-6)
 
 
-@pytest.mark.parametrize("locked", [FREE, LOCKED], ids=["free", "locked"])
-def test_gradients_are_those_at_the_rest_pose_where_a_solve_ends(locked: Locked) -> None:
+@pytest.mark.parametrize("constraints", [FREE, LOCKED], ids=["free", "locked"])
+def test_gradients_are_those_at_the_rest_pose_where_a_solve_ends(constraints: Constraints) -> None:
     """The pulls go with the rest pose; only their stiffness is that from before the solve."""
     data, model = terms.problem(Case(normals=False, counts="some"), n=30, frames=8)
-    before = rest_pulls(data, model, locked)
-    found = optimise_vertices(data, model, locked=locked)
-    again = optimise_vertices(data, model, locked=locked, entering=-1, rounds=0)
-    after = rest_pulls(data, model, locked)
+    before = rest_pulls(data, model, constraints)
+    found = optimise_vertices(data, model, constraints=constraints)
+    again = optimise_vertices(data, model, constraints=constraints, entering=-1, rounds=0)
+    after = rest_pulls(data, model, constraints)
     assert np.abs(after - before).max() > 1e-3
     softer = (after[:, 0] - before[:, 0])[:, None] * (model.rest - after[:, 1:])
-    keep = locked.vertex_mask(30)
+    keep = constraints.vertex_mask(30)
     for i in range(30):
         first = 0 if keep[i] else np.count_nonzero(model.weights[i]) - 1
         want = again.gradient[i].copy()
@@ -118,10 +124,10 @@ def test_gradients_are_those_at_the_rest_pose_where_a_solve_ends(locked: Locked)
 def test_vertices_end_where_the_product_is_least(share: float) -> None:
     """With a constant `share` of the error added, as a penalty on weights that stay."""
     data, model = terms.problem(Case(counts="some"), n=30, frames=8)
-    stay = Locked(weights=np.ones(30, dtype=bool))
+    stay = Constraints(weights=np.ones(30, dtype=bool))
     penalty = share * model.weighted_error(data)
     for _ in range(400):
-        vertex_step(data, model, locked=stay, penalty=penalty)
+        vertex_step(data, model, constraints=stay, penalty=penalty)
     factor = (model.weighted_error(data) + penalty) / model.weighted_error(data)
     surface = data.surface
     assert surface is not None

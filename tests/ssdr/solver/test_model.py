@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ssdr.solver.model import Locked, Lowest, Model
+from ssdr.solver.model import Constraints, Lowest, Model
 
 
 def test_what_is_left_of_a_model_shares_no_memory() -> None:
@@ -40,7 +40,10 @@ def test_the_lowest_is_a_copy_that_later_steps_do_not_change() -> None:
 
 
 def test_masks_of_what_is_locked_reach_as_far_as_asked() -> None:
-    locked, some = Locked(weights=np.array([True, False]), bones=np.array([True])), np.array([1, 0])
-    assert locked.bone_mask(3).tolist() == [True, False, False]
-    assert locked.select_vertices(some).vertex_mask(2).tolist() == [False, True]
-    assert Locked().select_vertices(some).vertex_mask(2).tolist() == [False, False]
+    constraints, some = (
+        Constraints(weights=np.array([True, False]), bones=np.array([True])),
+        np.array([1, 0]),
+    )
+    assert constraints.bone_mask(3).tolist() == [True, False, False]
+    assert constraints.select_vertices(some).vertex_mask(2).tolist() == [False, True]
+    assert Constraints().select_vertices(some).vertex_mask(2).tolist() == [False, False]

@@ -13,11 +13,11 @@ from helpers.measures import diagonal
 from ssdr.hierarchy.tree import Tree
 from ssdr.joints.placement import snap_to_joints
 from ssdr.solver.gauss_newton import GaussNewton
-from ssdr.solver.model import FREE, Locked, Model
+from ssdr.solver.model import FREE, Constraints, Model
 from ssdr.solver.objective import Objective, joint_offsets, mean_joint_penalty, meeting_points
 from ssdr.solver.trajectories import gather
 
-NEAR = Locked(near_skin=True)
+NEAR = Constraints(near_skin=True)
 
 
 class Smoothness:
@@ -103,7 +103,7 @@ def test_the_objective_is_error_and_smoothness_times_penalty(rng: np.random.Gene
 
 def test_steps_lower_the_objective(rng: np.random.Generator) -> None:
     data, model = _model(rng, frames=12)
-    newton = GaussNewton(data, model, locked=NEAR)
+    newton = GaussNewton(data, model, constraints=NEAR)
     value = newton.value
     accepted = 0
     for _ in range(8):

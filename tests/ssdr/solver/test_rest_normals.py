@@ -9,7 +9,7 @@ import pytest
 
 from helpers import naive, terms
 from helpers.terms import Case
-from ssdr.solver.model import FREE, Locked
+from ssdr.solver.model import FREE, Constraints
 from ssdr.solver.objective import Objective, normal_length, rest_pulls
 from ssdr.solver.rest_normals import with_rest_normals
 
@@ -81,7 +81,9 @@ def test_the_objective_is_the_product_of_its_factors() -> None:
         assert model.weighted_error(data) == pytest.approx(plain, rel=1e-9)
         assert want > 1.01 * plain
         given = terms.value(data, model)  # a rest pose that is given has no strain
-        assert Objective(Locked(rest=True)).value(data, model) == pytest.approx(given, rel=1e-9)
+        assert Objective(Constraints(rest=True)).value(data, model) == pytest.approx(
+            given, rel=1e-9
+        )
 
 
 @pytest.mark.parametrize("slack", [0.0, 0.5, 100.0])
@@ -118,5 +120,5 @@ def test_there_are_pulls_only_on_a_free_rest_pose_with_a_surface_and_errors() ->
     unknown = dataclasses.replace(model, error=np.full(20, np.inf))
     few = dataclasses.replace(data, importance=np.arange(20) % 2 * 2.0)
     assert (rest_pulls(few, unknown, FREE) == 0).all()
-    assert (rest_pulls(data, model, Locked(rest=True)) == 0).all()
+    assert (rest_pulls(data, model, Constraints(rest=True)) == 0).all()
     assert (rest_pulls(dataclasses.replace(data, surface=None), model, FREE) == 0).all()

@@ -32,9 +32,11 @@ def test_image_pullback_and_move_belong_together(kind: str, rng: np.random.Gener
             trial = model.copy()
             tangent.move(trial, sign * x)
             np.testing.assert_allclose(trial.transforms, tiny.moved(sign * x.ravel()), atol=1e-11)
-            check_kind(trial.transforms, tiny.locked.bone_model)
-            locked = tiny.locked.bone_mask(tiny.bones)
-            assert np.array_equal(trial.transforms[:, locked], model.transforms[:, locked])
+            check_kind(trial.transforms, tiny.constraints.bone_model)
+            constraints = tiny.constraints.bone_mask(tiny.bones)
+            assert np.array_equal(
+                trial.transforms[:, constraints], model.transforms[:, constraints]
+            )
             ends.append(tiny.data.stack(trial.transforms))
         for precision, rounding in ((tangent.precision, 1e-6), (np.float64, 1e-12)):
             tangent.precision = precision
@@ -47,7 +49,7 @@ def test_a_large_step_keeps_the_bone_model(kind: str, rng: np.random.Generator) 
     tiny = Tiny(kind)
     trial = tiny.model.copy()
     tiny.newton.tangent.move(trial, tiny.shaped(rng.standard_normal(tiny.unknowns)))
-    check_kind(trial.transforms, tiny.locked.bone_model)
+    check_kind(trial.transforms, tiny.constraints.bone_model)
 
 
 def test_the_preconditioner_is_symmetric_and_positive(kind: str) -> None:
