@@ -61,6 +61,7 @@ LEFT_OUT: dict[str, dict[str, Any]] = {
     "sample": {"on_sample": on_all},
     "merged start": {"merged_start": nothing},
     "moves of bones": {"move_bones": nothing},
+    "merged start and moves": {"merged_start": nothing, "move_bones": nothing},
     "relaxing": {"relax": nothing},
     "search": {"search": nothing},
     "last polish": {"last_polish": only_normals},

@@ -276,12 +276,10 @@ BLOCKS: dict[str, list[str | Callable[[], str]]] = {
         {"sequence, bones": "{line}", **same(*EFFORTS), "plain alternation": "{plain}"},
     )],
     "ablation": [
-        "`balanced`, seeds 0 to 2:",
+        "`balanced`:",
         ablation_table("balanced", ablation.SEQUENCES["balanced"]),
         "`balanced` on every second to fortieth frame, a problem so small that it has more starts:",
         ablation_table("balanced", ablation.FEW_FRAMES, few=True),
-        "`best`, seed 0:",
-        ablation_table("best", ablation.SEQUENCES["best"]),
     ],
     "choose_bones": [Table(lambda: choice_rows("bones"), {
         "bones": "{bones}", "RMSE, mm": "{mm:.2f}", "s": "{seconds:.1f}",
