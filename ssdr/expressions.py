@@ -107,7 +107,7 @@ def decompose_expressions(
     faces : (T, 3) int array, optional
         Triangles, if `neutral` has none.
     effort, bone_model, rng, time_limit
-        As of :func:`decompose`.
+        As in :func:`decompose`.
 
     Returns
     -------

@@ -192,7 +192,7 @@ def _nest(
 
 
 def _check_counts(bones: Any) -> list[int]:
-    """Numbers of bones as a list, checked to decrease."""
+    """Check that numbers of bones decrease, and return them as a list."""
     if isinstance(bones, (str, bytes)) or not np.iterable(bones):
         raise InputError("bones", "several numbers of bones, as (60, 30, 12)", repr(bones))
     counts = [check_whole(count, "bones", 1) for count in bones]

@@ -111,7 +111,7 @@ def check_beside(path: Path) -> None:
 
 
 def write_bytes(path: Path | str, data: bytes, *, flush: bool = True) -> int:
-    """Write `data` to `path` by :func:`atomic_path`, and return the number of bytes."""
+    """Write `data` to `path` through :func:`atomic_path`, and return the number of bytes."""
     with atomic_path(path, flush=flush) as temporary:
         return temporary.write_bytes(data)
 

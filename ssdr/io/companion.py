@@ -86,6 +86,6 @@ def _read(file: Path, path: Path, n_vertices: int) -> MeshSequence:
 
 
 def _still(faces: Any, n_vertices: int) -> MeshSequence:
-    """Sequence of one frame with these faces, all of whose vertices are at the origin."""
+    """Sequence of one frame with the given faces and all vertices at the origin."""
     checked = check_faces(faces, n_vertices, "faces")
     return MeshSequence(np.zeros((1, n_vertices, 3)), checked, validate=False)

@@ -368,13 +368,13 @@ def refuse_device(path: Path) -> None:
 
 
 def read_file(path: Path) -> bytes:
-    """All bytes of a file, after a check of its size; to be called inside :func:`reading`."""
+    """Check the size of a file and read all its bytes; to be called inside :func:`reading`."""
     afford(path.stat().st_size, "the whole file", path)
     return path.read_bytes()
 
 
 def seconds(frames: NDArray[np.integer], fps: float) -> NDArray[np.float64]:
-    """Times of frames in seconds, after checking that float32 can hold them.
+    """Convert frame indices to seconds, and check that float32 can hold these.
 
     Raises
     ------

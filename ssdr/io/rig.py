@@ -141,7 +141,7 @@ class Rig:
         return np.concatenate([rotation, shift[..., None]], axis=-1)
 
     def bone_matrices(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Transforms, as of :meth:`matrices`, of the model's bones, in their order."""
+        """Transforms of the model's bones, in their order, at `times`; see :meth:`matrices`."""
         moves = self.matrices(times)
         return moves if self.moving is None else moves[:, self.moving]
 

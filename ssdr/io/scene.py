@@ -123,9 +123,10 @@ class Bones:
 def file_weights(
     indices: NDArray[np.integer], weights: NDArray[np.floating], n_joints: int, what: object
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """Indices and weights (V, K) of a file, with weights scaled to sum 1 and unused indices 0.
+    """Check indices and weights (V, K) of a file, and return them for a model.
 
-    `what` names the mesh in messages.
+    Weights are scaled to sum 1, and the indices of unused influences become 0. `what` names the
+    mesh in messages.
 
     Raises
     ------

@@ -108,6 +108,10 @@ def read_weights(
         Number of vertices that the table must have. Without it, a table that has lost its last
         lines is not noticed.
 
+    Returns
+    -------
+    SkinWeights
+
     Raises
     ------
     FormatError

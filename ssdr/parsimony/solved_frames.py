@@ -112,7 +112,8 @@ class SolvedFrames:
     def with_normals(self, model: Model) -> tuple[Trajectories, Model]:
         """The trajectories and a model, with normals if these have a tolerance and bones are rigid.
 
-        Both are as the step :func:`~ssdr.search.steps.solve_normals` leaves them.
+        Otherwise both are returned as they are. The normals are those that
+        :func:`~ssdr.search.steps.solve_normals` adds; the trajectories then also have the `slack`.
         """
         if not self.degree or self.problem.locked.bone_model != "rigid":
             return self.data, model

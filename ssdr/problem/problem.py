@@ -123,7 +123,7 @@ class Initial:
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Problem:
-    """A call whose arguments have been checked.
+    """Problem to solve: the checked arguments of a call.
 
     Attributes
     ----------

@@ -274,9 +274,10 @@ def _with_fewer_influences(
 def alternate_some(
     data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
 ) -> Model:
-    """Alternate one to five times, keeping the K largest weights of each vertex.
+    """A copy after one to five alternations of weights and bones, their number chosen at random.
 
-    The other weights are dropped even if that raises the error.
+    Each vertex keeps its K largest weights; the other weights are dropped even if that raises the
+    error.
     """
     moved = model.with_restarted_support()
     for _ in range(int(rng.integers(1, _MOST_ALTERNATIONS + 1))):

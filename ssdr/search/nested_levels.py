@@ -6,8 +6,9 @@ that of an independent model with as many bones, the objective is Σ_l (E_l / E*
 large p makes depend mostly on the largest ratio.
 
 To move the bones of all levels at once, the vertices of all levels are stacked into one mesh.  The
-importance of each vertex is multiplied by the derivative of the objective by its level's E_l.  A
-Gauss–Newton step on this mesh keeps the influences; each level chooses them between such steps.
+importance of each vertex is multiplied by the derivative of the objective with respect to its
+level's E_l.  A Gauss–Newton step on this mesh keeps the influences; each level chooses them between
+such steps.
 """
 
 from __future__ import annotations

@@ -152,7 +152,11 @@ class RestSurface:
         return np.flatnonzero(reached)
 
     def extended(self, rows: NDArray[np.intp]) -> RestSurface:
-        """The surface of vertices `rows`: the first V as here, then copies, which are free."""
+        """A surface with a row for each of the vertices `rows`.
+
+        The first V rows are all vertices in order, with the edges of this surface.  The other rows
+        are copies of vertices; these have no edges, and so are not pulled.
+        """
         n, more = len(rows), len(rows) - len(self.pose)
         known = self.edges.tocoo()
         edges = csr_array((known.data, (known.row, known.col)), shape=(n, n))

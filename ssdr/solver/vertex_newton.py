@@ -152,7 +152,7 @@ def newton_vertices(
     model : Model
         Its rest pose, weights and error are changed, its transforms not read.
     hold : (V, 4) array
-        Pulls on the rest positions, as of ``RestSurface.pulls``.
+        Pulls on the rest positions, in the form of ``RestSurface.pulls``.
     length : float
         Length of a normal treated as a point.
     locked : Locked

@@ -171,7 +171,7 @@ def page_text(
     reference_name: str = "",
     max_bytes: int = _MAX_BYTES,
 ) -> tuple[str, Payload]:
-    """Text of a page and what it holds; parameters and errors as of :func:`view`."""
+    """HTML text of a page, and its Payload; parameters and errors are those of :func:`view`."""
     subject = skinning_in(model)
     if not isinstance(subject, (Skinning, MeshSequence)):
         expected = "a Skinning, Decomposition or MeshSequence"

@@ -74,7 +74,7 @@ def payload(
     reference_name: str,
     max_bytes: int,
 ) -> Payload:
-    """Content of the page of a model and its input; arguments as of :func:`ssdr.view`.
+    """Content of the page of a model and its input; arguments are those of :func:`ssdr.view`.
 
     Raises
     ------

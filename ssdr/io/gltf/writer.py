@@ -166,7 +166,11 @@ def compact_size(
 
 
 def _rounding(influences: int | None, weights: WeightStorage) -> dict[str, Any]:
-    """Options of :func:`~ssdr.io.rig.build_rig`."""
+    """Keyword arguments of :func:`~ssdr.io.rig.build_rig` for glTF.
+
+    They are the influences to keep (at most 8 per vertex), the storage of weights, and that bones
+    may stretch.
+    """
     return {"influences": influences, "most": 8, "storage": weights, "stretch": True}
 
 
