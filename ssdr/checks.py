@@ -289,7 +289,7 @@ def check_frame_importance(value: Any, count: int) -> Array | None:
 
 
 def check_faces(faces: Any, n_vertices: int, argument: str = "faces") -> NDArray[np.int32]:
-    """Triangles ``(T, 3)`` as int32, checked for range; an empty array if `faces` is None."""
+    """Check the range of triangles; return them as int32 ``(T, 3)``, an empty array for None."""
     wanted = "an array of shape (T, 3)"
     array = as_array(() if faces is None else faces, argument, wanted)
     if array.size == 0:

@@ -33,7 +33,7 @@ _STILL = 0.2
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Expressions:
-    """Facial expressions as a skinned model with one clip per expression, and its error.
+    """Facial expressions as a skinned model with one clip per expression, and the model's error.
 
     Attributes
     ----------

@@ -234,7 +234,11 @@ def _opens_elsewhere(array: Any) -> bool:
 
 
 def executor_for(sequences: Sequence[MeshSequence]) -> Executor:
-    """Dask workers if a client is active and they can read all sequences, else this process."""
+    """Executor for passes over the frames of some sequences.
+
+    It uses the workers of a Dask client if one is active and the workers can read all sequences;
+    otherwise this process.
+    """
     distributed = sys.modules.get("distributed")  # without it there is no client
     if distributed is None:
         return Local()

@@ -110,7 +110,7 @@ class Format:
     space: Space | None = None
 
     def has(self, *names: str) -> bool:
-        """Whether the format has one of the functions."""
+        """Whether the format has any of the functions."""
         return not self.functions.isdisjoint(names)
 
     def function(self, name: str) -> Callable[..., Any]:

@@ -1,6 +1,6 @@
 """A model as engines play it: joints with keyframes, and skin weights.
 
-Both are rounded as a file stores them; the error of that rounding is measured.
+Keyframes and weights are rounded as a file stores them, and the error of the rounding is measured.
 
 If the model has a hierarchy, its joints are stored, with transforms relative to their parents. If
 it has none, each bone gets a joint at the centroid of the vertices that it moves. The reason is

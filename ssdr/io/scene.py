@@ -82,7 +82,7 @@ class ScenePart(Protocol):
     Attributes
     ----------
     skeleton : hashable
-        Identity of the skeleton: parts with equal ones share its bones.
+        Identity of the skeleton: parts whose identities are equal share its bones.
     indices : (V, K) int array
         Bones of the skeleton that move each vertex.
     weights : (V, K) float array

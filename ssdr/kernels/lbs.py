@@ -111,8 +111,8 @@ def pull_back_to_vertices(
     weights     (V, K)        float     its weight, in
     transforms  (F, B, 3, 4)  float     transforms of the bones, in
     gradient    (F, V, 3)     float     gradient with respect to the positions, in
-    to_rest     (V, 3)        float64   gradient with respect to `rest`, added to rows first..last
-    to_weights  (V, K)        float64   gradient with respect to `weights`, added to rows first..last
+    to_rest     (V, 3)        float64   gradient with respect to `rest`, added to first..last
+    to_weights  (V, K)        float64   gradient with respect to `weights`, added to first..last
 
     ``float`` is float32 or float64, the same type for all five arrays.
     """
@@ -152,7 +152,7 @@ def pull_back_to_bones(
     indices        (V, K)        int32     bone of each influence, in
     weights        (V, K)        float     its weight, 0 in unused influences, in
     gradient       (F, V, 3)     float     gradient with respect to the positions, in
-    to_transforms  (F, B, 3, 4)  float64   gradient with respect to the transforms, added to frames
+    to_transforms  (F, B, 3, 4)  float64   gradient with respect to the transforms, added to
                                            first..last
 
     ``float`` is float32 or float64, the same type for all four arrays.

@@ -74,7 +74,7 @@ def build(
     *,
     beside: bool,
 ) -> Any:
-    """Give the object, or with `beside` a copy of it, the model's mesh and bones, and return it.
+    """Give an object, or with `beside` a copy of it, a model's mesh and bones; return this object.
 
     `errors` (V,) become a colour attribute unless they are None.
     """
