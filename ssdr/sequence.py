@@ -279,7 +279,7 @@ def without_copies(
 ) -> tuple[list[MeshSequence], NDArray[np.float64] | None, NDArray[np.intp], NDArray[np.intp]]:
     """Shots of the first vertex of each label, and the sum of `importance` (or a count) per label.
 
-    Returns also the indices of these vertices (U,) and, for each vertex (V,), the index into them
+    Returns also the indices of these U vertices and, for each vertex (V,), the index, among the U,
     of its replacement.  If all labels differ, shots and importance are returned unchanged.
     """
     kept, row = distinct(label)

@@ -148,9 +148,9 @@ def file_weights(
 
 
 def facing(linear: NDArray[np.floating]) -> tuple[int, bool]:
-    """First frame in which matrices (F, 3, 3) have their usual sign of det, and whether it is < 0.
+    """First frame in which matrices (F, 3, 3) have the usual sign of det, and whether it is -1.
 
-    The usual sign is that of most frames; that of a mesh which grows from size 0 is 0 at first.
+    The usual sign is that of most frames. The sign of a mesh which grows from size 0 is 0 at first.
     """
     largest = np.abs(linear).max(axis=(1, 2), keepdims=True)
     signs = np.sign(np.linalg.det(linear / np.where(largest > 0, largest, 1)))

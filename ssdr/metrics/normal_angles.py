@@ -34,7 +34,7 @@ class NormalErrors:
     p95 : float
         Angle that 95 % of all do not exceed, to a hundredth of a degree.
     beyond_20, inwards : float
-        Shares of the angles of 20° and more and of 90° and more, from 0 to 1.
+        Share, from 0 to 1, of the angles of at least 20°, and of at least 90°.
     surface : float or None
         Of a skinning, the mean angle of the normals of its own surface, which are drawn by programs
         that compute normals anew in every frame.
@@ -92,7 +92,7 @@ def normals(reference: Frames, model: Frames, faces: ArrayLike | None = None) ->
         A skinning is measured as engines draw it, by the normals that it has or, if it has none, by
         those of its rest pose; frames by the normals of their surface.
     faces : (T, 3) int array, optional
-        Triangles of both; by default those of either.
+        Triangles of reference and model; by default those of either.
 
     Returns
     -------

@@ -52,7 +52,7 @@ class Panels:
     frames : tuple of int
     view : View
     scales : dict of Style to Scale
-        Of the styles of `rows` that show an error.
+        Scale of each style of `rows` that shows an error.
     """
 
     rows: tuple[tuple[Scene, Style], ...]

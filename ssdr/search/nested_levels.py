@@ -138,7 +138,8 @@ class Nested:
     def swapped(self, levels: list[Model]) -> list[Model]:
         """Copies in which two bones change places.
 
-        One is a cheap bone of a random level; the other is a bone that only finer levels have.
+        One is a bone of a random level whose removal costs little; the other is a bone that only
+        finer levels have.
         """
         k = int(self.rng.integers(1, len(levels)))
         least = levels[k + 1].n_bones if k + 1 < len(levels) else 0

@@ -105,7 +105,7 @@ def relax(d: Descent, *, steps: int = 4, polish_steps: int = 8) -> Iterator[None
 def solve_normals(d: Descent) -> Iterator[None]:
     """Solve rest normals, too, from now on, if these are requested and the bones are rigid.
 
-    They come late, since they would lead a search for bones to models with more error.
+    Normals come late, since they would lead a search for bones to models with more error.
     """
     if not (d.normals and len(d.data.faces) and d.asked.bone_model == "rigid"):
         return

@@ -1,4 +1,4 @@
-"""A rest pose that stays a surface: a factor of the objective that grows as edges of it change.
+"""A rest pose that stays a surface: a factor of the objective that grows as its edges change.
 
 Positions in the frames hardly determine the rest pose: patches that one bone moves alone may lie
 anywhere in it, and small weights make up for large steps between neighbours.  Solved for positions
@@ -10,10 +10,10 @@ objective has the factor 1 + c·S, where the strain
 compares the edges of the rest pose p with those of a pose h of the input.  As a factor it costs the
 same share of the error whatever the error is, and nothing where a model is exact.
 
-The logarithm of a product is majorised by the linear terms of its factors (log is concave), and a
-difference along an edge by both its ends (|a − b|² <= 2|a − m|² + 2|b − m|²).  That leaves a
-quadratic pull on each rest position alone, so that vertices are still solved one by one, and no
-step that lowers the error with these pulls raises the objective.
+The logarithm of a product is majorised by the linear terms of its factors (log is concave), and the
+squared difference along an edge by a term for each end (|a − b|² <= 2|a − m|² + 2|b − m|²).  That
+leaves a quadratic pull on each rest position alone, so that vertices are still solved one by one,
+and no step that lowers the error with these pulls raises the objective.
 
 References
 ----------
@@ -163,7 +163,7 @@ class RestSurface:
         return RestSurface(self.pose[rows], edges, np.pad(self.degree, (0, more)))
 
     def repeated(self, count: int) -> RestSurface:
-        """The surface of `count` copies of the mesh, whose strain is the mean over these."""
+        """The surface of `count` copies of the mesh, whose strain is the mean over the copies."""
         edges = csr_array(block_diag(count * [self.edges / count]))
         degree = np.tile(self.degree / count, count)
         return RestSurface(np.tile(self.pose, (count, 1)), edges, degree)
