@@ -374,7 +374,7 @@ def read_file(path: Path) -> bytes:
 
 
 def seconds(frames: NDArray[np.integer], fps: float) -> NDArray[np.float64]:
-    """Convert frame indices to seconds, and check that float32 can hold these.
+    """Convert frame indices to seconds, and check that float32 can hold the times.
 
     Raises
     ------

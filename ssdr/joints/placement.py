@@ -121,7 +121,7 @@ class Contacts:
 def find_contacts(model: Model) -> Contacts:
     """Find the contacts of every two bones.
 
-    Bones that share weights meet at the vertices that they share, other bones at their nearest
+    Bones whose weights overlap meet at the vertices that they share, other bones at their nearest
     vertices.
     """
     n_bones, weights = model.n_bones, model.dense_weights()

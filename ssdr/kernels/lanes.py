@@ -4,10 +4,10 @@ The last axis of all arrays is over LANES vertices, so that one instruction work
 vertices.  Loops over this axis have a constant length, which needs no code for a remainder, and
 read few other arrays: the compiler does not vectorise loops that read more.
 
-All vertices have K influences here.  A weight that is 0 in an unused influence is no unknown: its
-row of the matrix is that of the identity.  Symbols are those of :mod:`.weights`.  ``blocks`` (N,
-16) are the 4×4 blocks G_qs of the pairs of influences q <= s, row by row, and ``along`` (K, P, 4)
-is y_q.
+All vertices have K influences here.  The weight of an unused influence is 0 and no unknown: its row
+of the matrix is that of the identity.  Symbols are those of :mod:`.weights`.  ``blocks`` (N, 16)
+are the 4×4 blocks G_qs of the pairs of influences q <= s, row by row, and ``along`` (K, P, 4) is
+y_q.
 """
 
 from __future__ import annotations

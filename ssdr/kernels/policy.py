@@ -3,8 +3,8 @@
 A wheel of a platform holds an extension module with the machine code of all kernels
 (``.ci/kernels.py`` makes it).  It is part of the installed package, and so as trusted as the
 package's code.  If there is none for these sources, this Python and this processor, Numba is
-imported and compiles each kernel when it is first called.  Neither contracts nor reorders
-arithmetic, so that both have the same bits.
+imported and compiles each kernel when it is first called.  Neither the shipped code nor Numba's
+contracts or reorders arithmetic, so that both give the same bits.
 
 Numba compiles a cached kernel again only if the kernel's own file changes.  After a change of a
 helper in another file, delete ``ssdr/kernels/__pycache__``.

@@ -163,7 +163,7 @@ def invert(a, n, full, row):
 
 @inline
 def cheapest_to_drop(h, w, n, a, full, row, scale):
-    """Indices of the two weights cheapest to remove, and the rise of the error if the first is.
+    """Indices of the two weights cheapest to remove, and the rise of the error without the first.
 
     The last of the n weights is no candidate.  An index is −1 if there is no such weight.
 

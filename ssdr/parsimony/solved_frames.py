@@ -79,7 +79,7 @@ class SolvedFrames:
         self.data = data.compressed(problem.bones)
 
     def squared(self, rmse: float) -> float:
-        """Convert an RMSE to the squared error in the solver's space, summed over these frames."""
+        """Convert an RMSE to a squared error in the solver's space, summed over solved frames."""
         return (rmse / self.data.scale) ** 2 * self.data.n_frames * self.data.n_vertices
 
     def descent(
@@ -87,8 +87,8 @@ class SolvedFrames:
     ) -> Descent:
         """Begin a descent on the frames that the search solves.
 
-        If `data` is given, a changed copy of the trajectories, it is used in their place. The same
-        holds for `initial` and the initial parts.
+        `data`, if given, is a changed copy of the trajectories that replaces them; `initial`
+        replaces the initial parts.
         """
         problem = self.problem
         return Descent(

@@ -127,7 +127,7 @@ class ReducedSystem:
         run_chunks(work, self._tasks)
 
     def _eliminate(self, cross: Array, share: float) -> tuple[Array, Array]:
-        """Response of the vertices to a change δM of the transforms, and its effect on these.
+        """Response of the vertices to a change δM of the transforms, and the effect on the bones.
 
         Parameters
         ----------

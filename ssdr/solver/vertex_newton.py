@@ -28,7 +28,7 @@ __all__ = ["VertexSystem", "newton_vertices", "optimise_some", "optimise_vertice
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class VertexSystem:
-    """Gauss–Newton matrices and gradients of all vertices, with which a step eliminates vertices.
+    """Gauss–Newton matrices and gradients with which a step eliminates all vertices.
 
     Attributes
     ----------

@@ -38,12 +38,12 @@ class Tracks:
     engines; a matrix U S Vᵀ of an affine bone has a rotation U, scales S and another rotation Vᵀ.
 
     Let L be the transform of a bone relative to its parent, s the scale of the parent, and p a
-    vertex in homogeneous coordinates of the bone.  If X replaces L, the vertex moves by s (X − L)
-    p.  The sum of the squares over all vertices that move with the bone is s² tr((X − L) G (X −
-    L)ᵀ), where G is the weighted sum of p pᵀ.  For rigid and similarity bones this is exact if one
-    bone changes and each vertex has one influence; with several influences it is an upper bound
-    (Jensen's inequality).  If several bones of a chain change, the error may be more or less than
-    the sum of the bones' errors.
+    vertex in homogeneous coordinates of the bone.  If X replaces L, the vertex moves by
+    s (X − L) p.  The sum of the squares over all vertices that move with the bone is
+    s² tr((X − L) G (X − L)ᵀ), where G is the weighted sum of p pᵀ.  For rigid and similarity bones
+    this is exact if one bone changes and each vertex has one influence; with several influences it
+    is an upper bound (Jensen's inequality).  If several bones of a chain change, the error may be
+    more or less than the sum of the bones' errors.
 
     Parameters
     ----------
