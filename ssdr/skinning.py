@@ -254,7 +254,7 @@ class Skinning(Articulated):
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Names of the joints: those of the bones that are attached there."""
+        """Names of the joints, each that of the bone attached at the joint."""
         return self.names()
 
     def skin(self, frames: Any = None, *, dtype: Any = None) -> NDArray[np.floating]:

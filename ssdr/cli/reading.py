@@ -212,7 +212,7 @@ def _check_one_mesh(found: list[tuple[Path, MeshSequence]]) -> None:
 
 
 def _named(found: list[tuple[Path, MeshSequence]]) -> list[MeshSequence]:
-    """Sequences with unique clip names: a shared one becomes the file's, or file and clip."""
+    """Copies with unique clip names: a shared name becomes the file's, or file and clip."""
     own = [shot.clip or shot.name for _, shot in found]
     files = [path for path, _ in found]
     names = [

@@ -217,7 +217,10 @@ def components(model: Skinning, left: Array) -> tuple[Array, Array]:
 
 @serial_blas()
 def _alternated(model: Skinning, left: Array, amounts: Array, names: Any) -> Skinning:
-    """Model with shapes, whose rest pose may move, found by solving for each part in turn."""
+    """Copy of a model with shapes, found by solving for displacements and amounts in turns.
+
+    Its rest pose may move.
+    """
     turns, error = _blended(model), math.inf
     count = amounts.shape[1]
     used = np.ones((1 + count, model.n_vertices), dtype=bool)

@@ -99,8 +99,8 @@ class Format:
     extra : str or None
         Extra of ssdr that the format needs.
     space : Space or None
-        Space that its files must have, where a file may choose each part that is unknown here; None
-        if files cannot state a space.
+        Space that its files must have. If its unit or up axis is unknown, a file may choose that;
+        None if files cannot state a space.
     """
 
     title: str

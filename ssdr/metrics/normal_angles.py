@@ -79,10 +79,10 @@ def normals(reference: Frames, model: Frames, faces: ArrayLike | None = None) ->
     """Angles between the normals of a reference and those that are drawn of a model.
 
     The normals of a surface are means over the triangles around a vertex, weighted by their angles
-    there, and separate on the two sides of a hard edge.  Game engines and renderers draw a skinned
-    mesh by its rest normals n, which they transform by the blended 3×3 matrices of the bones:
-    Σ_k w_k R_k n, normalised.  Triangles without area have no normal, and a vertex with no others
-    is left out in that frame.
+    at the vertex, and separate on the two sides of a hard edge.  Game engines and renderers draw a
+    skinned mesh by its rest normals n, which they transform by the blended 3×3 matrices of the
+    bones: Σ_k w_k R_k n, normalised.  Triangles without area have no normal, and a vertex without
+    other triangles is left out in that frame.
 
     Parameters
     ----------

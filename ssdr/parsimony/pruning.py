@@ -1,8 +1,8 @@
 """Pruning: influences and keyframes are dropped as far as the tolerance allows.
 
-One multiplier λ, the price of a byte, decides on both: among all ways to store the weights of a
-vertex or the keys of a bone, the one of least squared error + λ · bytes is chosen (Everett 1963).
-The search is for the highest price at which the model still holds the tolerance.
+One multiplier λ, the price of a byte, decides on influences and keyframes: among all ways to store
+the weights of a vertex or the keys of a bone, the one of least squared error + λ · bytes is chosen
+(Everett 1963).  The search is for the highest price at which the model still holds the tolerance.
 """
 
 from __future__ import annotations

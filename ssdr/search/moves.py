@@ -195,7 +195,8 @@ def polish_then_drop_influence(
     """Polish `steps` times (in place); return a copy with one influence fewer per vertex.
 
     With few influences the choice of bones for each vertex leads to many poor minima.  With more
-    influences there are fewer poor minima, and their bones are close to those of a good model.
+    influences there are fewer poor minima, and the bones at these minima are close to those of a
+    good model.
     """
     polish_steps(data, model, steps, locked)
     smaller = model.with_influences(model.n_influences - 1)

@@ -130,7 +130,7 @@ def last_polish(d: Descent, *, steps: int, gain: float = 0.0) -> None:
 
 @step("unfold", cost=3)
 def unfold(d: Descent, *, steps: int = 8) -> Iterator[None]:
-    """Unfold the triangles of the rest pose that are flipped, with ten times stiffer edges there.
+    """Unfold the flipped triangles of the rest pose, by making their edges ten times stiffer.
 
     The result becomes the best model even if its error is higher, as a rest pose with folds is not
     a surface.

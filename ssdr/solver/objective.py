@@ -264,8 +264,8 @@ def meeting_points(model: Model) -> tuple[Array, Array]:
     If the weights of the two bones overlap much, the point is the mean of the vertices, weighted by
     w_child · w_parent, and the gap is 0.  If they do not overlap, the point is the midpoint between
     the centroids of the two bones, and the gap is half the distance of the centroids.  In between,
-    both are blended.  For roots, and if one of the two bones moves no vertices, the point is the
-    joint and the gap 0.
+    point and gap are blended.  For roots, and if one of the two bones moves no vertices, the point
+    is the joint and the gap 0.
     """
     tree = model.hierarchy
     n_bones, weights, indices = model.n_bones, model.weights, model.indices

@@ -180,7 +180,7 @@ def central_frame(data: Trajectories, *, first: bool = False) -> int:
 
     The strain between it and the others is least, so that a rest pose near it costs least.  Points
     without triangles are joined to their nearest neighbours.  If `first`, frame 0 is returned,
-    unless parts of the mesh have no size there.
+    unless parts of the mesh have no size in it.
     """
     few = np.unique(np.linspace(0, data.n_frames - 1, _FEW).round().astype(int))
     edges = np.sort(data.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)).astype(np.intp)
