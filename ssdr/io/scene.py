@@ -74,9 +74,9 @@ class ScenePart(Protocol):
     """Vertices of a scene that one skeleton moves, and their triangles.
 
     `shape(time)` returns the vertices (V, 3) before skinning or, if these change over time, a
-    function from a frame's index to them. `at_rest(time)` returns the vertices without shapes, and
-    the shapes. `transforms(time)` returns the transforms (F, B, 3, 4) of the bones from the rest
-    pose. `bones(transforms)` returns the skeleton with such transforms. `time` is that of a
+    function from a frame's index to vertices. `at_rest(time)` returns the vertices without shapes,
+    and the shapes. `transforms(time)` returns the transforms (F, B, 3, 4) of the bones from the
+    rest pose. `bones(transforms)` returns the skeleton with such transforms. `time` is that of a
     :class:`Sample`.
 
     Attributes

@@ -163,9 +163,9 @@ def on_sample(
     """Follow a schedule on a third of the vertices, then continue from its best model on all.
 
     The sample, evenly spaced in the order of :func:`by_motion`, has at least `least` and at most
-    `most` vertices for each of the `d.bones` bones.  If these are half of the vertices or more, the
-    schedule runs on all.  Returns whether it ran on a sample.  If `free`, no surface holds the rest
-    pose of the sample: that is enough to find where bones belong.
+    `most` vertices for each of the `d.bones` bones.  If that would be half of the vertices or more,
+    the schedule runs on all.  Returns whether it ran on a sample.  If `free`, no surface holds the
+    rest pose of the sample: that is enough to find where bones belong.
     """
     count = sample_size(d.data.n_vertices, d.bones, least, most)
     if 2 * count >= d.data.n_vertices:
