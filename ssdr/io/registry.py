@@ -99,7 +99,7 @@ class Format:
     extra : str or None
         Extra of ssdr that the format needs.
     space : Space or None
-        Space that its files must have. If its unit or up axis is unknown, a file may choose that;
+        Space that its files must have.  If its unit or up axis is unknown, a file may choose that;
         None if files cannot state a space.
     """
 

@@ -40,7 +40,9 @@ _NOISE = 1 / 50
 def rounded_models(
     data: Trajectories, model: Model, storage: WeightStorage, *, locked: Locked, rounds: int
 ) -> Iterator[Model]:
-    """Models with weights rounded for `storage`, each of lower objective; the first comes quickly.
+    """Yield models with weights rounded for `storage`; the first comes quickly.
+
+    The objective never rises from one model to the next.
 
     Parameters
     ----------
