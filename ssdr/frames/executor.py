@@ -77,7 +77,7 @@ def spans_of(n_frames: int, most: int | None = None) -> list[tuple[int, int]]:
 def _cut(
     pieces: Iterable[tuple[Any, int, int]], start: int, stop: int
 ) -> Iterator[tuple[Any, int, int]]:
-    """Yield the parts of the pieces that hold frames `start` to `stop` - 1 of all pieces."""
+    """Yield the parts of pieces that hold frames `start` to `stop` - 1, counted through all."""
     offset = 0
     for array, first, last in pieces:
         i, k = max(start - offset, 0), min(stop - offset, last - first)
