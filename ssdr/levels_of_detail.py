@@ -24,7 +24,7 @@ from .search.solve import solve
 from .sequence import MeshSequence, as_sequences, labels_of, without_copies
 from .skinning import Skinning
 from .solver.alternation import vertex_step
-from .solver.model import Locked, Model
+from .solver.model import Constraints, Model
 from .solver.rest_surface import RestSurface
 from .solver.trajectories import gather
 from .solver.vertex_newton import optimise_vertices
@@ -148,7 +148,7 @@ def _nest(
     skin = best.skinning.indices[kept], weights
     finest = Model.with_weights(transforms, rest, *skin, min(influences, counts[0]))
     every = np.ones(data.n_vertices, dtype=bool)
-    vertex_step(data, finest, locked=Locked(rest=True, weights=every))  # sets the errors
+    vertex_step(data, finest, constraints=Constraints(rest=True, weights=every))  # sets the errors
     optimise_vertices(data, finest)
 
     def report(fraction: float) -> None:

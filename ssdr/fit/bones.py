@@ -22,7 +22,7 @@ from ..skinning import Skinning
 from ..solver.alternation import bone_step
 from ..solver.gauss_newton import GaussNewton
 from ..solver.initialization import fit_patches
-from ..solver.model import Locked, Model
+from ..solver.model import Constraints, Model
 from ..solver.moments import bone_sums, stack_blocks
 from ..solver.trajectories import Array, Trajectories, gather
 from .fit import Fit, checked, fit_of
@@ -154,7 +154,9 @@ def fit_bones(
     )
     inner = data.points_from_world(given.rest, f"{given.prefix}rest")
     start = None if world is None else data.moves_from_world(world, "skinning.transforms")
-    locked = Locked(rest=True, weights=np.ones(n, dtype=bool), bones=locked_bones, bone_model=kind)
+    constraints = Constraints(
+        rest=True, weights=np.ones(n, dtype=bool), bones=locked_bones, bone_model=kind
+    )
     # no step may turn a bone inside out, which blocks some paths of affine bones from their own
     # fit; from rigid bones these paths are open
     kinds: list[BoneModel] = [kind]
@@ -168,11 +170,11 @@ def fit_bones(
     model.indices, model.weights = used.copy(), amounts
     sweeps = 0
     for one in kinds:
-        of_kind = dataclasses.replace(locked, bone_model=one)
+        of_kind = dataclasses.replace(constraints, bone_model=one)
         more, moved = _sweep_until_still(data, model, of_kind, tolerance, max_sweeps)
         sweeps += more
-    if world is None and _from_neighbours(data, model, locked, max_sweeps):
-        more, moved = _sweep_until_still(data, model, locked, tolerance, max_sweeps)
+    if world is None and _from_neighbours(data, model, constraints, max_sweeps):
+        more, moved = _sweep_until_still(data, model, constraints, tolerance, max_sweeps)
         sweeps += more
     _, out = data.to_world(model.rest, model.transforms)
     fitted = dataclasses.replace(skinning, transforms=out, keyframes=None, **names_of(sequences))
@@ -181,7 +183,7 @@ def fit_bones(
 
 
 def _sweep_until_still(
-    data: Trajectories, model: Model, locked: Locked, tolerance: float, most: int
+    data: Trajectories, model: Model, constraints: Constraints, tolerance: float, most: int
 ) -> tuple[int, float]:
     """Sweep until no entry of a transform changes by more than `tolerance` (in place).
 
@@ -191,18 +193,18 @@ def _sweep_until_still(
     damping: float | None = None
     while sweeps < most and moved > tolerance:
         before = model.transforms.copy()
-        if sweeps and locked.bone_model != "affine":
+        if sweeps and constraints.bone_model != "affine":
             # if bones overlap widely, sweeps alone would need hundreds of rounds
-            newton = GaussNewton(data, model, locked=locked, damping=damping)
+            newton = GaussNewton(data, model, constraints=constraints, damping=damping)
             damping = newton.run(_STEPS, entering=False)
         step = min(_SWEEPS, most - sweeps)
-        bone_step(data, model, sweeps=step, locked=locked)
+        bone_step(data, model, sweeps=step, constraints=constraints)
         moved = float(np.abs(model.transforms - before).max())
         sweeps += step
     return sweeps, moved
 
 
-def _from_neighbours(data: Trajectories, model: Model, locked: Locked, most: int) -> bool:
+def _from_neighbours(data: Trajectories, model: Model, constraints: Constraints, most: int) -> bool:
     """Solve each frame again from the transforms of the next and of the previous frame (in place).
 
     A solution is kept if its error is far lower.  If bones overlap widely, a frame's own start may
@@ -223,7 +225,7 @@ def _from_neighbours(data: Trajectories, model: Model, locked: Locked, most: int
         change: Array = (hat * (hat @ flat - 2 * c.reshape(hat.shape))).sum(axis=(1, 2))
         return energy + change
 
-    frame, mask = np.arange(data.n_frames), locked.bone_mask(model.n_bones)
+    frame, mask = np.arange(data.n_frames), constraints.bone_mask(model.n_bones)
     for done in range(_ROUNDS):
         bound = _STUCK * error(model.transforms) - 1e-12 * energy
         best, freed = model.transforms.copy(), np.zeros(len(frame), dtype=bool)
@@ -234,7 +236,7 @@ def _from_neighbours(data: Trajectories, model: Model, locked: Locked, most: int
             turn = data.rotation.swapaxes(1, 2) @ data.rotation[near]
             trial.transforms = np.einsum("tab,tjbc->tjac", turn, model.transforms[near])
             trial.transforms[:, mask] = model.transforms[:, mask]
-            _sweep_until_still(data, trial, locked, 0.0, min(most, 4 * _SWEEPS))
+            _sweep_until_still(data, trial, constraints, 0.0, min(most, 4 * _SWEEPS))
             value = error(trial.transforms)
             better = value < bound
             best[better], bound = trial.transforms[better], np.minimum(value, bound)

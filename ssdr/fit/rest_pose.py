@@ -12,7 +12,7 @@ from ..errors import check_choice
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.alternation import vertex_step
-from ..solver.model import Locked, Model
+from ..solver.model import Constraints, Model
 from ..solver.objective import Objective
 from ..solver.rest_surface import RestPose, RestSurface
 from ..solver.trajectories import Trajectories
@@ -97,18 +97,20 @@ def fit_rest_pose(
     if rest_pose == "surface":
         data = dataclasses.replace(data, faces=each.faces)
         data = dataclasses.replace(data, surface=RestSurface.build(data, inner))
-    _solve_rest_pose(data, model, Locked(weights=every))
+    _solve_rest_pose(data, model, Constraints(weights=every))
     found = data.points_to_world(model.rest)[row]
     found[stay] = outer[stay]
     return fit_of(sequences, dataclasses.replace(skinning, rest=found))
 
 
-def _solve_rest_pose(data: Trajectories, model: Model, locked: Locked) -> None:
+def _solve_rest_pose(data: Trajectories, model: Model, constraints: Constraints) -> None:
     """Solve the rest pose (in place), once if it is free, else until the objective settles."""
-    vertex_step(data, model, locked=dataclasses.replace(locked, rest=True))  # sets the errors
-    objective, before = Objective(locked), np.inf
+    vertex_step(
+        data, model, constraints=dataclasses.replace(constraints, rest=True)
+    )  # sets the errors
+    objective, before = Objective(constraints), np.inf
     for _ in range(_STEPS if data.surface is not None else 1):
-        vertex_step(data, model, locked=locked)
+        vertex_step(data, model, constraints=constraints)
         value = objective.value(data, model)
         if not value < (1 - _GAIN) * before:
             return

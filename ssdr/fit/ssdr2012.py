@@ -81,15 +81,17 @@ def ssdr2012(
     monitor = Monitor(check_callback(callback))
     if rest is None:
         rest = sequences[0].frames(slice(0, 1))[0]
-    data, model, locked = started(sequences, bones=bones, influences=influences, rest=rest, rng=rng)
+    data, model, constraints = started(
+        sequences, bones=bones, influences=influences, rest=rest, rng=rng
+    )
     best = Lowest()
     for k in range(iterations + 1):
         if k:
-            repeat_alternation(data, model, 1, locked)
+            repeat_alternation(data, model, 1, constraints)
         best.offer(model, float(model.error.sum()))
         least = rmse_of(best.model.error * data.scale**2, data.n_frames)
         try:
             monitor.report("descent", iteration=k, rmse=least, fraction=(k + 1) / (iterations + 1))
         except Stop:
             break
-    return fit_of(sequences, fitted_skinning(sequences, data, best.model, locked))
+    return fit_of(sequences, fitted_skinning(sequences, data, best.model, constraints))

@@ -21,7 +21,7 @@ from ..sequence import MeshSequence, as_sequences
 from ..skinning import Skinning
 from ..solver.alternation import vertex_step
 from ..solver.initialization import start_model
-from ..solver.model import Locked, Model
+from ..solver.model import Constraints, Model
 from ..solver.trajectories import Trajectories, gather
 
 __all__ = ["fitted_skinning", "initialize", "started"]
@@ -83,10 +83,10 @@ def initialize(
     """
     sequences = as_sequences(sequence, faces)
     bone_model = check_bone_model(bone_model)
-    data, model, locked = started(
+    data, model, constraints = started(
         sequences, bones=bones, influences=influences, bone_model=bone_model, rest=rest, rng=rng
     )
-    return fitted_skinning(sequences, data, model, locked)
+    return fitted_skinning(sequences, data, model, constraints)
 
 
 def started(
@@ -97,7 +97,7 @@ def started(
     rest: Any,
     rng: int | np.random.Generator,
     bone_model: BoneModel = "rigid",
-) -> tuple[Trajectories, Model, Locked]:
+) -> tuple[Trajectories, Model, Constraints]:
     """Check the arguments of :func:`initialize`; return frames, start, and its locked parts.
 
     Frames and start are in the solver's space.
@@ -113,13 +113,13 @@ def started(
     data = gather(sequences, bones=bones)
     start = data.frame(0) if inner_rest is None else data.points_from_world(inner_rest, "rest")
     model = start_model(data, start, bones, min(k, bones), generator, None, bone_model)
-    locked = Locked(rest=rest is not None, bone_model=bone_model)
-    vertex_step(data, model, locked=locked)
-    return data, model, locked
+    constraints = Constraints(rest=rest is not None, bone_model=bone_model)
+    vertex_step(data, model, constraints=constraints)
+    return data, model, constraints
 
 
 def fitted_skinning(
-    sequences: list[MeshSequence], data: Trajectories, model: Model, locked: Locked
+    sequences: list[MeshSequence], data: Trajectories, model: Model, constraints: Constraints
 ) -> Skinning:
     """Convert a model of the solver to a skinning in the space of the sequences."""
     rest, transforms = data.to_world(model.rest, model.transforms)
@@ -129,7 +129,7 @@ def fitted_skinning(
         model.weights,
         transforms,
         faces=sequences[0].faces,
-        bone_model=locked.bone_model,
+        bone_model=constraints.bone_model,
         **names_of(sequences),
     )
     return with_fitted_normals(sequences, found)

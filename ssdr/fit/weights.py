@@ -25,7 +25,7 @@ from ..sequence import MeshSequence
 from ..skinning import Skinning, skinning_in
 from ..solver.alternation import vertex_step
 from ..solver.initialization import single_bone_errors
-from ..solver.model import Locked, Model
+from ..solver.model import Constraints, Model
 from ..solver.objective import WeightSmoothness, strength_of
 from ..solver.trajectories import Array, Trajectories
 from ..solver.vertex_newton import optimise_vertices
@@ -129,12 +129,12 @@ def fit_weights(
         data = _Barred(**vars(data), allowed=may)
         cost[~may] = np.inf
     model = Model.start(bones, inner, cost.argmin(axis=1), min(k, bones.shape[1]))
-    locked = Locked(rest=True)
+    constraints = Constraints(rest=True)
     smooth = WeightSmoothness.build(data, each.faces, smoothness)
     if smooth is None and target is None:
-        vertex_step(data, model, locked=locked)
+        vertex_step(data, model, constraints=constraints)
         # the K largest are not always the K best: exchange bones wherever that pays
-        optimise_vertices(data, model, locked=locked)
+        optimise_vertices(data, model, constraints=constraints)
     else:
         stands_for = np.bincount(row) * (len(inner) / n)  # vertices, relative to the mean
         stiffness = strength_of(data, length) * stands_for / np.maximum(data.importance, 1e-6)
@@ -142,7 +142,7 @@ def fit_weights(
         for _ in range(1 if smooth is None else iterations):
             pull, stiff = (0.0, 0.0) if smooth is None else smooth.terms(model)
             pulls = np.ascontiguousarray(pull + constant)
-            vertex_step(data, model, locked=locked, pull=pulls, stiff=stiff + stiffness)
+            vertex_step(data, model, constraints=constraints, pull=pulls, stiff=stiff + stiffness)
     padded = model.with_influences(k)
     indices, weights = padded.indices[row], padded.weights[row]
     found = dataclasses.replace(skinning, indices=indices, weights=weights)

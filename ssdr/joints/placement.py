@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 from ..hierarchy.tree import Tree, root_at_centroids
 from ..kernels.chains import chain_move
 from ..solver.alternation import sweep, vertex_step
-from ..solver.model import Locked, Model
+from ..solver.model import Constraints, Model
 from ..solver.moments import bone_sums
 from ..solver.objective import normal_length
 from ..solver.trajectories import Array, Trajectories
@@ -189,7 +189,7 @@ def spanning_tree(model: Model, *, by_gap: bool = False) -> Tree:
 
 
 def step_with_joint_penalty(
-    data: Trajectories, model: Model, stiffness: float, locked: Locked
+    data: Trajectories, model: Model, stiffness: float, constraints: Constraints
 ) -> None:
     """Solve bones under a penalty on their joints' gaps, then joints, then vertices (in place).
 
@@ -207,10 +207,10 @@ def step_with_joint_penalty(
         u[k, k] += block
         u[j, k] -= block
         u[k, j] -= block
-    sweep(model.transforms, u, c, locked.bone_mask(model.n_bones), sweeps=_SWEEPS)
-    if not locked.joints:
+    sweep(model.transforms, u, c, constraints.bone_mask(model.n_bones), sweeps=_SWEEPS)
+    if not constraints.joints:
         model.tree = refit_joints(model.transforms, tree)
-    vertex_step(data, model, locked=locked)
+    vertex_step(data, model, constraints=constraints)
 
 
 def refit_joints(transforms: Array, tree: Tree) -> Tree:
@@ -235,14 +235,14 @@ def move_onto_joints(transforms: Array, tree: Tree) -> None:
     chain_move(transforms, tree.order, tree.parents, tree.points, still, still)
 
 
-def snap_to_joints(data: Trajectories, model: Model, locked: Locked) -> None:
+def snap_to_joints(data: Trajectories, model: Model, constraints: Constraints) -> None:
     """Translate every bone so that the gap of its joint closes, then solve the vertices (in place).
 
-    Rotations are kept, except those relative to the parent that `locked` prescribes.
+    Rotations are kept, except those relative to the parent that `constraints` prescribes.
     """
     tree = model.hierarchy
-    for j, k, rotation in locked.joint_rotations(tree):
+    for j, k, rotation in constraints.joint_rotations(tree):
         model.transforms[:, j, :, :3] = model.transforms[:, k, :, :3] @ rotation
     move_onto_joints(model.transforms, tree)
     model.tree = dataclasses.replace(tree, rigid=True)
-    vertex_step(data, model, locked=locked)
+    vertex_step(data, model, constraints=constraints)

@@ -124,10 +124,10 @@ def _affine(
     """Yield a model of about half as many affine bones, then one of the fewest that suffice."""
     frames, problem = copy.copy(models.frames), models.frames.problem
     most = min(models.held_bones, (models.held_bones + spare) // 2)
-    if problem.rig != "none" or problem.locked.bone_model != "rigid" or most < bounds.least:
+    if problem.rig != "none" or problem.constraints.bone_model != "rigid" or most < bounds.least:
         return
-    locked = dataclasses.replace(problem.locked, bone_model="affine")
-    frames.problem = dataclasses.replace(problem, bones=most, locked=locked)
+    constraints = dataclasses.replace(problem.constraints, bone_model="affine")
+    frames.problem = dataclasses.replace(problem, bones=most, constraints=constraints)
     found = ModelsByBones(frames, models.report, tolerance=models.tolerance)
     start = models.best[models.held_bones].model.with_restarted_support()
     schedule = partial(merge_and_polish, steps=_POLISH)
@@ -154,7 +154,7 @@ def _with_shapes(
         held - 1 < 2 * each
         or frames.measure == "max"
         or problem.rig != "none"
-        or problem.locked.rest
+        or problem.constraints.rest
     ):
         return None
     if 1 not in models.best:

@@ -20,7 +20,7 @@ from ..search.moves import drop_influence
 from ..search.steps import solve_normals, unfold
 from ..skinning import Skinning
 from ..solver.gauss_newton import GaussNewton
-from ..solver.model import Locked, Model
+from ..solver.model import Constraints, Model
 from ..solver.objective import normal_length
 from ..solver.trajectories import Trajectories
 from ..storage.keyframes import Tracks
@@ -53,7 +53,7 @@ class FewerInfluences:
     ----------
     data : Trajectories
     model : Model
-    locked : Locked
+    constraints : Constraints
 
     Attributes
     ----------
@@ -66,12 +66,12 @@ class FewerInfluences:
         Number of influences of each vertex in each model.
     """
 
-    def __init__(self, data: Trajectories, model: Model, locked: Locked) -> None:
+    def __init__(self, data: Trajectories, model: Model, constraints: Constraints) -> None:
         self.importance = data.importance
         self.models = [model.copy()]
         while self.models[-1].n_influences > 1:
             fewer = self.models[-1].copy()
-            drop_influence(data, fewer, locked)
+            drop_influence(data, fewer, constraints)
             self.models.append(fewer.with_influences(fewer.n_influences - 1))
         share = normal_length(data, self.models[0]) ** 2
         self.errors = np.stack([m.error + share * m.normal_error for m in self.models])
@@ -110,7 +110,7 @@ class FewerInfluences:
 def polish_weights(d: Descent, *, polish_steps: int = _AFTERWARDS) -> Iterator[None]:
     """Polish without changing which bones influence a vertex."""
     # given a damping, the polish keeps the supports
-    newton = GaussNewton(d.data, d.model, locked=d.locked, damping=_DAMPING)
+    newton = GaussNewton(d.data, d.model, constraints=d.constraints, damping=_DAMPING)
     newton.run(polish_steps, entering=False)
     yield
 
@@ -165,7 +165,7 @@ def prune(
     list of Pruning
         Records of the prunings of influences and of keyframes.
     """
-    fewer = FewerInfluences(*frames.with_normals(model), frames.problem.locked)
+    fewer = FewerInfluences(*frames.with_normals(model), frames.problem.constraints)
 
     def pruned(price: float, schedule: Schedule) -> Pruned:
         return _pruned(frames, fewer, tolerance, price, schedule, skinning_of_all)
@@ -259,7 +259,7 @@ def _first_price(
 
 def estimated_bytes(frames: SolvedFrames, model: Model, tolerance: float) -> int:
     """Bytes that are left after pruning a model of all frames, estimated without a new solve."""
-    fewer = FewerInfluences(*frames.with_normals(model), frames.problem.locked)
+    fewer = FewerInfluences(*frames.with_normals(model), frames.problem.constraints)
     return _first_price(frames, fewer, tolerance, frames.skinning(model))[1]
 
 

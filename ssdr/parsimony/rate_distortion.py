@@ -180,12 +180,12 @@ def _fill(models: ModelsByBones, counts: list[int], effort: Effort) -> None:
     for larger, bones in itertools.pairwise(counts[::-1]):
         start = models.best[larger].model.with_restarted_support()
         models.attempt(bones, merged, "merged", start=start)
-    data, locked = models.frames.data, models.frames.problem.locked
+    data, constraints = models.frames.data, models.frames.problem.constraints
     for smaller, larger in itertools.pairwise(counts):
         if models.best[larger].value > models.best[smaller].value:
             grown = models.best[smaller].model
             while grown.n_bones < larger:
-                grown = add_bone(data, grown, alternations=2, locked=locked)
+                grown = add_bone(data, grown, alternations=2, constraints=constraints)
             models.attempt(larger, improve, "grown", start=grown)
 
 

@@ -198,8 +198,8 @@ def smallest(
     _check_beside_tolerance(problem, rig, most)
     length = parse_tolerance(tolerance, max(s.diagonal() for s in problem.inputs))
     # a joint that the motion does not determine need not lie near the skin: there is no penalty
-    locked = dataclasses.replace(problem.locked, near_skin=False)
-    sought = dataclasses.replace(problem, bones=most, locked=locked)
+    constraints = dataclasses.replace(problem.constraints, near_skin=False)
+    sought = dataclasses.replace(problem, bones=most, constraints=constraints)
     written = None if file is None else _written(file, problem)
     options: dict[str, Any] = {"written": written, "bytes_first": fewest == "bytes"}
     find = partial(find_smallest, asked=length, measure=measure, angle=normals_tolerance, **options)

@@ -96,7 +96,7 @@ class SolvedFrames:
             bones=bones,
             influences=problem.influences,
             rng=problem.rng,
-            locked=problem.locked,
+            constraints=problem.constraints,
             initial=self.initial.beside_model() if initial is None else initial,
             monitor=problem.monitor,
             rigid_joints=problem.rig == "rigid",
@@ -119,7 +119,7 @@ class SolvedFrames:
         Otherwise both are returned as they are. The normals are those that
         :func:`~ssdr.search.steps.solve_normals` adds; the trajectories then also have the `slack`.
         """
-        if not self.degree or self.problem.locked.bone_model != "rigid":
+        if not self.degree or self.problem.constraints.bone_model != "rigid":
             return self.data, model
         data = self.tolerant.with_normals()
         return data, with_rest_normals(data, model)
@@ -243,9 +243,9 @@ class SolvedFrames:
         problem = self.problem
         if data is None:
             data, model = self.with_normals(model)
-        model, locked = rounded(problem, data, model, lambda _: report()), problem.locked
+        model, constraints = rounded(problem, data, model, lambda _: report()), problem.constraints
         if problem.storage != "float32":
-            locked = locked.with_weights(problem.n_vertices)
+            constraints = constraints.with_weights(problem.n_vertices)
         if self.scan is None:
             return self.skinning(model)
         frames = AllFrames(
@@ -253,7 +253,7 @@ class SolvedFrames:
             self.scan,
             data,
             model,
-            locked=locked,
+            constraints=constraints,
             initial=Initial(),
             importance=problem.frame_importance,
             executor=problem.executor,

@@ -54,11 +54,11 @@ def skinning_of(
     """
     skin = dataclasses.replace(model, transforms=model.transforms[:0])
     padded = skin.with_influences(problem.influences)
-    if problem.locked.bone_model != "rigid":
+    if problem.constraints.bone_model != "rigid":
         model = model.copy()
         importance = problem.vertex_importance
         equal = np.ones(len(model.rest))
-        normalise_gauge(model, equal if importance is None else importance, problem.locked)
+        normalise_gauge(model, equal if importance is None else importance, problem.constraints)
     rest, transforms = alignment.to_world(model.rest, model.transforms)
     rest, indices, weights = problem.for_inputs(rest, padded.indices, padded.weights)
     first = problem.inputs[0]
@@ -72,7 +72,7 @@ def skinning_of(
         weights,
         transforms,
         faces=first.faces,
-        bone_model=problem.locked.bone_model,
+        bone_model=problem.constraints.bone_model,
         surface=surface,
         vertex_map=first.vertex_map,
         **names_of(problem.sequences if sequences is None else sequences),

@@ -21,7 +21,7 @@ from ..progress import Monitor
 from ..quantisation import WeightStorage
 from ..sequence import as_sequences, labels_of, without_copies
 from ..skinning import Skinning
-from ..solver.model import Locked
+from ..solver.model import Constraints
 from ..solver.rest_surface import RestPose
 from ..start import Skeleton, Start
 from .check_start import (
@@ -82,16 +82,18 @@ def check_problem(
         raise InputError("rig", "None, 'loose', 'rigid' or a Skeleton", repr(rig))
     by_default = bones is None and most_bones is not None
     bones = _count_bones(min(n, most_bones or n) if by_default else bones, n, rig, start)
-    initial, locked = check_start(start, (n_frames, n, bones, influences), bone_model)
+    initial, constraints = check_start(start, (n_frames, n, bones, influences), bone_model)
     names: tuple[str, ...] = ()
     kind: RigKind = "none"
     if isinstance(rig, Skeleton):
-        initial, locked = with_skeleton(rig, initial, locked, sequences, influences, start)
+        initial, constraints = with_skeleton(
+            rig, initial, constraints, sequences, influences, start
+        )
         kind, names = rig.joints, rig.skinning.names()
     elif rig is not None:
         kind = rig
     smoothness = check_smoothness(smoothness, sequences[0].faces)
-    _check_rig(kind, initial, locked, smoothness)
+    _check_rig(kind, initial, constraints, smoothness)
     if time_limit is not None and not (is_real(time_limit, finite=False) and time_limit > 0):
         raise InputError("time_limit", "a number of seconds > 0 or None", repr(time_limit))
     frame_importance = check_frame_importance(frame_importance, n_frames)
@@ -99,13 +101,13 @@ def check_problem(
     weighted = importance is not None or frame_importance is not None
     inputs, rows = sequences, None
     kept = () if initial.is_model else (initial.rest, *(initial.skin or ()))
-    label = told_apart(labels_of(inputs), *kept, locked.vertex_mask(n))
+    label = told_apart(labels_of(inputs), *kept, constraints.vertex_mask(n))
     differ = int(label.max()) + 1
     if by_default:
         bones = min(bones, differ)
     if bones <= differ < n:
         sequences, importance, firsts, rows = without_copies(inputs, label, importance)
-        initial, locked = initial.of_vertices(firsts), locked.select_vertices(firsts)
+        initial, constraints = initial.of_vertices(firsts), constraints.select_vertices(firsts)
     near_skin = kind == "rigid" and not isinstance(rig, Skeleton)
     return Problem(
         sequences=sequences,
@@ -117,7 +119,7 @@ def check_problem(
         effort=effort,
         rig=kind,
         names=names,
-        locked=dataclasses.replace(locked, near_skin=near_skin),
+        constraints=dataclasses.replace(constraints, near_skin=near_skin),
         initial=initial,
         start=start if isinstance(start, Skinning) else None,
         smoothness=smoothness,
@@ -167,14 +169,16 @@ def _count_bones(bones: Any, n_vertices: int, rig: Any, start: Any) -> int:
     return known
 
 
-def _check_rig(kind: RigKind, initial: Initial, locked: Locked, smoothness: float) -> None:
+def _check_rig(
+    kind: RigKind, initial: Initial, constraints: Constraints, smoothness: float
+) -> None:
     """Raise InputError for arguments that cannot be combined with bones attached at joints."""
     if kind == "none":
         return
     beside = "beside a Skeleton" if initial.keeps_tree else f"beside rig={kind!r}"
-    if locked.bone_model != "rigid":
-        raise InputError("bone_model", f"'rigid' {beside}", repr(locked.bone_model))
-    if kind == "loose" and locked.rotations.size:
+    if constraints.bone_model != "rigid":
+        raise InputError("bone_model", f"'rigid' {beside}", repr(constraints.bone_model))
+    if kind == "loose" and constraints.rotations.size:
         raise InputError("rig.locked_joints", "() beside loose joints", "some")
     if kind == "loose" and not initial.keeps_tree:
         return

@@ -23,7 +23,7 @@ from ..joints.limb_matching import limb_distances
 from ..joints.placement import move_onto_joints
 from ..sequence import MeshSequence
 from ..skinning import Skinning, refuse_shapes, skinning_in
-from ..solver.model import Locked, Skin
+from ..solver.model import Constraints, Skin
 from ..solver.trajectories import Array
 from ..start import JointKind, Skeleton, Start
 from .problem import Initial
@@ -57,15 +57,15 @@ def as_start(start: Any, n_frames: int) -> Any:
 
 def check_start(
     start: Skinning | Start | None, shape: tuple[int, int, int, int], bone_model: BoneModel
-) -> tuple[Initial, Locked]:
+) -> tuple[Initial, Constraints]:
     """Check a start; return the parts of a model that it gives, and which of them are locked.
 
     `shape` is (F, V, B, K).
     """
     if isinstance(start, Start):
         return _from_parts(start, shape, bone_model)
-    locked = Locked(bone_model=bone_model)
-    return Initial() if start is None else _from_model(start, shape, bone_model), locked
+    constraints = Constraints(bone_model=bone_model)
+    return Initial() if start is None else _from_model(start, shape, bone_model), constraints
 
 
 def _from_model(
@@ -99,18 +99,18 @@ def _from_model(
 
 def _from_parts(
     start: Start, shape: tuple[int, int, int, int], bone_model: BoneModel
-) -> tuple[Initial, Locked]:
+) -> tuple[Initial, Constraints]:
     n_frames, n, bones, influences = shape
     indices, weights, transforms, skin = start.indices, start.weights, start.transforms, None
     if (indices is None) != (weights is None):
         missing, other = ("weights", "indices") if weights is None else ("indices", "weights")
         dense = " (Skinning.from_dense has both of dense weights)" if weights is not None else ""
         raise InputError(f"start.{missing}", f"an array beside start.{other}{dense}", "None")
-    locked: dict[str, Any] = {}
+    constraints: dict[str, Any] = {}
     if weights is not None:
         skin = _sorted_skin(indices, weights, (n, bones, influences))
         mask = check_mask(start.locked_vertices, "start.locked_vertices", n, default=True)
-        locked["weights"] = mask
+        constraints["weights"] = mask
     elif start.locked_vertices is not None:
         raise InputError("start.locked_vertices", "None without indices and weights", "a mask")
     if transforms is not None:
@@ -121,7 +121,7 @@ def _from_parts(
         if weights is not None and count != bones:
             raise InputError("start.transforms", f"{bones} bones beside given weights", count)
         mask = check_mask(start.locked_bones, "start.locked_bones", count, default=True)
-        locked["bones"] = np.trim_zeros(mask, "b")
+        constraints["bones"] = np.trim_zeros(mask, "b")
     elif start.locked_bones is not None:
         raise InputError("start.locked_bones", "None without transforms", "a mask")
     frame = start.rest_frame
@@ -129,7 +129,7 @@ def _from_parts(
         frame = check_whole(frame, "start.rest_frame", 0, n_frames - 1)
     rest = None if start.rest is None else _check_rest(start.rest, n)
     initial = Initial(rest=rest, rest_frame=frame, skin=skin, transforms=transforms)
-    return initial, Locked(rest=rest is not None, bone_model=bone_model, **locked)
+    return initial, Constraints(rest=rest is not None, bone_model=bone_model, **constraints)
 
 
 def refuse_parts(initial: Initial, beside: str) -> None:
@@ -151,21 +151,21 @@ def check_skeleton(rig: Skeleton) -> None:
 def with_skeleton(
     rig: Skeleton,
     initial: Initial,
-    locked: Locked,
+    constraints: Constraints,
     sequences: list[MeshSequence],
     influences: int,
     start: Skinning | Start | None,
-) -> tuple[Initial, Locked]:
+) -> tuple[Initial, Constraints]:
     """Copies of the initial and locked parts with tree, extra bones and joints of a skeleton."""
     n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
     skeleton, extra = rig.skinning, extra_parents(rig, n)
     if extra and rig.joints == "loose":
         raise InputError("rig.extra_bones", "0 beside loose joints", rig.extra_bones)
     rotations = _locked_rotations(skeleton, rig.locked_joints, n_frames)
-    locked = dataclasses.replace(locked, rotations=rotations, joints=locked.rest)
+    constraints = dataclasses.replace(constraints, rotations=rotations, joints=constraints.rest)
     if isinstance(start, Skinning):
         tree = _same_tree(start, initial, skeleton, rotations)
-        return dataclasses.replace(initial, tree=tree, keeps_tree=True), locked
+        return dataclasses.replace(initial, tree=tree, keeps_tree=True), constraints
     if extra and initial.skin is not None:
         expected = "0 beside start.indices and start.weights"
         raise InputError("rig.extra_bones", expected, rig.extra_bones)
@@ -189,7 +189,7 @@ def with_skeleton(
         nearest_bone=nearest,
         skeleton_skin=skin,
         extra_parents=extra,
-    ), locked
+    ), constraints
 
 
 def _same_tree(start: Skinning, initial: Initial, skeleton: Skinning, rotations: Array) -> Tree:

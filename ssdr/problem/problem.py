@@ -16,7 +16,7 @@ from ..quantisation import WeightStorage
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.alignment import Alignment
-from ..solver.model import Locked, Skin
+from ..solver.model import Constraints, Skin
 from ..solver.rest_surface import RestPose, RestSurface, central_frame
 from ..solver.trajectories import Array, Trajectories
 from .scan import needs_streaming
@@ -141,7 +141,7 @@ class Problem:
     rig : {"none", "loose", "rigid"}
     names : tuple of str
         Names of the bones of a given skeleton.
-    locked : Locked
+    constraints : Constraints
         Parts that must not change, and the bone model.
     initial : Initial
         Parts that the caller gave, in the input's space and for all frames.
@@ -170,7 +170,7 @@ class Problem:
     effort: Effort
     rig: RigKind
     names: tuple[str, ...]
-    locked: Locked
+    constraints: Constraints
     initial: Initial
     start: Skinning | None
     smoothness: float
@@ -222,11 +222,11 @@ class Problem:
         """
         keeps_to = self.rest_pose == "surface" and len(data.faces) > 0
         pose = initial.tree_pose if initial.rest is None or self.tries_model else initial.rest
-        chosen = keeps_to or self.locked.bone_model != "rigid"
+        chosen = keeps_to or self.constraints.bone_model != "rigid"
         if pose is None and initial.rest_frame is None and chosen:
             frame = central_frame(data, first=not keeps_to)
             initial = dataclasses.replace(initial, rest_frame=frame)
-        if not keeps_to or self.locked.rest:
+        if not keeps_to or self.constraints.rest:
             return data, initial
         pose = initial.beside_model().first_pose(data) if pose is None else pose
         return dataclasses.replace(data, surface=RestSurface.build(data, pose)), initial
@@ -240,5 +240,5 @@ class Problem:
     @property
     def bones_placed(self) -> bool:
         """Whether weights or all bones are locked, so that no bone has to find its place."""
-        every = bool(self.locked.bone_mask(self.bones).all())
-        return len(self.locked.weights) > 0 or every
+        every = bool(self.constraints.bone_mask(self.bones).all())
+        return len(self.constraints.weights) > 0 or every

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from ..solver.model import Locked, Model
+from ..solver.model import Constraints, Model
 from ..solver.trajectories import Trajectories
 from .descent import Descent, step
 from .moves import (
@@ -38,7 +38,7 @@ _CLOSE = 1.02
 _MOST_MISSES = 8
 
 # A function that returns a changed copy of a model, or None if there is nothing to change.
-Change = Callable[[Trajectories, Model, np.random.Generator, Locked], Model | None]
+Change = Callable[[Trajectories, Model, np.random.Generator, Constraints], Model | None]
 CHANGES: tuple[Change, ...] = (exchange_bones, alternate_some, exchange_influences)
 
 
@@ -50,7 +50,7 @@ def merge(d: Descent, *, steps: int = 3, alternations: int = 4) -> Iterator[None
     estimates how many steps this takes, for 1.6 times `d.bones` bones.
     """
     while d.model.n_bones > d.bones:
-        d.model = merge_bones(d.data, d.model, d.bones, alternations, d.locked)
+        d.model = merge_bones(d.data, d.model, d.bones, alternations, d.constraints)
         d.iteration += alternations
         yield
 
@@ -75,7 +75,7 @@ def add_and_merge(d: Descent, *, alternations: int = 3) -> Iterator[None]:
     The result is kept even if its objective is higher, since it is judged only after a relaxation
     and a search.
     """
-    d.model = add_and_merge_bones(d.data, d.model, d.rng, d.locked, alternations=alternations)
+    d.model = add_and_merge_bones(d.data, d.model, d.rng, d.constraints, alternations=alternations)
     d.iteration += alternations
     yield
 
@@ -134,7 +134,7 @@ def tried(
         # early and late in a run.
         waits = [(k - t) / (1 + m) for t, m in zip(last_turn, misses, strict=True)]
         kind = int(np.argmax(waits))
-        trial = changes[kind](d.data, d.model, d.rng, d.locked)
+        trial = changes[kind](d.data, d.model, d.rng, d.constraints)
         d.iteration += iterations
         if trial is None:
             yield
@@ -158,9 +158,9 @@ def polished_value(d: Descent, trial: Model, base: float) -> float:
 
     It is polished a second time if its objective is at most 2 % above `base`.
     """
-    polish_steps(d.data, trial, STEPS_OF_A_TRIAL, d.locked)
+    polish_steps(d.data, trial, STEPS_OF_A_TRIAL, d.constraints)
     value = d.value(trial)
     if base <= value < _CLOSE * base:
-        polish_steps(d.data, trial, STEPS_OF_A_TRIAL, d.locked)
+        polish_steps(d.data, trial, STEPS_OF_A_TRIAL, d.constraints)
         value = d.value(trial)
     return value

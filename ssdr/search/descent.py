@@ -27,7 +27,7 @@ from ..parallel import serial_blas
 from ..problem.problem import Initial
 from ..progress import Monitor, Stop
 from ..solver.alternation import bone_costs, repeat_alternation, vertex_step
-from ..solver.model import Locked, Lowest, Model
+from ..solver.model import Constraints, Lowest, Model
 from ..solver.objective import Objective, WeightSmoothness
 from ..solver.trajectories import Trajectories
 from .moves import polish_steps
@@ -79,7 +79,7 @@ class Descent:
     data : Trajectories
     bones, influences : int
     rng : numpy.random.Generator
-    locked : Locked
+    constraints : Constraints
         Parts that must not change, and the bone model.
     initial : Initial
         Parts that the caller gave, in the solver's space.
@@ -118,7 +118,7 @@ class Descent:
         bones: int,
         influences: int,
         rng: np.random.Generator,
-        locked: Locked,
+        constraints: Constraints,
         initial: Initial,
         smoothness: WeightSmoothness | None = None,
         monitor: Monitor | None = None,
@@ -129,9 +129,9 @@ class Descent:
         self.few: Descent | None = None
         self._chosen: NDArray[np.intp] = np.zeros(0, dtype=np.intp)
         self.bones, self.influences, self.rng = bones, influences, rng
-        self.asked, self.initial, self.smoothness = locked, initial, smoothness
+        self.asked, self.initial, self.smoothness = constraints, initial, smoothness
         self.rigid_joints, self.normals = rigid_joints, normals
-        self.objective = Objective(locked, smoothness)
+        self.objective = Objective(constraints, smoothness)
         self.monitor = monitor or Monitor()
         self.best = Lowest()
         self.records: list[tuple[int, float, float, str]] = []
@@ -140,7 +140,7 @@ class Descent:
     # --- what steps ask ------------------------------------------------------------------------
 
     @property
-    def locked(self) -> Locked:
+    def constraints(self) -> Constraints:
         """Parts that are locked in the present step, and its bone model."""
         return dataclasses.replace(self.asked, bone_model="rigid") if self._rigid else self.asked
 
@@ -189,7 +189,7 @@ class Descent:
         best = copy.copy(self.best)
         if self.few is not None:
             model = self.of_all(self.few.best.model)
-            polish_steps(self.data, model, _STEPS_AFTER_STOP, self.locked)
+            polish_steps(self.data, model, _STEPS_AFTER_STOP, self.constraints)
             best.offer(model, self.value(model))
         return best
 
@@ -219,13 +219,13 @@ class Descent:
 
     def of_all(self, few: Model) -> Model:
         """Model of all vertices, made by eight alternations from `few`, a model of the sample."""
-        parts, locked = self.start_parts, self.locked
+        parts, constraints = self.start_parts, self.constraints
         rest = parts.first_pose(self.data)
         model = model_of_all(few, rest, self._chosen)
         if parts.rest is not None:
             model.rest = rest
-        vertex_step(self.data, model, locked=locked)
-        repeat_alternation(self.data, model, ALTERNATIONS_OF_ALL, locked)
+        vertex_step(self.data, model, constraints=constraints)
+        repeat_alternation(self.data, model, ALTERNATIONS_OF_ALL, constraints)
         return model
 
     def value(self, model: Model) -> float:

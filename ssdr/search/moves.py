@@ -18,7 +18,7 @@ from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..solver.alternation import bone_costs, free_gauge, repeat_alternation, vertex_step
 from ..solver.gauss_newton import GaussNewton
 from ..solver.initialization import by_motion, fit_patches
-from ..solver.model import CHUNK, SOLVED, Locked, Model
+from ..solver.model import CHUNK, SOLVED, Constraints, Model
 from ..solver.moments import transform_sums
 from ..solver.objective import normal_length, rest_pulls
 from ..solver.trajectories import Array, Trajectories
@@ -65,18 +65,18 @@ _ROUNDS = 2
 
 
 def merge_bones(
-    data: Trajectories, model: Model, bones: int, alternations: int, locked: Locked
+    data: Trajectories, model: Model, bones: int, alternations: int, constraints: Constraints
 ) -> Model:
     """Remove the cheapest third of the bones in excess of `bones` from a copy, then alternate.
 
     The cheapest bones are those whose removal raises the squared error least.
     """
     excess = model.n_bones - bones
-    cost = _removal_costs(data, model, locked)
+    cost = _removal_costs(data, model, constraints)
     drop = np.argsort(cost, kind="stable")[: max(1, -(-excess // 3))]
     smaller = model.without(drop)
-    vertex_step(data, smaller, locked=locked)
-    repeat_alternation(data, smaller, alternations, locked)
+    vertex_step(data, smaller, constraints=constraints)
+    repeat_alternation(data, smaller, alternations, constraints)
     return smaller
 
 
@@ -84,7 +84,7 @@ def move_cheapest_bone(
     data: Trajectories,
     model: Model,
     rng: np.random.Generator,
-    locked: Locked,
+    constraints: Constraints,
     *,
     alternations: int,
 ) -> Model | None:
@@ -96,16 +96,16 @@ def move_cheapest_bone(
     """
     if not float(data.importance @ model.error) > 0:
         return None
-    cost = _removal_costs(data, model, locked)
+    cost = _removal_costs(data, model, constraints)
     order = np.argsort(cost, kind="stable")
     free = order[np.isfinite(cost[order])]
     if len(free) == 0:
         return None
     drop = free[int(rng.integers(min(_CHEAPEST, len(free))))]
     members = patch_of_most_error(data, model, rng, _PATCH_SIZE)
-    moved = _with_patch(data, model.without(np.array([drop])), members, locked)
-    vertex_step(data, moved, locked=locked)
-    repeat_alternation(data, moved, alternations, locked)
+    moved = _with_patch(data, model.without(np.array([drop])), members, constraints)
+    vertex_step(data, moved, constraints=constraints)
+    repeat_alternation(data, moved, alternations, constraints)
     return moved
 
 
@@ -113,7 +113,7 @@ def add_and_merge_bones(
     data: Trajectories,
     model: Model,
     rng: np.random.Generator,
-    locked: Locked,
+    constraints: Constraints,
     *,
     alternations: int,
 ) -> Model:
@@ -125,15 +125,15 @@ def add_and_merge_bones(
     least, most = _ADDED
     most = max(least + 1, min(most, model.n_bones // 4))
     count = int(rng.integers(least, most + 1))
-    changed = _with_more_bones(data, model.with_restarted_support(), count, rng, locked)
-    repeat_alternation(data, changed, alternations, locked)
+    changed = _with_more_bones(data, model.with_restarted_support(), count, rng, constraints)
+    repeat_alternation(data, changed, alternations, constraints)
     while changed.n_bones > model.n_bones:
-        changed = merge_bones(data, changed, model.n_bones, alternations, locked)
+        changed = merge_bones(data, changed, model.n_bones, alternations, constraints)
     return changed
 
 
 def exchange_bones(
-    data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
+    data: Trajectories, model: Model, rng: np.random.Generator, constraints: Constraints
 ) -> Model:
     """Add one or two bones, polish, then remove the same number of the cheapest bones.
 
@@ -144,17 +144,19 @@ def exchange_bones(
     k, _, steps = _draw_influences(model, rng)
     count = int(rng.integers(1, _MOST_EXCHANGED + 1))
     wide = model.with_influences(min(k + 1, model.n_bones))
-    grown = _with_more_bones(data, wide, count, rng, locked)
-    polish_steps(data, grown, steps, locked)
+    grown = _with_more_bones(data, wide, count, rng, constraints)
+    polish_steps(data, grown, steps, constraints)
     for _ in range(count):
         grown.restart_support()
-        cost = _removal_costs(data, grown, locked)
+        cost = _removal_costs(data, grown, constraints)
         grown = grown.without(np.argsort(cost, kind="stable")[:1])
-        polish_steps(data, grown, _FEWEST_STEPS, locked)
-    return _with_fewer_influences(data, grown, locked, influences=k, steps=steps)
+        polish_steps(data, grown, _FEWEST_STEPS, constraints)
+    return _with_fewer_influences(data, grown, constraints, influences=k, steps=steps)
 
 
-def add_bone(data: Trajectories, model: Model, *, alternations: int, locked: Locked) -> Model:
+def add_bone(
+    data: Trajectories, model: Model, *, alternations: int, constraints: Constraints
+) -> Model:
     """Add a bone to a copy of the model without raising the error.
 
     The bone is placed at the patch of vertices with most error.  If that would raise the error, the
@@ -165,9 +167,9 @@ def add_bone(data: Trajectories, model: Model, *, alternations: int, locked: Loc
     seeds = np.argsort(-error, kind="stable")[:_CANDIDATES]
     size = data.n_vertices // (2 * model.n_bones)
     members = _neighbourhood_of_most_error(model.rest, error, seeds, size)
-    grown = _with_patch(data, model.with_restarted_support(), members, locked)
-    vertex_step(data, grown, locked=locked)
-    repeat_alternation(data, grown, alternations, locked)
+    grown = _with_patch(data, model.with_restarted_support(), members, constraints)
+    vertex_step(data, grown, constraints=constraints)
+    repeat_alternation(data, grown, alternations, constraints)
     if grown.weighted_error(data) <= before:
         return grown
     return model.with_bone(model.transforms[:, -1])
@@ -177,7 +179,7 @@ def add_bone(data: Trajectories, model: Model, *, alternations: int, locked: Loc
 
 
 def exchange_influences(
-    data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
+    data: Trajectories, model: Model, rng: np.random.Generator, constraints: Constraints
 ) -> Model:
     """Polish with one or two more influences per vertex, then drop the same number.
 
@@ -186,11 +188,11 @@ def exchange_influences(
     """
     k, extra, steps = _draw_influences(model, rng)
     wide = model.with_influences(k + extra)
-    return _with_fewer_influences(data, wide, locked, influences=k, steps=steps)
+    return _with_fewer_influences(data, wide, constraints, influences=k, steps=steps)
 
 
 def polish_then_drop_influence(
-    data: Trajectories, model: Model, locked: Locked, *, steps: int
+    data: Trajectories, model: Model, constraints: Constraints, *, steps: int
 ) -> Model:
     """Polish `steps` times (in place); return a copy with one influence fewer per vertex.
 
@@ -198,21 +200,21 @@ def polish_then_drop_influence(
     influences there are fewer poor minima, and the bones at these minima are close to those of a
     good model.
     """
-    polish_steps(data, model, steps, locked)
+    polish_steps(data, model, steps, constraints)
     smaller = model.with_influences(model.n_influences - 1)
     # the weights are solved on all bones, then the largest are kept
-    vertex_step(data, smaller, locked=locked)
+    vertex_step(data, smaller, constraints=constraints)
     return smaller
 
 
-def drop_influence(data: Trajectories, model: Model, locked: Locked) -> None:
+def drop_influence(data: Trajectories, model: Model, constraints: Constraints) -> None:
     """Remove from each vertex with K influences the one that it needs least (in place).
 
     Each removal is tried, with the other weights and the rest position solved again, and the one of
     least error is made.  Often this is not the removal of the smallest weight.
     """
-    k, keep = model.n_influences, locked.vertex_mask(data.n_vertices)
-    length, hold = normal_length(data, model), rest_pulls(data, model, locked)
+    k, keep = model.n_influences, constraints.vertex_mask(data.n_vertices)
+    length, hold = normal_length(data, model), rest_pulls(data, model, constraints)
     full = (model.weights > 0).all(axis=1) & ~keep
     if k < 2 or not full.any():
         return
@@ -239,7 +241,7 @@ def drop_influence(data: Trajectories, model: Model, locked: Locked) -> None:
                 chosen: Any = *sums, gram, rest, indices, weights, normals, *flags, 0
                 choose_influences(*chosen)
                 found = *trial.values(), hold[some]
-                arrays: Any = *sums, gram4, *found, *flags, not locked.rest, _ROUNDS, *unread
+                arrays: Any = *sums, gram4, *found, *flags, not constraints.rest, _ROUNDS, *unread
                 polish_vertices(*arrays)
                 off = hold[some, 0] * ((trial["rest"] - hold[some, 1:]) ** 2).sum(axis=1)
                 error = trial["error"] + length**2 * trial["normal_error"] + off
@@ -259,12 +261,12 @@ def _draw_influences(model: Model, rng: np.random.Generator) -> tuple[int, int, 
 
 
 def _with_fewer_influences(
-    data: Trajectories, model: Model, locked: Locked, *, influences: int, steps: int
+    data: Trajectories, model: Model, constraints: Constraints, *, influences: int, steps: int
 ) -> Model:
     """Polish (in place) and drop an influence per vertex, repeatedly, down to `influences`."""
     while model.n_influences > influences:
-        polish_steps(data, model, steps, locked)
-        drop_influence(data, model, locked)
+        polish_steps(data, model, steps, constraints)
+        drop_influence(data, model, constraints)
         model = model.with_influences(model.n_influences - 1)
     return model
 
@@ -273,7 +275,7 @@ def _with_fewer_influences(
 
 
 def alternate_some(
-    data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
+    data: Trajectories, model: Model, rng: np.random.Generator, constraints: Constraints
 ) -> Model:
     """A copy after one to five alternations of weights and bones, their number chosen at random.
 
@@ -282,15 +284,15 @@ def alternate_some(
     """
     moved = model.with_restarted_support()
     for _ in range(int(rng.integers(1, _MOST_ALTERNATIONS + 1))):
-        repeat_alternation(data, moved, 1, locked)
-        free_gauge(data, moved, locked)
+        repeat_alternation(data, moved, 1, constraints)
+        free_gauge(data, moved, constraints)
     return moved
 
 
-def polish_steps(data: Trajectories, model: Model, count: int, locked: Locked) -> None:
+def polish_steps(data: Trajectories, model: Model, count: int, constraints: Constraints) -> None:
     """Make `count` Gauss–Newton steps (in place)."""
-    GaussNewton(data, model, locked=locked).run(count)
-    free_gauge(data, model, locked)
+    GaussNewton(data, model, constraints=constraints).run(count)
+    free_gauge(data, model, constraints)
 
 
 # --- where a new bone is placed ----------------------------------------------------------------
@@ -336,33 +338,33 @@ def _neighbourhood_of_most_error(
 
 
 def _with_more_bones(
-    data: Trajectories, model: Model, count: int, rng: np.random.Generator, locked: Locked
+    data: Trajectories, model: Model, count: int, rng: np.random.Generator, constraints: Constraints
 ) -> Model:
     """A copy with `count` more bones, each in turn placed where the error is largest."""
     for _ in range(count):
         members = patch_of_most_error(data, model, rng, float(rng.choice(_PATCH_SIZES)))
-        model = _with_patch(data, model, members, locked)
-        vertex_step(data, model, locked=locked)
+        model = _with_patch(data, model, members, constraints)
+        vertex_step(data, model, constraints=constraints)
     return model
 
 
 def _with_patch(
-    data: Trajectories, model: Model, members: NDArray[np.intp], locked: Locked
+    data: Trajectories, model: Model, members: NDArray[np.intp], constraints: Constraints
 ) -> Model:
     """A copy with one more bone, fitted to the vertices `members`, which it moves alone."""
     label = np.full(data.n_vertices, -1, dtype=np.intp)
     label[members] = 0
-    grown = model.with_bone(fit_patches(data, model.rest, label, 1, locked.bone_model)[:, 0])
-    members = members[~locked.vertex_mask(data.n_vertices)[members]]
+    grown = model.with_bone(fit_patches(data, model.rest, label, 1, constraints.bone_model)[:, 0])
+    members = members[~constraints.vertex_mask(data.n_vertices)[members]]
     grown.assign_to_bone(members, grown.n_bones - 1)
     return grown
 
 
-def _removal_costs(data: Trajectories, model: Model, locked: Locked) -> Array:
+def _removal_costs(data: Trajectories, model: Model, constraints: Constraints) -> Array:
     """Rise (B,) of the squared error by the removal of each bone alone; inf if it has to stay."""
     cost = bone_costs(data, model)
     # all bones up to the last locked one stay, since locked bones are known by their index
-    cost[: len(locked.bones)] = np.inf
-    keep = locked.vertex_mask(data.n_vertices)
+    cost[: len(constraints.bones)] = np.inf
+    keep = constraints.vertex_mask(data.n_vertices)
     cost[model.indices[keep][model.weights[keep] > 0]] = np.inf
     return cost

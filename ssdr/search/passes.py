@@ -23,7 +23,7 @@ from ..progress import Stop
 from ..sequence import MeshSequence
 from ..solver.alignment import Alignment
 from ..solver.gauss_newton import fit_motion
-from ..solver.model import CHUNK, Locked, Model
+from ..solver.model import CHUNK, Constraints, Model
 from ..solver.moments import gram_tables
 from ..solver.objective import Objective, normal_length, rest_pulls
 from ..solver.trajectories import Array, Trajectories, frame_scale_of
@@ -40,7 +40,11 @@ _GAIN = 2e-3  # relative decrease of the objective below which a pass is the las
 
 
 def carried(
-    model: Model, nearest: NDArray[np.int64], ratio: float, initial: Initial, locked: Locked
+    model: Model,
+    nearest: NDArray[np.int64],
+    ratio: float,
+    initial: Initial,
+    constraints: Constraints,
 ) -> Model:
     """Copy of a model for other frames, each with the transforms of the most similar solved frame.
 
@@ -54,13 +58,13 @@ def carried(
     initial : Initial
         Given parts in the new space; its transforms replace those of locked bones, or of all bones
         if it is a complete model to continue from.
-    locked : Locked
+    constraints : Constraints
     """
     transforms = model.transforms[nearest]
     transforms[..., 3] *= ratio
     if initial.transforms is not None:
         count = initial.transforms.shape[1]
-        own = np.full(count, initial.is_model) | locked.bone_mask(count)
+        own = np.full(count, initial.is_model) | constraints.bone_mask(count)
         transforms[:, np.flatnonzero(own)] = initial.transforms[:, own]
     moved = dataclasses.replace(model.copy(), transforms=transforms)
     moved.rest *= ratio
@@ -83,7 +87,7 @@ class AllFrames:
         Trajectories of the chosen frames.
     model : Model
         Model of the chosen frames; it is copied.
-    locked : Locked
+    constraints : Constraints
     initial : Initial
         Given parts in the solver's space of all frames.
     importance : (F,) array or None
@@ -99,17 +103,17 @@ class AllFrames:
         data: Trajectories,
         model: Model,
         *,
-        locked: Locked,
+        constraints: Constraints,
         initial: Initial,
         importance: Array | None,
         executor: Executor | None = None,
     ) -> None:
-        self.sequences, self.locked = sequences, locked
+        self.sequences, self.constraints = sequences, constraints
         self.executor = executor or Local()
         self.alignment = scan.alignment
         self.passes = 0
         ratio = data.scale / self.alignment.scale
-        self.model = carried(model, scan.nearest, ratio, initial, locked)
+        self.model = carried(model, scan.nearest, ratio, initial, constraints)
         # trajectories of all frames, without their positions
         self.space = Trajectories(
             z=data.z[:, :0],
@@ -173,7 +177,15 @@ class AllFrames:
             support=model.indices,
             support_weights=model.weights,
         )
-        shared = (still, space.importance, space.scale, space.faces, self.locked, leaps, length)
+        shared = (
+            still,
+            space.importance,
+            space.scale,
+            space.faces,
+            self.constraints,
+            leaps,
+            length,
+        )
 
         def of_span(k: int) -> tuple[Array, ...]:
             span = slice(*spans[k])
@@ -197,15 +209,15 @@ class AllFrames:
             x2,
             gram_tables(g, n_bones),
             model,
-            hold=rest_pulls(space, model, self.locked),
+            hold=rest_pulls(space, model, self.constraints),
             length=length,
-            locked=self.locked,
+            constraints=self.constraints,
             entering=entering,
             rounds=_ROUNDS,
         )
         self.passes += 1
         # joints do not move in a pass
-        return Objective(dataclasses.replace(self.locked, near_skin=False)).value(space, model)
+        return Objective(dataclasses.replace(self.constraints, near_skin=False)).value(space, model)
 
 
 @serial_blas()
@@ -219,7 +231,7 @@ def _pass_span(
     importance: Array,
     scale: float,
     faces: NDArray[np.int32],
-    locked: Locked,
+    constraints: Constraints,
     leaps: int,
     length: float,
 ) -> tuple[Array, tuple[Array, Array, Array]]:
@@ -252,7 +264,7 @@ def _pass_span(
             error=part.x2.copy(),
             normals=model.normals.copy(),
         )
-        fit_motion(part, piece, locked=locked, sweeps=_SWEEPS, leaps=leaps, length=length)
+        fit_motion(part, piece, constraints=constraints, sweeps=_SWEEPS, leaps=leaps, length=length)
         transforms[start:stop] = piece.transforms
         hat = part.stack(piece.transforms)
         g += hat.T @ hat

@@ -72,7 +72,7 @@ def _solve_streamed(problem: Problem) -> Decomposition:
     A model of representative frames is refined on as many frames as fit into memory, if these are
     more, unless the run is stopped or out of time; passes over all frames follow.
     """
-    if problem.locked.rotations.size:
+    if problem.constraints.rotations.size:
         raise InputError("rig.locked_joints", "() for frames that are streamed", "some")
     monitor, chosen = problem.monitor, scan_of(problem)
     alignment, more = chosen.alignment, chosen.extended(problem.n_vertices)
@@ -144,15 +144,17 @@ def rounded(
 
     After each round of polish steps `report` is called; if it raises Stop, the rounds end.
     """
-    locked = problem.locked
+    constraints = problem.constraints
     if problem.smoothness > 0:  # the rounding would ignore this penalty
-        locked = locked.with_weights(data.n_vertices)
+        constraints = constraints.with_weights(data.n_vertices)
     if problem.storage == "float32":
         return model
     rounds = NUMBERS[problem.effort].rounding
     best = model
     with contextlib.suppress(Stop):
-        for best in rounded_models(data, model, problem.storage, locked=locked, rounds=rounds):
+        for best in rounded_models(
+            data, model, problem.storage, constraints=constraints, rounds=rounds
+        ):
             report(best)
     return best
 
@@ -184,7 +186,7 @@ def _begin(problem: Problem, data: Trajectories, initial: Initial, *, normals: b
         bones=problem.bones,
         influences=min(problem.influences, problem.bones),
         rng=problem.rng,
-        locked=problem.locked,
+        constraints=problem.constraints,
         initial=initial,
         smoothness=smoothness,
         monitor=problem.monitor,
@@ -234,7 +236,7 @@ def _carried(
     d = _begin(problem, data, initial, normals=True)
     d.iteration = first.iteration
     nearest = few.nearest[more.chosen]
-    d.model = carried(first.best.model, nearest, ratio, initial, problem.locked)
+    d.model = carried(first.best.model, nearest, ratio, initial, problem.constraints)
     return d, sequences
 
 
@@ -245,16 +247,16 @@ def _passes_over_all(
 
     Returns the model and a record of each pass.
     """
-    monitor, most, locked = problem.monitor, PASSES[problem.effort], problem.locked
+    monitor, most, constraints = problem.monitor, PASSES[problem.effort], problem.constraints
     if d.smoothness is not None or problem.storage != "float32":
         # a pass ignores penalty and rounding, so it must not change the weights
-        locked = locked.with_weights(d.data.n_vertices)
+        constraints = constraints.with_weights(d.data.n_vertices)
     frames = AllFrames(
         problem.sequences,
         chosen,
         d.data,
         model,
-        locked=locked,
+        constraints=constraints,
         initial=problem.initial.inside(chosen.alignment),
         importance=problem.frame_importance,
         executor=problem.executor,

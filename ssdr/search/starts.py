@@ -44,7 +44,7 @@ def start(d: Descent, *, factor: float = 1.0, influences: int | None = None) -> 
     1, the caller's bones are used only if some of them are locked.
     """
     d.model = _first_model(d, factor, influences)
-    vertex_step(d.data, d.model, locked=d.locked)
+    vertex_step(d.data, d.model, constraints=d.constraints)
     yield
 
 
@@ -58,20 +58,20 @@ def quick_start(d: Descent, *, influences: int | None = None) -> Iterator[None]:
     data, initial = d.data, d.start_parts
     if data.n_frames < 2 * _FEW_FRAMES or initial.transforms is not None:
         d.model = _first_model(d, 1.0, influences, quick=True)
-        vertex_step(data, d.model, locked=d.locked)
+        vertex_step(data, d.model, constraints=d.constraints)
         yield
         return
     chosen = np.linspace(0, data.n_frames - 1, _FEW_FRAMES).round().astype(np.intp)
     few, rest = data.select_frames(chosen), initial.first_pose(data)
-    k, kind = influences or d.influences, d.locked.bone_model
+    k, kind = influences or d.influences, d.constraints.bone_model
     model = start_model(few, rest, d.bones, k, d.rng, None, kind, quick=True)
-    vertex_step(few, model, locked=d.locked)
-    repeat_alternation(few, model, _FEW_ALTERNATIONS, d.locked)
+    vertex_step(few, model, constraints=d.constraints)
+    repeat_alternation(few, model, _FEW_ALTERNATIONS, d.constraints)
     between = 0.5 * (chosen[1:] + chosen[:-1])
     nearest = np.searchsorted(between, np.arange(data.n_frames))
     model.transforms = np.ascontiguousarray(model.transforms[nearest])
-    bone_step(data, model, sweeps=_FIRST_SWEEPS, locked=d.locked)
-    vertex_step(data, model, locked=d.locked)
+    bone_step(data, model, sweeps=_FIRST_SWEEPS, constraints=d.constraints)
+    vertex_step(data, model, constraints=d.constraints)
     d.model = model
     yield
 
@@ -81,7 +81,7 @@ def _first_model(
 ) -> Model:
     data, initial, k = d.data, d.start_parts, influences or d.influences
     rest, bones = initial.first_pose(data), initial.transforms
-    if factor > 1 and not len(d.locked.bones):
+    if factor > 1 and not len(d.constraints.bones):
         bones = None  # given bones that are not locked have served as a start already
     if initial.skin is not None:
         bones = _patches_of_weights(d, rest, initial.skin) if bones is None else bones.copy()
@@ -94,7 +94,7 @@ def _first_model(
             rest = np.ascontiguousarray(positions[every, :, label])
         return Model.start(bones.copy(), rest, label, k)
     count = min(data.n_vertices, max(d.bones, round(d.bones * factor)))
-    return start_model(data, rest, count, k, d.rng, bones, d.locked.bone_model, quick=quick)
+    return start_model(data, rest, count, k, d.rng, bones, d.constraints.bone_model, quick=quick)
 
 
 @step("start", cost=8)
@@ -141,7 +141,7 @@ def _initial_model(d: Descent, bones: Array | None) -> Model:
 
 def _patches_of_weights(d: Descent, rest: Array, skin: Skin) -> Array:
     """Transforms (F, B, 3, 4) of bones that are each fitted to the vertices that they move most."""
-    label, kind = skin.indices[:, 0].astype(np.intp), d.locked.bone_model
+    label, kind = skin.indices[:, 0].astype(np.intp), d.constraints.bone_model
     return fit_patches(d.data, rest, label, d.bones, kind)
 
 
@@ -150,14 +150,16 @@ def _fit_motion(d: Descent, model: Model) -> None:
 
     Weights and rest pose are held.
     """
-    fit_motion(d.data, model, locked=d.locked, sweeps=_FIRST_SWEEPS, leaps=_FIRST_LEAPS)
+    fit_motion(d.data, model, constraints=d.constraints, sweeps=_FIRST_SWEEPS, leaps=_FIRST_LEAPS)
     _measure_error(d, model)
 
 
 def _measure_error(d: Descent, model: Model) -> None:
     """Recompute the error of every vertex (in place); the rest of the model does not change."""
     every = np.ones(d.data.n_vertices, dtype=bool)
-    vertex_step(d.data, model, locked=dataclasses.replace(d.locked, rest=True, weights=every))
+    vertex_step(
+        d.data, model, constraints=dataclasses.replace(d.constraints, rest=True, weights=every)
+    )
 
 
 def first_model(d: Descent, *, influences: int | None = None) -> None:

@@ -57,8 +57,8 @@ def alternate(d: Descent, *, steps: int, gain: float = _PLATEAU) -> Iterator[Non
     failures = 0
     for _ in range(steps):
         before = d.value(d.model)
-        repeat_alternation(d.data, d.model, 1, d.locked, d.smoothness)
-        free_gauge(d.data, d.model, d.locked)
+        repeat_alternation(d.data, d.model, 1, d.constraints, d.smoothness)
+        free_gauge(d.data, d.model, d.constraints)
         d.iteration += 1
         still = before - d.value(d.model) < max(gain, _PLATEAU) * before
         failures = failures + 1 if still else 0
@@ -75,7 +75,7 @@ def polish(d: Descent, *, steps: int, gain: float = 0.0) -> Iterator[None]:
     It ends after `steps` steps, or when eight of them lower the error by less than the fraction
     `gain`.
     """
-    newton = GaussNewton(d.data, d.model, locked=d.locked)
+    newton = GaussNewton(d.data, d.model, constraints=d.constraints)
     for _ in newton.steps(steps, gain=gain):
         d.iteration += 1
         d.converged = newton.converged
@@ -94,7 +94,7 @@ def relax(d: Descent, *, steps: int = 4, polish_steps: int = 8) -> Iterator[None
     model = d.model.with_influences(min(2 * k, k + steps, d.model.n_bones))
     for _ in range(max(1, model.n_influences - k)):
         if model.n_influences > k:
-            model = polish_then_drop_influence(d.data, model, d.locked, steps=polish_steps)
+            model = polish_then_drop_influence(d.data, model, d.constraints, steps=polish_steps)
             d.iteration += polish_steps
         d.model = model
         yield
@@ -137,9 +137,9 @@ def unfold(d: Descent, *, steps: int = 8) -> Iterator[None]:
     """
     if d.data.surface is None:
         return
-    d.model, locked = d.best.model.with_restarted_support(), d.locked
+    d.model, constraints = d.best.model.with_restarted_support(), d.constraints
     if d.smoothness is not None:  # this solve of weights would ignore the penalty
-        locked = locked.with_weights(d.data.n_vertices)
+        constraints = constraints.with_weights(d.data.n_vertices)
     for _ in range(steps):
         assert d.data.surface is not None
         turned = d.data.surface.turned(d.model.rest, d.data.faces)
@@ -149,7 +149,7 @@ def unfold(d: Descent, *, steps: int = 8) -> Iterator[None]:
         d.data = dataclasses.replace(d.data, surface=surface)
         # far from the stiffer edges nothing has changed
         near = surface.around(d.data.faces[turned])
-        optimise_some(d.data, d.model, near, locked=locked, times=_UNFOLD_ROUNDS)
+        optimise_some(d.data, d.model, near, constraints=constraints, times=_UNFOLD_ROUNDS)
         d.set_best(d.model)
         yield
 

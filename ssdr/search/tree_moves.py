@@ -22,7 +22,7 @@ from ..joints.placement import (
 )
 from ..solver.alternation import bone_costs, vertex_step
 from ..solver.initialization import fit_patches
-from ..solver.model import Locked, Model
+from ..solver.model import Constraints, Model
 from ..solver.trajectories import Array, Trajectories
 from .moves import patch_of_most_error, polish_steps
 
@@ -49,27 +49,27 @@ _PATCH_SIZES = (0.25, 0.5, 1.0)  # vertex counts of a patch, relative to V/B
 
 
 def attach_by_stiffness(
-    data: Trajectories, model: Model, locked: Locked, *, start: float, steps: int
+    data: Trajectories, model: Model, constraints: Constraints, *, start: float, steps: int
 ) -> None:
     """Pull bones to their joints with growing stiffness, then attach them (in place).
 
     The stiffness grows from `start` in `steps` steps.
     """
     for stiffness in np.geomspace(start, _HARD, steps):
-        step_with_joint_penalty(data, model, float(stiffness), locked)
-    snap_to_joints(data, model, locked)
+        step_with_joint_penalty(data, model, float(stiffness), constraints)
+    snap_to_joints(data, model, constraints)
 
 
 def _attach_changed(
-    data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
+    data: Trajectories, model: Model, rng: np.random.Generator, constraints: Constraints
 ) -> None:
     """Attach the bones in ten steps from a random first stiffness (in place)."""
     start = 10 ** rng.uniform(*_FIRST_STIFFNESS)
-    attach_by_stiffness(data, model, locked, start=start, steps=_STEPS)
+    attach_by_stiffness(data, model, constraints, start=start, steps=_STEPS)
 
 
 def add_edge_between_skin_neighbours(
-    data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
+    data: Trajectories, model: Model, rng: np.random.Generator, constraints: Constraints
 ) -> Model:
     """Connect two bones that share weights and drop one edge of the cycle, one to three times."""
     changed = model.with_restarted_support()
@@ -89,11 +89,13 @@ def add_edge_between_skin_neighbours(
         point, _ = fit_joint(changed, a, b, meet.points[a, b])
         a, b = (a, b) if edge in up else (b, a)
         changed.tree = tree.replace_edge(edge, a, b, point)
-    _attach_changed(data, changed, rng, locked)
+    _attach_changed(data, changed, rng, constraints)
     return changed
 
 
-def reparent(data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked) -> Model:
+def reparent(
+    data: Trajectories, model: Model, rng: np.random.Generator, constraints: Constraints
+) -> Model:
     """Replace one edge of the tree by a random one whose joint would have a small gap."""
     changed = model.with_restarted_support()
     tree, n = changed.hierarchy, changed.n_bones
@@ -118,12 +120,12 @@ def reparent(data: Trajectories, model: Model, rng: np.random.Generator, locked:
     chance = 1.0 / (costs + 0.1 * costs.mean() + 1e-300)
     _, edge, a, b = ways[int(rng.choice(len(ways), p=chance / chance.sum()))]
     changed.tree = tree.replace_edge(edge, a, b, points[a, b])
-    attach_by_stiffness(data, changed, locked, start=1.0, steps=4)
+    attach_by_stiffness(data, changed, constraints, start=1.0, steps=4)
     return changed
 
 
 def mirror_edge(
-    data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
+    data: Trajectories, model: Model, rng: np.random.Generator, constraints: Constraints
 ) -> Model:
     """Add the mirror image of an edge that has none and drop one edge of the resulting cycle.
 
@@ -132,11 +134,11 @@ def mirror_edge(
     """
     mirror = mirror_of(model.rest, model.indices, model.weights, model.n_bones)
     if mirror is None:
-        return reparent(data, model, rng, locked)
+        return reparent(data, model, rng, constraints)
     changed, tree, other = model.with_restarted_support(), model.hierarchy, mirror.partners
     alone = [b for b, has_image in edges_with_image(mirror, tree.parents).items() if not has_image]
     if not alone:
-        return reparent(data, model, rng, locked)
+        return reparent(data, model, rng, constraints)
     edge = alone[int(rng.integers(len(alone)))]
     a, b = int(other[edge]), int(other[tree.parents[edge]])
     up, down = tree.path(a, b)
@@ -144,12 +146,12 @@ def mirror_edge(
     gone = min(up + down, key=lambda k: (k not in alone, overlap[k, tree.parents[k]], k))
     a, b = (a, b) if gone in up else (b, a)
     changed.tree = tree.replace_edge(gone, a, b, mirror.image(tree.points[edge]))
-    _attach_changed(data, changed, rng, locked)
+    _attach_changed(data, changed, rng, constraints)
     return changed
 
 
 def move_bone_to_error(
-    data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
+    data: Trajectories, model: Model, rng: np.random.Generator, constraints: Constraints
 ) -> Model:
     """Refit a bone near the patch of largest error to the patch, which it then moves alone."""
     members = patch_of_most_error(data, model, rng, float(rng.choice(_PATCH_SIZES)))
@@ -162,22 +164,22 @@ def move_bone_to_error(
     label[members] = 0
     changed.transforms[:, bone] = fit_patches(data, model.rest, label, 1)[:, 0]
     changed.tree = dataclasses.replace(tree, rigid=False)
-    changed.assign_to_bone(members[~locked.vertex_mask(data.n_vertices)[members]], bone)
-    vertex_step(data, changed, locked=locked)
-    _attach_changed(data, changed, rng, locked)
+    changed.assign_to_bone(members[~constraints.vertex_mask(data.n_vertices)[members]], bone)
+    vertex_step(data, changed, constraints=constraints)
+    _attach_changed(data, changed, rng, constraints)
     return changed
 
 
 def replace_bone(
-    data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
+    data: Trajectories, model: Model, rng: np.random.Generator, constraints: Constraints
 ) -> Model:
     """Split the bone with the patch of largest error, and polish; then remove a bone.
 
     The removed bone is the one whose removal costs least.
     """
     grown = split_bone(data, model.with_restarted_support(), rng)
-    polish_steps(data, grown, int(rng.integers(3, 7)), locked)
-    return remove_cheapest_bone(data, grown, locked)
+    polish_steps(data, grown, int(rng.integers(3, 7)), constraints)
+    return remove_cheapest_bone(data, grown, constraints)
 
 
 def split_bone(
@@ -239,7 +241,7 @@ def split_bone(
     return grown
 
 
-def remove_cheapest_bone(data: Trajectories, model: Model, locked: Locked) -> Model:
+def remove_cheapest_bone(data: Trajectories, model: Model, constraints: Constraints) -> Model:
     """A copy without the bone whose removal costs least.
 
     The neighbours of that bone are attached to one among them.
@@ -249,7 +251,7 @@ def remove_cheapest_bone(data: Trajectories, model: Model, locked: Locked) -> Mo
     loss = losses[bone]
     smaller = model.without(np.array([bone]))
     smaller.tree = model.hierarchy.contract(bone, loss.successor, loss.points)
-    snap_to_joints(data, smaller, locked)
+    snap_to_joints(data, smaller, constraints)
     return smaller
 
 

@@ -63,10 +63,10 @@ def attach(d: Descent, *, steps: int = 20) -> Iterator[None]:
     if model.tree is None:
         model.tree = spanning_tree(model)
     for k, stiffness in enumerate(np.geomspace(*_STIFFNESS, steps)):
-        step_with_joint_penalty(d.data, model, float(stiffness), d.locked)
+        step_with_joint_penalty(d.data, model, float(stiffness), d.constraints)
         d.iteration += 1
         if k == steps - 1:
-            snap_to_joints(d.data, model, d.locked)
+            snap_to_joints(d.data, model, d.constraints)
         yield
 
 
@@ -107,7 +107,7 @@ def start_on_skeleton(d: Descent, *, by_motion: bool = False) -> Iterator[None]:
     else:
         d.model = Model.with_weights(bones, rest, *skin, d.influences)
     d.model.tree = tree if d.rigid_joints else None
-    vertex_step(data, d.model, locked=d.locked)
+    vertex_step(data, d.model, constraints=d.constraints)
     yield
 
 
@@ -130,12 +130,12 @@ def remove_bones(d: Descent, *, steps: int = 3) -> Iterator[None]:
     """Remove the bone whose removal costs least, repeatedly, until `d.bones` are left."""
     while d.model.n_bones > d.bones:
         model = d.model.with_restarted_support()
-        _polish_changed(d, remove_cheapest_bone(d.data, model, d.locked))
+        _polish_changed(d, remove_cheapest_bone(d.data, model, d.constraints))
         yield
 
 
 def _polish_changed(d: Descent, model: Model) -> None:
-    polish_steps(d.data, model, _POLISH_STEPS, d.locked)
+    polish_steps(d.data, model, _POLISH_STEPS, d.constraints)
     d.iteration += _POLISH_STEPS
     d.model = model
 
@@ -161,7 +161,7 @@ def _polished_value(d: Descent, trial: Model, base: float) -> float:
     value = np.inf
     for steps in range(0, _MOST_POLISH, STEPS_OF_A_TRIAL):
         before = value
-        polish_steps(d.data, trial, STEPS_OF_A_TRIAL, d.locked)
+        polish_steps(d.data, trial, STEPS_OF_A_TRIAL, d.constraints)
         value = d.value(trial)
         if value < base or (steps and value - _AHEAD * (before - value) > base):
             break

@@ -12,7 +12,7 @@ from ..kernels.removal import removal_cost
 from ..kernels.vertices import solve_vertices
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from .affine_fit import leap_rigid, solve_affine
-from .model import CHUNK, FREE, Locked, Model
+from .model import CHUNK, FREE, Constraints, Model
 from .moments import bone_sums, coupled_bones, transform_sums
 from .objective import WeightSmoothness, normal_length, rest_pulls
 from .trajectories import Array, Trajectories
@@ -32,7 +32,7 @@ def repeat_alternation(
     data: Trajectories,
     model: Model,
     count: int,
-    locked: Locked,
+    constraints: Constraints,
     smoothness: WeightSmoothness | None = None,
 ) -> None:
     """Take `count` alternations of bones, weights and rest pose (in place).
@@ -45,15 +45,15 @@ def repeat_alternation(
         if smoothness is not None:
             penalty = smoothness.penalty(model)
             pull, stiff = smoothness.terms(model)
-        bone_step(data, model, locked=locked, length=normal_length(data, model, penalty))
-        vertex_step(data, model, locked=locked, pull=pull, stiff=stiff, penalty=penalty)
+        bone_step(data, model, constraints=constraints, length=normal_length(data, model, penalty))
+        vertex_step(data, model, constraints=constraints, pull=pull, stiff=stiff, penalty=penalty)
 
 
 def vertex_step(
     data: Trajectories,
     model: Model,
     *,
-    locked: Locked = FREE,
+    constraints: Constraints = FREE,
     pull: Array | None = None,
     stiff: Array | None = None,
     penalty: float = 0.0,
@@ -64,16 +64,16 @@ def vertex_step(
     ----------
     data : Trajectories
     model : Model
-    locked : Locked
+    constraints : Constraints
     pull, stiff : (V, B), (V,) arrays, optional
         Coefficients of a penalty stiff_i |w_i|² − 2 pull_i · w_i on the weights w_i of vertex i.
     penalty : float
         Penalty that the objective adds to the error of the model.
     """
-    keep = locked.vertex_mask(data.n_vertices)
+    keep = constraints.vertex_mask(data.n_vertices)
     with serial_blas():
         length = normal_length(data, model, penalty)
-        hold = rest_pulls(data, model, locked, penalty)
+        hold = rest_pulls(data, model, constraints, penalty)
         _, gram, _, reduced = transform_sums(data, model.transforms)
         pairs = np.ascontiguousarray(gram.transpose(0, 2, 1))
         none, none1 = np.zeros((0, 0)), np.zeros(0)
@@ -90,7 +90,7 @@ def vertex_step(
                 hold[i:k],
                 length,
                 keep[i:k],
-                not locked.rest,
+                not constraints.rest,
             )
 
         run_chunks(work, chunk_bounds(data.n_vertices, CHUNK))
@@ -104,7 +104,7 @@ def bone_step(
     model: Model,
     *,
     sweeps: int = 3,
-    locked: Locked = FREE,
+    constraints: Constraints = FREE,
     leaps: int = 0,
     length: float | None = None,
 ) -> tuple[Array, Array]:
@@ -118,7 +118,7 @@ def bone_step(
     model : Model
     sweeps : int
         Passes over the bones of each frame.
-    locked : Locked
+    constraints : Constraints
     leaps : int
         Number of rounds in which rigid bones, which may be far from their optimum, first take a
         :func:`~ssdr.solver.affine_fit.leap_rigid` and then the sweeps.  If 0, there are sweeps
@@ -133,11 +133,11 @@ def bone_step(
     """
     length = normal_length(data, model) if length is None else length
     u, c = bone_sums(data, model, length=length)
-    mask = locked.bone_mask(model.n_bones)
-    if locked.bone_model == "affine":
+    mask = constraints.bone_mask(model.n_bones)
+    if constraints.bone_model == "affine":
         solve_affine(model.transforms, u, c, mask)
         return u, c
-    scaled = locked.bone_model == "similarity"
+    scaled = constraints.bone_model == "similarity"
     for k in range(max(1, leaps)):
         if k < leaps and not scaled:
             leap_rigid(model.transforms, u, c, mask)
@@ -149,7 +149,7 @@ def sweep(
     transforms: Array,
     u: Array,
     c: Array,
-    locked: NDArray[np.bool_],
+    constraints: NDArray[np.bool_],
     *,
     sweeps: int,
     scaled: bool = False,
@@ -172,7 +172,7 @@ def sweep(
     start, neighbour = coupled_bones(u)
 
     def work(_: int, i: int, k: int) -> None:
-        sweep_bones(transforms[i:k], c[i:k], u, start, neighbour, locked, scaled, sweeps)
+        sweep_bones(transforms[i:k], c[i:k], u, start, neighbour, constraints, scaled, sweeps)
 
     run_chunks(work, chunk_bounds(len(transforms), max(1, -(-len(transforms) // 16))))
 
@@ -193,13 +193,13 @@ def bone_costs(data: Trajectories, model: Model) -> Array:
     return np.asarray(np.sum(parts, axis=0))
 
 
-def free_gauge(data: Trajectories, model: Model, locked: Locked) -> None:
+def free_gauge(data: Trajectories, model: Model, constraints: Constraints) -> None:
     """Apply :func:`normalise_gauge` (in place), unless a surface holds the rest pose."""
     if data.surface is None:
-        normalise_gauge(model, data.importance, locked)
+        normalise_gauge(model, data.importance, constraints)
 
 
-def normalise_gauge(model: Model, importance: Array, locked: Locked) -> None:
+def normalise_gauge(model: Model, importance: Array, constraints: Constraints) -> None:
     """Give bones a mean stretch of 1 (in place); no vertex moves in any frame.
 
     A part of the mesh is a set of bones and their vertices that no other bone moves.  Replacing the
@@ -208,7 +208,7 @@ def normalise_gauge(model: Model, importance: Array, locked: Locked) -> None:
     the part, so that its rest pose has the mean size and proportions of the motion; for similarity
     bones A is only a factor.  A acts about the centroid of the part.
     """
-    if locked.bone_model == "rigid" or locked.rest or len(locked.bones):
+    if constraints.bone_model == "rigid" or constraints.rest or len(constraints.bones):
         return
     n_bones = model.n_bones
     used = model.weights > 0
@@ -224,7 +224,7 @@ def normalise_gauge(model: Model, importance: Array, locked: Locked) -> None:
         if not mass[bones].sum() > 0:
             continue
         mean = np.einsum("j,jab->ab", mass[bones] / mass[bones].sum(), stretch[bones])
-        if locked.bone_model == "similarity":
+        if constraints.bone_model == "similarity":
             mean = np.eye(3) * np.trace(mean) / 3
         values, vectors = np.linalg.eigh(mean)
         root = np.sqrt(np.maximum(values, 1e-12 * values[-1]))

@@ -28,7 +28,7 @@ import numpy as np
 from ..parallel import serial_blas
 from .alternation import bone_step
 from .conjugate_gradients import Recycled, conjugate_gradients
-from .model import FREE, SOLVED, Locked, Model
+from .model import FREE, SOLVED, Constraints, Model
 from .objective import Objective
 from .tangents import AffineTangent, ChainTangent, RigidTangent, SimilarityTangent, Tangent
 from .trajectories import Array, Trajectories
@@ -56,7 +56,7 @@ class GaussNewton:
     data : Trajectories
     model : Model
         Accepted steps change it in place.  If other code changes it, this object is invalid.
-    locked : Locked
+    constraints : Constraints
     damping : float, optional
         λ with which an earlier object for the same model stopped: this one continues exactly from
         there.  If None, the vertices are optimised first.
@@ -78,17 +78,17 @@ class GaussNewton:
         data: Trajectories,
         model: Model,
         *,
-        locked: Locked = FREE,
+        constraints: Constraints = FREE,
         damping: float | None = None,
     ) -> None:
-        self.data, self.model, self.locked = data, model, locked
-        self.tangent, self.objective = tangent_of(data, model, locked), Objective(locked)
+        self.data, self.model, self.constraints = data, model, constraints
+        self.tangent, self.objective = tangent_of(data, model, constraints), Objective(constraints)
         self.damping = _DAMPING if damping is None else damping
         self.recycled: Recycled | None = None
         self.accepted = self.converged = False
         # with a damping, the vertices are optimised already and need only be factored
         first = {"entering": 3, "rounds": 2} if damping is None else {"entering": -1, "rounds": 0}
-        self._vertices = optimise_vertices(data, model, locked=locked, **first)
+        self._vertices = optimise_vertices(data, model, constraints=constraints, **first)
         self._system: ReducedSystem | None = None
         self.value = self.objective.value(data, model)
 
@@ -136,7 +136,9 @@ class GaussNewton:
         trial = dataclasses.replace(model, **{k: getattr(model, k).copy() for k in _STEPPED})
         system.move_vertices(trial, self.tangent.image(x))
         self.tangent.move(trial, x)
-        vertices = optimise_vertices(data, trial, locked=self.locked, entering=entering, rounds=2)
+        vertices = optimise_vertices(
+            data, trial, constraints=self.constraints, entering=entering, rounds=2
+        )
         value = self.objective.value(data, trial)
         if not value <= self.value:
             self.damping = min(self.damping * 8.0, 1e6)
@@ -155,7 +157,7 @@ class GaussNewton:
         """The normal equations at the model, reused until a step is accepted."""
         if self._system is None:
             self._system = ReducedSystem(
-                self.data, self.model, self.locked, self._vertices, self.tangent.precision
+                self.data, self.model, self.constraints, self._vertices, self.tangent.precision
             )
         return self._system
 
@@ -182,23 +184,23 @@ class GaussNewton:
         return x, penalty.factor * float(2.0 * np.vdot(rhs, x) - np.vdot(x, undamped))
 
 
-def tangent_of(data: Trajectories, model: Model, locked: Locked) -> Tangent:
+def tangent_of(data: Trajectories, model: Model, constraints: Constraints) -> Tangent:
     """The tangent of the bone model, or a :class:`ChainTangent` if the model has a tree."""
     if model.tree is not None:
-        return ChainTangent(data, model, locked)
+        return ChainTangent(data, model, constraints)
     kinds: dict[str, type[Tangent]] = {
         "rigid": RigidTangent,
         "similarity": SimilarityTangent,
         "affine": AffineTangent,
     }
-    return kinds[locked.bone_model](data, model, locked)
+    return kinds[constraints.bone_model](data, model, constraints)
 
 
 def fit_motion(
     data: Trajectories,
     model: Model,
     *,
-    locked: Locked,
+    constraints: Constraints,
     sweeps: int,
     leaps: int = 0,
     length: float = 0.0,
@@ -217,12 +219,12 @@ def fit_motion(
         Length of a normal treated as a point, for bones without a tree.
     """
     if model.tree is None:
-        bone_step(data, model, sweeps=sweeps, locked=locked, leaps=leaps, length=length)
+        bone_step(data, model, sweeps=sweeps, constraints=constraints, leaps=leaps, length=length)
         return
     data = dataclasses.replace(data, normals=None, n2=None)
     every = np.ones(data.n_vertices, dtype=bool)
-    as_is = dataclasses.replace(locked, rest=True, weights=every, joints=True)
-    newton = GaussNewton(data, model, locked=as_is)
+    as_is = dataclasses.replace(constraints, rest=True, weights=every, joints=True)
+    newton = GaussNewton(data, model, constraints=as_is)
     before = newton.value
     for _ in newton.steps(_STEPS, entering=False):
         if newton.accepted and newton.value > (1 - _LEAST_GAIN) * before:

@@ -13,7 +13,7 @@ from ..hierarchy.tree import Tree
 from ..skinning import BoneModel
 from .trajectories import Array, Trajectories
 
-__all__ = ["ARRAYS", "CHUNK", "FREE", "SLOTS", "SOLVED", "Locked", "Lowest", "Model", "Skin"]
+__all__ = ["ARRAYS", "CHUNK", "FREE", "SLOTS", "SOLVED", "Constraints", "Lowest", "Model", "Skin"]
 
 # Most bones in a vertex's support, on which its weights are solved: more than K, so that a bone can
 # come back, and few enough for a small dense solve.
@@ -286,7 +286,7 @@ def _none() -> NDArray[np.bool_]:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Locked:
+class Constraints:
     """Parts of a model that steps leave as they are, and the kind of transforms of its bones.
 
     Attributes
@@ -316,12 +316,12 @@ class Locked:
     near_skin: bool = False
     rotations: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0, 3, 3)))
 
-    def select_vertices(self, chosen: NDArray[np.intp]) -> Locked:
+    def select_vertices(self, chosen: NDArray[np.intp]) -> Constraints:
         """A copy whose mask of locked weights has only the chosen vertices."""
         known = chosen if len(self.weights) else chosen[:0]
         return dataclasses.replace(self, weights=self.weights[known])
 
-    def with_weights(self, n: int) -> Locked:
+    def with_weights(self, n: int) -> Constraints:
         """A copy in which the weights of all n vertices are locked."""
         return dataclasses.replace(self, weights=np.ones(n, dtype=bool))
 
@@ -343,4 +343,4 @@ class Locked:
         return [(j, int(tree.parents[j]), self.rotations[:, j]) for j in kept]
 
 
-FREE = Locked()
+FREE = Constraints()

@@ -45,7 +45,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array
 
 from ..checks import LARGEST
-from .model import FREE, Locked, Model
+from .model import FREE, Constraints, Model
 from .trajectories import Array, Trajectories
 
 __all__ = [
@@ -136,13 +136,13 @@ class Objective:
 
     Attributes
     ----------
-    locked : Locked
+    constraints : Constraints
         If its `near_skin` is true, joints are penalised.
     smoothness : WeightSmoothness or None
         Penalty on weights that differ along edges of the mesh.
     """
 
-    locked: Locked = FREE
+    constraints: Constraints = FREE
     smoothness: WeightSmoothness | None = None
 
     def value(self, data: Trajectories, model: Model) -> float:
@@ -150,9 +150,9 @@ class Objective:
         value = model.weighted_error(data) + data.slack
         if self.smoothness is not None:
             value += self.smoothness.penalty(model)
-        value *= _rest_factor(data, model, self.locked)
+        value *= _rest_factor(data, model, self.constraints)
         value *= 1.0 + _mean_normal_error(data, model) / _UNSEEN
-        if self.locked.near_skin and model.tree is not None:
+        if self.constraints.near_skin and model.tree is not None:
             _, squared = joint_offsets(model)
             value *= 1.0 + mean_joint_penalty(squared[model.tree.non_roots])
         return value
@@ -167,7 +167,7 @@ class Objective:
         """
         error = model.weighted_error(data) + data.slack
         factor = dataclasses.replace(self, smoothness=None).value(data, model) / max(error, 1e-300)
-        if not self.locked.near_skin or not len(joints):
+        if not self.constraints.near_skin or not len(joints):
             return JointPenalty.none(len(joints), factor)
         hung = model.hierarchy.non_roots
         offsets, squared = joint_offsets(model)
@@ -216,21 +216,23 @@ def normal_length(data: Trajectories, model: Model, penalty: float = 0.0) -> flo
     return math.sqrt((model.weighted_error(data) + data.slack + penalty) / unit)
 
 
-def rest_pulls(data: Trajectories, model: Model, locked: Locked, penalty: float = 0.0) -> Array:
+def rest_pulls(
+    data: Trajectories, model: Model, constraints: Constraints, penalty: float = 0.0
+) -> Array:
     """Pulls (V, 4) on the rest positions towards the surface, in the form of ``RestSurface.pulls``.
 
     They are 0 if the rest pose is free or locked, and for a start, which has no errors yet.
     `penalty` is what the objective adds to the error.
     """
     known = np.isfinite(model.error).all()  # a start has no error yet
-    if data.surface is None or locked.rest or not known:
+    if data.surface is None or constraints.rest or not known:
         return np.zeros((len(model.rest), 4))
     error = model.weighted_error(data) + data.slack + penalty
     return data.surface.pulls(model.rest, error, data.importance)
 
 
-def _rest_factor(data: Trajectories, model: Model, locked: Locked) -> float:
-    return 1.0 if data.surface is None or locked.rest else data.surface.factor(model.rest)
+def _rest_factor(data: Trajectories, model: Model, constraints: Constraints) -> float:
+    return 1.0 if data.surface is None or constraints.rest else data.surface.factor(model.rest)
 
 
 def _mean_normal_error(data: Trajectories, model: Model) -> float:

@@ -19,7 +19,7 @@ from ..kernels.rounding import move_units
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..quantisation import WeightStorage, is_stored, quantise, weight_values
 from .gauss_newton import GaussNewton
-from .model import ARRAYS, CHUNK, SOLVED, Locked, Lowest, Model
+from .model import ARRAYS, CHUNK, SOLVED, Constraints, Lowest, Model
 from .moments import transform_sums
 from .objective import Objective, normal_length, rest_pulls
 from .trajectories import Trajectories
@@ -38,7 +38,12 @@ _NOISE = 1 / 50
 
 
 def rounded_models(
-    data: Trajectories, model: Model, storage: WeightStorage, *, locked: Locked, rounds: int
+    data: Trajectories,
+    model: Model,
+    storage: WeightStorage,
+    *,
+    constraints: Constraints,
+    rounds: int,
 ) -> Iterator[Model]:
     """Yield models with weights rounded for `storage`; the first comes quickly.
 
@@ -50,15 +55,15 @@ def rounded_models(
     model : Model
         The model to round, which is not changed.
     storage : {"uint8", "uint16"}
-    locked : Locked
+    constraints : Constraints
         Locked weights are rounded to the nearest.
     rounds : int
         Number of rounds of polish steps before the weights are rounded; up to twelve times as many
         follow.  If it is 0, or the weights need no rounding, only weights and rest pose are solved
         again.
     """
-    objective = Objective(locked)
-    best, trial = Lowest(), _rounded(data, model, storage, locked)
+    objective = Objective(constraints)
+    best, trial = Lowest(), _rounded(data, model, storage, constraints)
     best.offer(trial, objective.value(data, trial))
     yield best.model
     whole = is_stored(model.weights, storage)
@@ -66,10 +71,10 @@ def rounded_models(
         return
     drawn = model.copy()
     for _ in range(rounds):
-        _draw_together(data, drawn, storage, locked)
+        _draw_together(data, drawn, storage, constraints)
         yield best.model
-    trial = _rounded(data, drawn, storage, locked)
-    rng, stay = np.random.default_rng(0), locked.vertex_mask(data.n_vertices)
+    trial = _rounded(data, drawn, storage, constraints)
+    rng, stay = np.random.default_rng(0), constraints.vertex_mask(data.n_vertices)
     for left in reversed(range(_AFTER * rounds + 1)):
         before = best.value
         if best.offer(trial, objective.value(data, trial)):
@@ -82,26 +87,30 @@ def rounded_models(
         half = rng.random(data.n_vertices) < 0.5  # these keep their weights; the others adapt
         for mask, units in ((stay | half, stay | half), (np.ones_like(stay), stay)):
             trial = trial.copy()
-            GaussNewton(data, trial, locked=dataclasses.replace(locked, weights=mask)).run(_STEPS)
-            trial = _rounded(data, trial, storage, dataclasses.replace(locked, weights=units))
+            GaussNewton(
+                data, trial, constraints=dataclasses.replace(constraints, weights=mask)
+            ).run(_STEPS)
+            trial = _rounded(data, trial, storage, dataclasses.replace(constraints, weights=units))
 
 
 @serial_blas()
-def _rounded(data: Trajectories, model: Model, storage: WeightStorage, locked: Locked) -> Model:
+def _rounded(
+    data: Trajectories, model: Model, storage: WeightStorage, constraints: Constraints
+) -> Model:
     """A copy with rounded weights; unless locked, units then move between bones to lower errors."""
     indices, stored = quantise(model.indices, model.weights, storage)
     out = dataclasses.replace(model.copy(), indices=indices, weights=weight_values(stored))
     _, gram, _, reduced = transform_sums(data, out.transforms)
     pairs = np.ascontiguousarray(gram.transpose(0, 2, 1))
-    keep, steps = locked.vertex_mask(data.n_vertices), np.iinfo(storage).max
-    length, hold = normal_length(data, model), rest_pulls(data, model, locked)
+    keep, steps = constraints.vertex_mask(data.n_vertices), np.iinfo(storage).max
+    length, hold = normal_length(data, model), rest_pulls(data, model, constraints)
 
     def work(_: int, i: int, k: int) -> None:
         some = slice(i, k)
         sums = data.products(some, reduced, length), data.squares(some, length)
         rows = [getattr(out, name)[some] for name in SOLVED]
         held = hold[some], length, keep[some]
-        arrays: Any = *sums, pairs, *rows, *held, not locked.rest, steps
+        arrays: Any = *sums, pairs, *rows, *held, not constraints.rest, steps
         move_units(*arrays)
 
     run_chunks(work, chunk_bounds(data.n_vertices, CHUNK))
@@ -112,7 +121,7 @@ def _rounded(data: Trajectories, model: Model, storage: WeightStorage, locked: L
 
 
 def _draw_together(
-    data: Trajectories, model: Model, storage: WeightStorage, locked: Locked
+    data: Trajectories, model: Model, storage: WeightStorage, constraints: Constraints
 ) -> None:
     """Polish under a penalty on the distances |M_j p̃ − v| of all influences (in place).
 
@@ -128,12 +137,12 @@ def _draw_together(
     wide.restart_support()
     importance = data.importance[rows]
     importance[n:] *= (k + 1) * _NOISE / np.iinfo(storage).max ** 2
-    mask = np.concatenate([locked.vertex_mask(n), np.ones(len(vertex), dtype=bool)])
+    mask = np.concatenate([constraints.vertex_mask(n), np.ones(len(vertex), dtype=bool)])
     surface = None if data.surface is None else data.surface.extended(rows)
     GaussNewton(
         dataclasses.replace(data.select_vertices(rows), importance=importance, surface=surface),
         wide,
-        locked=dataclasses.replace(locked, weights=mask),
+        constraints=dataclasses.replace(constraints, weights=mask),
     ).run(_STEPS)
     narrow = wide.select_vertices(np.arange(n))
     for name in ARRAYS:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ..kernels.schur import apply_vertex_step, schur_vertices
 from ..parallel import chunk_bounds, run_chunks
-from .model import CHUNK, Locked, Model
+from .model import CHUNK, Constraints, Model
 from .moments import bone_sums, stack_blocks
 from .trajectories import Array, Trajectories
 from .vertex_newton import VertexSystem
@@ -61,7 +61,7 @@ class ReducedSystem:
     data : Trajectories
     model : Model
         As :func:`~ssdr.solver.vertex_newton.optimise_vertices` left it.
-    locked : Locked
+    constraints : Constraints
     vertices : VertexSystem
         The result of the same call.
     precision : type
@@ -81,12 +81,12 @@ class ReducedSystem:
         self,
         data: Trajectories,
         model: Model,
-        locked: Locked,
+        constraints: Constraints,
         vertices: VertexSystem,
         precision: type[np.floating[Any]],
     ) -> None:
         self.n_bones = model.n_bones
-        self.keep, self.move_rest = locked.vertex_mask(data.n_vertices), not locked.rest
+        self.keep, self.move_rest = constraints.vertex_mask(data.n_vertices), not constraints.rest
         n = data.n_vertices
         self._tasks = chunk_bounds(n, max(CHUNK, -(-n // _TASKS)))
         self._order, self._groups = _group(data, model, self.keep, vertices, precision)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..kernels.newton import polish_vertices
 from ..kernels.polish import choose_influences
 from ..parallel import chunk_bounds, run_chunks, serial_blas
-from .model import CHUNK, FREE, SOLVED, Locked, Model
+from .model import CHUNK, FREE, SOLVED, Constraints, Model
 from .moments import transform_sums
 from .objective import normal_length, rest_pulls
 from .trajectories import Array, Trajectories
@@ -50,7 +50,12 @@ class VertexSystem:
 
 @serial_blas()
 def optimise_vertices(
-    data: Trajectories, model: Model, *, locked: Locked = FREE, entering: int = 3, rounds: int = 2
+    data: Trajectories,
+    model: Model,
+    *,
+    constraints: Constraints = FREE,
+    entering: int = 3,
+    rounds: int = 2,
 ) -> VertexSystem:
     """Optimise weights and rest pose under the model's transforms (in place).
 
@@ -60,7 +65,7 @@ def optimise_vertices(
     ----------
     data : Trajectories
     model : Model
-    locked : Locked
+    constraints : Constraints
     entering, rounds : int
         As in :func:`newton_vertices`.
 
@@ -70,7 +75,7 @@ def optimise_vertices(
         Matrices and gradients at the optimised model.
     """
     stacked, gram, gram4, reduced = transform_sums(data, model.transforms)
-    length, hold = normal_length(data, model), rest_pulls(data, model, locked)
+    length, hold = normal_length(data, model), rest_pulls(data, model, constraints)
     inverse, gradient = newton_vertices(
         lambda i, k: data.products(slice(i, k), reduced, length),
         data.squares(slice(None), length),
@@ -78,18 +83,23 @@ def optimise_vertices(
         model,
         hold=hold,
         length=length,
-        locked=locked,
+        constraints=constraints,
         entering=entering,
         rounds=rounds,
     )
-    if data.surface is not None and not locked.rest:
-        _recentre(gradient, hold, rest_pulls(data, model, locked), model, locked)
+    if data.surface is not None and not constraints.rest:
+        _recentre(gradient, hold, rest_pulls(data, model, constraints), model, constraints)
     return VertexSystem(stacked, inverse, gradient, length)
 
 
 @serial_blas()
 def optimise_some(
-    data: Trajectories, model: Model, rows: NDArray[np.intp], *, locked: Locked, times: int
+    data: Trajectories,
+    model: Model,
+    rows: NDArray[np.intp],
+    *,
+    constraints: Constraints,
+    times: int,
 ) -> None:
     """Optimise weights and rest positions of the vertices `rows` alone (in place).
 
@@ -97,7 +107,7 @@ def optimise_some(
     with the pulls at the new rest pose.
     """
     _, gram, gram4, reduced = transform_sums(data, model.transforms)
-    some, part = model.select_vertices(rows), locked.select_vertices(rows)
+    some, part = model.select_vertices(rows), constraints.select_vertices(rows)
     for _ in range(times):
         length = normal_length(data, model)
         newton_vertices(
@@ -105,9 +115,9 @@ def optimise_some(
             data.squares(rows, length),
             (gram, gram4),
             some,
-            hold=rest_pulls(data, model, locked)[rows],
+            hold=rest_pulls(data, model, constraints)[rows],
             length=length,
-            locked=part,
+            constraints=part,
             entering=0,
             rounds=2,
         )
@@ -115,9 +125,11 @@ def optimise_some(
             getattr(model, name)[rows] = getattr(some, name)
 
 
-def _recentre(gradient: Array, old: Array, new: Array, model: Model, locked: Locked) -> None:
+def _recentre(
+    gradient: Array, old: Array, new: Array, model: Model, constraints: Constraints
+) -> None:
     """Change the gradients (in place) from the pulls `old` to `new`, of the same stiffness."""
-    free = ~locked.vertex_mask(len(gradient))
+    free = ~constraints.vertex_mask(len(gradient))
     first = np.where(free, np.count_nonzero(model.weights, axis=1) - 1, 0)
     columns = first[:, None] + np.arange(3)
     change = old[:, :1] * (old[:, 1:] - new[:, 1:])
@@ -134,7 +146,7 @@ def newton_vertices(
     *,
     hold: Array,
     length: float,
-    locked: Locked,
+    constraints: Constraints,
     entering: int,
     rounds: int,
 ) -> tuple[Array, Array]:
@@ -155,7 +167,7 @@ def newton_vertices(
         Pulls on the rest positions, in the form of ``RestSurface.pulls``.
     length : float
         Length of a normal treated as a point.
-    locked : Locked
+    constraints : Constraints
     entering : int
         Largest number of bones that enter a vertex's influences; each enters only if that lowers
         the error.  If 0, weights are solved on the present influences; if −1, weights are not
@@ -169,7 +181,7 @@ def newton_vertices(
         `inverse` and `gradient` of :class:`VertexSystem`.
     """
     n, size = len(model.rest), model.n_influences - 1 + 3 * x2.shape[1]
-    keep, (gram, gram4) = locked.vertex_mask(n), tables
+    keep, (gram, gram4) = constraints.vertex_mask(n), tables
     inverse, gradient = np.empty((n, size, size)), np.empty((n, size))
 
     def work(_: int, i: int, k: int) -> None:
@@ -180,7 +192,7 @@ def newton_vertices(
         chosen: Any = *sums, gram, rest, indices, weights, normals, *flags, entering
         if entering >= 0:
             choose_influences(*chosen)
-        flags = *flags, not locked.rest, rounds
+        flags = *flags, not constraints.rest, rounds
         arrays: Any = *sums, gram4, *rows, hold[i:k], *flags, inverse[i:k], gradient[i:k]
         polish_vertices(*arrays)
 

@@ -11,7 +11,7 @@ from scipy.linalg import cho_factor, cho_solve
 from ...kernels.chains import chain_image, chain_matrix, chain_move, chain_pullback
 from ...parallel import chunk_bounds, run_chunks
 from ..conjugate_gradients import Operator
-from ..model import FREE, Locked, Model
+from ..model import FREE, Constraints, Model
 from ..objective import JointPenalty
 from ..trajectories import Array, Trajectories
 from .rigid import RigidTangent
@@ -38,17 +38,17 @@ class ChainTangent(Tangent):
 
     conjugate_steps = 30  # more than for free bones, since a joint moves its whole subtree
 
-    def __init__(self, data: Trajectories, model: Model, locked: Locked = FREE) -> None:
+    def __init__(self, data: Trajectories, model: Model, constraints: Constraints = FREE) -> None:
         super().__init__(data, model)
         self._bones = RigidTangent(data, model)
         self._bones.precision = self.precision  # long chains need it
         tree = model.hierarchy
         assert tree.rigid
         self._parents, self._order, self._roots = tree.parents, tree.order, tree.roots
-        self.joints = tree.non_roots[:0] if locked.joints else tree.non_roots
+        self.joints = tree.non_roots[:0] if constraints.joints else tree.non_roots
         self.penalty = JointPenalty.none(len(self.joints))
         # bones whose rotation relative to the parent is locked: their ω follows from the parent's
-        self._tied = locked.joint_rotations(tree)
+        self._tied = constraints.joint_rotations(tree)
 
     def image(self, x: Array) -> Array:
         m = self.model.transforms
