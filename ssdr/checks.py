@@ -63,7 +63,10 @@ _SHARE = re.compile(r"\s*([0-9.]+(?:e[+-]?[0-9]+)?)\s*%\s*", re.IGNORECASE)
 def check_whole(
     value: Any, argument: str, least: int, most: int | None = None, note: str = ""
 ) -> int:
-    """The value as an int, checked to lie from `least` to `most`; `note` is added to the error."""
+    """Check that a value is an integer from `least` to `most`, and return it.
+
+    `note` is added to the error message.
+    """
     expected = f"an integer >= {least}" if most is None else f"an integer from {least} to {most}"
     if not is_whole(value) or value < least or (most is not None and value > most):
         raise InputError(argument, f"{expected}{note}", repr(value))
@@ -71,7 +74,7 @@ def check_whole(
 
 
 def check_nonnegative(value: Any, argument: str, expected: str) -> float:
-    """The value as a float, checked to be finite and >= 0."""
+    """Check that a value is a finite number >= 0, and return it as a float."""
     if not (is_real(value) and value >= 0):
         raise InputError(argument, expected, repr(value))
     return float(value)
@@ -103,7 +106,7 @@ def check_rng(rng: Any) -> np.random.Generator:
 
 
 def parse_tolerance(tolerance: Any, diagonal: float) -> float:
-    """A tolerance in the mesh's units, from a length or a share such as ``"0.5%"``.
+    """Convert a tolerance, a length or a share such as ``"0.5%"``, to the mesh's units.
 
     Raises
     ------
@@ -127,14 +130,14 @@ def parse_tolerance(tolerance: Any, diagonal: float) -> float:
 
 
 def check_callback(callback: Any) -> Any:
-    """The callback, checked to be a function or None."""
+    """Check that a callback is a function or None, and return it."""
     if callback is not None and not callable(callback):
         raise InputError("callback", "a function of one Progress, or None", repr(callback))
     return callback
 
 
 def names_arguments(function: Callable[P, R]) -> Callable[P, R]:
-    """Decorated function that raises an InputError, not a TypeError, for an unknown keyword."""
+    """Decorator that makes a function raise InputError, not TypeError, for an unknown keyword."""
     known = list(inspect.signature(function).parameters)
 
     @functools.wraps(function)
@@ -153,13 +156,13 @@ def names_arguments(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def as_array(value: Any, argument: str, expected: str) -> NDArray[Any]:
-    """The value as an array.
+    """Convert a value to an array.
 
     Raises
     ------
     InputError
-        If NumPy cannot make an array of it, such as of rows of different lengths, or of a tensor
-        with a gradient.
+        If NumPy cannot make an array of the value: rows of different lengths, or a tensor with a
+        gradient.
     """
     try:
         return np.asarray(value)
@@ -170,7 +173,7 @@ def as_array(value: Any, argument: str, expected: str) -> NDArray[Any]:
 def check_floats(
     value: Any, argument: str, shape: tuple[int | str, ...], *, copy: bool = False
 ) -> NDArray[np.floating]:
-    """The value as a contiguous float32 or float64 array, checked to be real and finite.
+    """Check that a value is real and finite; return it as a contiguous float32 or float64 array.
 
     Parameters
     ----------
@@ -222,7 +225,7 @@ def check_squarable(array: NDArray[np.floating], argument: str, expected: str = 
 
 
 def check_frames(frames: Any, n_frames: int) -> Any:
-    """`frames` as an index into an array: a slice, a mask, or indices, checked for range."""
+    """Check a slice, a mask or indices of frames, and return an index into an array."""
     if isinstance(frames, slice):
         return frames
     index = np.atleast_1d(np.asarray(frames))
@@ -237,7 +240,7 @@ def check_frames(frames: Any, n_frames: int) -> Any:
 def check_mask(
     value: Any, argument: str, count: int, *, default: bool = False
 ) -> NDArray[np.bool_]:
-    """Mask ``(count,)`` from a mask or from indices.  For None, all entries are `default`."""
+    """Convert a mask or indices to a mask ``(count,)``; for None, all entries are `default`."""
     if value is None:
         return np.full(count, default)
     array = as_array(value, argument, "a mask or a list of indices")
@@ -255,7 +258,10 @@ def check_mask(
 
 
 def check_importance(value: Any, argument: str, count: int) -> Array | None:
-    """Importance ``(count,)``, checked to be >= 0 and not all 0, and scaled to a maximum of 1."""
+    """Check that importance is >= 0 and not all 0; return it, or None if it is not given.
+
+    It is returned as an array ``(count,)``, scaled to a maximum of 1.
+    """
     if value is None:
         return None
     if isinstance(value, np.ndarray) and value.dtype == bool:  # a mask of what counts
@@ -267,7 +273,10 @@ def check_importance(value: Any, argument: str, count: int) -> Array | None:
 
 
 def check_frame_importance(value: Any, count: int) -> Array | None:
-    """Importance ``(count,)`` of frames, checked to be > 0; the maximum is 1, the minimum 1e-4."""
+    """Check that the importance of frames is > 0; return it, or None if it is not given.
+
+    It is returned as an array ``(count,)``, scaled to a maximum of 1 and raised to at least 1e-4.
+    """
     array = check_importance(value, "frame_importance", count)
     if array is None:
         return None
@@ -280,7 +289,7 @@ def check_frame_importance(value: Any, count: int) -> Array | None:
 
 
 def check_faces(faces: Any, n_vertices: int, argument: str = "faces") -> NDArray[np.int32]:
-    """Triangles ``(T, 3)`` as int32, checked for range; an empty array if `faces` is None."""
+    """Check the range of triangles; return them as int32 ``(T, 3)``, an empty array for None."""
     wanted = "an array of shape (T, 3)"
     array = as_array(() if faces is None else faces, argument, wanted)
     if array.size == 0:
@@ -304,9 +313,10 @@ def check_faces(faces: Any, n_vertices: int, argument: str = "faces") -> NDArray
 def check_skin(
     indices: Any, weights: Any, n_vertices: int, n_bones: int | None = None, prefix: str = ""
 ) -> tuple[NDArray[np.int32], NDArray[np.floating]]:
-    """Bone indices and weights ``(V, K)``, checked: weights >= 0 whose rows sum to 1 within 1e-4.
+    """Check bone indices and weights, and return both as arrays ``(V, K)``.
 
-    `prefix` is put before the names of the arguments in errors, such as ``"start."``.
+    Weights must be >= 0 and sum to 1 at each vertex, within 1e-4.  `prefix` is put before the names
+    of the arguments in errors, such as ``"start."``.
     """
     w = check_floats(weights, f"{prefix}weights", (n_vertices, "K"))
     wanted = f"integers of shape {w.shape}"
@@ -327,7 +337,10 @@ def check_skin(
 
 
 def check_dense(weights: Any, n_vertices: int | str = "V") -> NDArray[np.floating]:
-    """Weights ``(V, B)`` of all bones, from an array or a sparse array; sums are not checked."""
+    """Check weights of all bones, and return them as an array ``(V, B)``.
+
+    They may be a sparse array.  Their sums are not checked.
+    """
     array = weights.toarray() if hasattr(weights, "toarray") else weights
     return check_floats(array, "weights", (n_vertices, "B"))
 
@@ -335,7 +348,7 @@ def check_dense(weights: Any, n_vertices: int | str = "V") -> NDArray[np.floatin
 def check_transforms(
     transforms: Any, n_frames: int, bone_model: BoneModel = "rigid", prefix: str = ""
 ) -> Array:
-    """Transforms ``(F, B, 3, 4)``, checked to be of the bone model.
+    """Check that transforms are of the bone model, and return them as ``(F, B, 3, 4)``.
 
     Rotations (of rigid bones and similarities) may deviate from orthogonal by 1e-4 and are made
     orthogonal.  Affine maps need a positive determinant.  `prefix` is put before the name of the

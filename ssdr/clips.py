@@ -82,7 +82,7 @@ class OneClip(tuple[Clip, ...]):
 def check_clips(
     clips: Any, *, fps: Any, name: str, n_frames: int
 ) -> tuple[tuple[Clip, ...], float]:
-    """Checked clips of a model, and its frame rate, which is the rate of the first clip.
+    """Check the clips of a model; return them and the frame rate, which is that of the first clip.
 
     Raises
     ------

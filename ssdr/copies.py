@@ -37,7 +37,7 @@ def coincident(blocks: Iterable[NDArray[np.floating]], n_vertices: int) -> Rows:
 
 
 def distinct(label: Rows) -> tuple[Rows, Rows]:
-    """First vertex of each label (U,), ascending, and the index into these of each vertex (V,)."""
+    """First vertex of each label (U,), ascending, and each vertex's row in that array (V,)."""
     _, kept, row = np.unique(label, return_index=True, return_inverse=True)
     order = np.argsort(kept)
     rank = np.empty_like(order)

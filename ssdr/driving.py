@@ -18,7 +18,10 @@ _AT_REST = 1e-5  # largest deviation from the identity of a bone at rest
 
 
 def drive(skinning: Any, weights: Any) -> Skinning:
-    """Model posed by weights c of its expressions: bone j is I + Σ_k c_k N_kj, and shapes add up.
+    """Pose a model by weights c of its expressions.
+
+    Bone j becomes I + Σ_k c_k N_kj, where I + N_kj is its transform in expression k. The amounts of
+    the shapes are summed with the same weights.
 
     Parameters
     ----------

@@ -126,7 +126,7 @@ def is_real(value: object, *, finite: bool = True) -> TypeGuard[float]:
 
 
 def check_flag(value: object, argument: str) -> bool:
-    """The value as a bool, checked to be True or False."""
+    """Check that a value is True or False, and return it as a bool."""
     if not isinstance(value, (bool, np.bool_)):
         raise InputError(argument, "True or False", repr(value))
     return bool(value)

@@ -33,7 +33,7 @@ _STILL = 0.2
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Expressions:
-    """Facial expressions as a skinned model with one clip per expression, and its error.
+    """Facial expressions as a skinned model with one clip per expression, and the model's error.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ def decompose_expressions(
     faces : (T, 3) int array, optional
         Triangles, if `neutral` has none.
     effort, bone_model, rng, time_limit
-        As of :func:`decompose`.
+        As in :func:`decompose`.
 
     Returns
     -------

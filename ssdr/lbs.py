@@ -85,7 +85,7 @@ def skin_each(
     ----------
     rests : (F, V, 3) array
     indices, weights, dtype
-        As of :func:`skin`.
+        As in :func:`skin`.
     transforms : (F, B, 3, 4) array
     """
     both = zip(rests, transforms, strict=True)
@@ -140,7 +140,7 @@ def skin_gradients(
     Parameters
     ----------
     rest, indices, weights, transforms
-        As of :func:`skin`.
+        As in :func:`skin`.
     gradient : (F, V, 3) or (V, 3) array
         Gradient with respect to the result of :func:`skin`, of the same shape.
     dtype : float32 or float64, optional

@@ -38,8 +38,7 @@ _TRIALS: dict[Effort, int] = {"fast": 4, "balanced": 48, "best": 160}
 class LevelsOfDetail(Decomposition):
     """Models with decreasing numbers of bones, where each has the first bones of the finer ones.
 
-    All else is as in :class:`Decomposition`, whose `skinning` and `rmse` are those of the finest
-    level.
+    It is a :class:`Decomposition` whose `skinning` and `rmse` are those of the finest level.
 
     Attributes
     ----------
@@ -76,7 +75,7 @@ def levels(
     rng: int | np.random.Generator = 0,
     callback: Callback | None = None,
 ) -> LevelsOfDetail:
-    """Models with several numbers of rigid bones, all taken from one skeleton.
+    """Find models with several numbers of rigid bones, all taken from one skeleton.
 
     The mesh is first decomposed once for each number of bones, which shows how small the error of
     each level can be.  From the finest model, the bones whose removal adds least to the error are
@@ -192,7 +191,7 @@ def _nest(
 
 
 def _check_counts(bones: Any) -> list[int]:
-    """Numbers of bones as a list, checked to decrease."""
+    """Check that numbers of bones decrease, and return them as a list."""
     if isinstance(bones, (str, bytes)) or not np.iterable(bones):
         raise InputError("bones", "several numbers of bones, as (60, 30, 12)", repr(bones))
     counts = [check_whole(count, "bones", 1) for count in bones]

@@ -89,9 +89,9 @@ def normal_holders(
 def surface_normals(frames: NDArray[np.floating], holders: NormalHolders) -> Array:
     """Unit normals ``(F, N, 3)`` of a surface in F frames ``(F, V, 3)``.
 
-    Each is the mean of the normals of the triangles at its corners, weighted by their angles there.
-    Triangles without area do not count.  A normal for which none is left, or whose sum cancels, is
-    unknown and 0.
+    Each is the mean of the normals of the triangles at its corners, weighted by the angles at these
+    corners.  Triangles without area do not count.  A normal for which no triangle is left, or whose
+    sum cancels, is unknown and 0.
 
     References
     ----------

@@ -19,7 +19,7 @@ _OFF = 1e-2  # steps; more than the rounding of 16-bit weights to float32
 def quantise(
     indices: NDArray[np.int32], weights: NDArray[np.float64], storage: WeightStorage
 ) -> tuple[NDArray[np.int32], NDArray[Any]]:
-    """Weights as a file stores them, rounded so that those of a vertex sum to exactly 1.
+    """Round weights as a file stores them, so that those of a vertex sum to exactly 1.
 
     Returns
     -------

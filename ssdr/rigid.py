@@ -103,7 +103,7 @@ def kabsch(
 
 
 def _numbers(value: ArrayLike, argument: str, *last: int) -> NDArray[np.float64]:
-    """The value as float64, checked to be finite, real and of shape ``(..., *last)``."""
+    """Check that a value is finite, real and of shape ``(..., *last)``; return it as float64."""
     array = as_array(value, argument, "an array of numbers")
     if array.dtype.kind not in "fiub":
         raise InputError(argument, "real numbers", f"dtype {array.dtype}")

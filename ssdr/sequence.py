@@ -161,7 +161,7 @@ class MeshSequence:
         yield from _chunks(self.vertices, max_bytes)
 
     def diagonal(self) -> float:
-        """Diagonal of the bounding box in the frame where it is largest."""
+        """Length of the bounding box's diagonal, in the frame where it is largest."""
         largest = 0.0
         for _, block in self.chunks():
             extent = block.max(axis=1).astype(np.float64) - block.min(axis=1)
@@ -279,7 +279,7 @@ def without_copies(
 ) -> tuple[list[MeshSequence], NDArray[np.float64] | None, NDArray[np.intp], NDArray[np.intp]]:
     """Shots of the first vertex of each label, and the sum of `importance` (or a count) per label.
 
-    Returns also the indices of these vertices (U,) and, for each vertex (V,), the index into them
+    Returns also the indices of these U vertices and, for each vertex (V,), the index, among the U,
     of its replacement.  If all labels differ, shots and importance are returned unchanged.
     """
     kept, row = distinct(label)
@@ -368,7 +368,10 @@ def check_vertex_map(vertex_map: Any, n_vertices: int) -> NDArray[np.int32]:
 
 
 def as_sequences(sequence: Any, faces: Any = None) -> list[MeshSequence]:
-    """Checked list of sequences of one mesh, from a sequence, a list, or an array and faces."""
+    """Check that a sequence, a list, or an array with faces is valid; return a list of sequences.
+
+    All sequences of the list are of one mesh.
+    """
     shots = list(sequence) if isinstance(sequence, Sequence) else [sequence]
     if not any(isinstance(shot, MeshSequence) for shot in shots):
         several = isinstance(sequence, Sequence) and len(shots) > 0

@@ -29,7 +29,7 @@ def skinning_in(thing: Any) -> Any:
 
 
 def check_skinning(model: Any) -> Skinning:
-    """The model, given as such or as the `skinning` of a result; checked to be a Skinning."""
+    """Check that a model, or the `skinning` of a result, is a Skinning, and return it."""
     found = skinning_in(model)
     if not isinstance(found, Skinning):
         raise InputError("skinning", "a Skinning", type(model).__name__)
@@ -186,7 +186,7 @@ class Skinning(Articulated):
         Parameters
         ----------
         rest, transforms, **options
-            As of :class:`Skinning`.
+            As in :class:`Skinning`.
         weights : (V, B) array or sparse array
             Non-negative; rows sum to 1.
         influences : int, optional
@@ -196,7 +196,7 @@ class Skinning(Articulated):
         Raises
         ------
         InputError
-            As of :class:`Skinning`; also if there is not a column for each bone.
+            As in :class:`Skinning`; also if there is not a column for each bone.
 
         Examples
         --------
@@ -254,7 +254,7 @@ class Skinning(Articulated):
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Names of the joints: those of the bones that are attached there."""
+        """Names of the joints, each that of the bone attached at the joint."""
         return self.names()
 
     def skin(self, frames: Any = None, *, dtype: Any = None) -> NDArray[np.floating]:

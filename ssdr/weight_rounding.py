@@ -32,7 +32,7 @@ def round_weights(
     *,
     storage: Literal["uint8", "uint16"] = "uint8",
 ) -> Decomposition:
-    """Round the weights of a copy of a model for a file, and solve rest pose and bones for these.
+    """Round the weights of a copy of a model for a file, and solve its rest pose and bones again.
 
     This is the last step of :func:`decompose` with ``influences=(K, storage)``, for an existing
     model.  Weights become multiples of 1/255 ("uint8") or 1/65535 ("uint16") that sum to 1, which

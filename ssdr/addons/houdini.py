@@ -3,7 +3,7 @@
 In the Python shell: ``import houdini_bones; houdini_bones.to_bones(hou.selectedNodes()[0],
 "/path/to/python", "--bones", "24")``, with this file as ``houdini_bones.py`` on Houdini's Python
 path, the Python of an environment with ``ssdr[usd]``, and options of ``ssdr decompose``.  The bones
-go into ``NODE_bones.usdc`` beside the scene; ``"--force"`` overwrites one of that name.
+go into ``NODE_bones.usdc`` beside the scene; ``"--force"`` overwrites an existing file.
 """
 
 import json

@@ -159,7 +159,10 @@ def _on_the_same_vertices(a: MeshSequence, b: MeshSequence) -> tuple[MeshSequenc
 
 
 def _spread(sequence: MeshSequence, like: MeshSequence) -> MeshSequence:
-    """Sequence of the vertices before its welding if `like` has as many, otherwise unchanged."""
+    """Undo the welding of a sequence if it had as many vertices before it as `like` has.
+
+    Otherwise the sequence is returned unchanged.
+    """
     if sequence.vertex_map is None or len(sequence.vertex_map) != like.n_vertices:
         return sequence
     vertices = np.concatenate([sequence.unweld(block, axis=1) for _, block in sequence.chunks()])

@@ -81,7 +81,10 @@ def decompose(options: DecomposeOptions) -> None:
 
 
 def _arguments(options: DecomposeOptions) -> dict[str, Any]:
-    """Arguments of :func:`ssdr.decompose` from those options that only this command has."""
+    """Arguments of :func:`ssdr.decompose` from those options that only this command has.
+
+    For levels of detail, the storage in `options.influences` is set to "float32".
+    """
     import ssdr
 
     if isinstance(options.bones, tuple):

@@ -191,7 +191,7 @@ def _start(text: str | None, space: Space) -> Any:
 
 
 def _place(own: dict[str, Any], space: Space) -> None:
-    """Convert, in `own`, a file's skeleton and the parts that are kept of it to `space`."""
+    """Convert the skeleton in `own`, and the rest pose that is kept of its mesh, to `space`."""
     import ssdr
 
     rig = own.get("rig")

@@ -99,7 +99,7 @@ def write_weights(options: FitOptions, storage: WeightStorage) -> bool:
 
 
 def keywords(format_: Format | None, role: str) -> set[str]:
-    """Names of the options of a format's function, such as ``"read"``; empty if it has none."""
+    """Names of the options of a format's function, such as ``"read"``; empty if there are none."""
     if format_ is None or not format_.has(role):
         return set()
     parameters = inspect.signature(format_.function(role)).parameters.values()

@@ -45,7 +45,7 @@ class Output:
 
     @classmethod
     def start(cls, options: Options) -> Output:
-        """Set the options of the current output, and return it."""
+        """Set the options of the current output, and return this output."""
         cls.current.options = options
         return cls.current
 
@@ -118,7 +118,7 @@ def in_words(document: Mapping[str, Any], texts: Mapping[str, str]) -> list[tupl
 
 
 def saved_line(report: SaveReport, diagonal: float = 0.0) -> str:
-    """Report of saving in one line, with errors also in percent of the diagonal if it is given."""
+    """Line of text on a save, with errors also in percent of the diagonal if this is given."""
     parts = [str(report.path), decimal(report.bytes)]
     lengths = {"error of storage": report.error, "between frames": report.between_frames}
     for name, length in lengths.items():

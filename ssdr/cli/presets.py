@@ -14,7 +14,7 @@ from .output import Output
 
 
 def preset(options: FitOptions, engine: Engine) -> str:
-    """Set options that the user did not give as suits an engine; return a text about them."""
+    """Set options that the user left open to what suits an engine; return a text about them."""
     influences, storage = options.influences or (engine.influences, None)
     options.outputs = [
         path if path.suffix else path.with_suffix(engine.suffixes[0]) for path in options.outputs

@@ -62,7 +62,7 @@ def meshes_text(path: Path) -> str:
 def read_clips(
     paths: Sequence[Path], names: list[str] | None, options: Sequence[dict[str, Any]]
 ) -> list[MeshSequence]:
-    """Sequences of the chosen clips in file order, with unique names, in the first file's space.
+    """Read the chosen clips in file order, with unique names, in the first file's space.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def read_clips(
 def read_model(
     path: Path, names: list[str] | None, options: dict[str, Any]
 ) -> MeshSequence | Skinning:
-    """Skinning with the named clips (all by default), or a sequence if the file has no skinning."""
+    """Read a skinning with the named clips, by default all, or a sequence if there is none."""
     thing = read_any(path, **options)
     if isinstance(thing, Skinning):
         _check_names(names, [clip.name for clip in thing.clips])
@@ -115,14 +115,14 @@ def read_model(
 
 
 def read_truth(path: Path, clips: tuple[Clip, ...], options: dict[str, Any]) -> MeshSequence:
-    """Sequence of the reference file, or of its clips named as in `clips` if it has several."""
+    """Read the sequence of the reference, or of its clips named as in `clips` if it has several."""
     several = len(clips_in(path, options)) > 1
     names = [clip.name for clip in clips] if several and clips else None
     return join(read_clips([path], names, [options]))
 
 
 def read_vertices(path: Path, names: list[str] | None, options: dict[str, Any]) -> MeshSequence:
-    """Sequence of one clip of a file, which is the first if no clip is named."""
+    """Read the sequence of one clip of a file, the first clip if none is named."""
     shots = read_clips([path], names, [options])
     if len(shots) > 1:
         known = ", ".join(shot.clip for shot in shots)
@@ -133,7 +133,7 @@ def read_vertices(path: Path, names: list[str] | None, options: dict[str, Any]) 
 def read_pairs(
     paths: tuple[Path, Path], names: list[str] | None, options: Sequence[dict[str, Any]]
 ) -> list[tuple[str, MeshSequence, MeshSequence]]:
-    """Clips of two files in pairs: name, sequence of the first file A, sequence of the second B.
+    """Read the clips of two files A and B; return, for each, its name and the sequences of A and B.
 
     Raises
     ------
@@ -212,7 +212,7 @@ def _check_one_mesh(found: list[tuple[Path, MeshSequence]]) -> None:
 
 
 def _named(found: list[tuple[Path, MeshSequence]]) -> list[MeshSequence]:
-    """Sequences with unique clip names: a shared one becomes the file's, or file and clip."""
+    """Copies with unique clip names: a shared name becomes the file's, or file and clip."""
     own = [shot.clip or shot.name for _, shot in found]
     files = [path for path, _ in found]
     names = [

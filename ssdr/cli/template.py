@@ -16,7 +16,7 @@ _AXES = "orientations of the joints"
 
 
 def shared_format(source: Path, target: Path) -> Format | None:
-    """Format that both files have if it can be copied with all contents, otherwise None."""
+    """Format of both files if files of it can be copied with all contents, otherwise None."""
     format_ = readable_format(source)
     if format_ is None or not format_.has("copy") or format_of(target)[1] is not format_:
         return None

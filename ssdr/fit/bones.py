@@ -205,10 +205,10 @@ def _sweep_until_still(
 
 
 def _from_neighbours(data: Trajectories, model: Model, constraints: Constraints, most: int) -> bool:
-    """Solve frames again from the bones of their neighbours (in place); keep what is far better.
+    """Solve each frame again from the transforms of the next and of the previous frame (in place).
 
-    If bones overlap widely, a frame's own start may end in a poor minimum.  Returns whether any
-    frame was improved.
+    A solution is kept if its error is far lower.  If bones overlap widely, a frame's own start may
+    end in a poor minimum.  Returns whether any frame was improved.
     """
     u, c = bone_sums(data, model)
     flat = stack_blocks(u)

@@ -97,10 +97,11 @@ class FitInput:
     def without_copies(
         self, importance: Array | None, *kept: NDArray[Any] | None
     ) -> tuple[FitInput, Array | None, NDArray[np.intp], NDArray[np.intp]]:
-        """These arguments for the vertices that differ in some frame, or in one of `kept` (V, ...).
+        """The arguments for the distinct vertices alone.
 
-        Also returns the importance of these U vertices, their indices (U,), and for each vertex the
-        position (V,) among them of the one that stands for it.
+        Vertices are distinct if they differ in some frame, or in one of `kept` (V, ...).  Also
+        returns the importance of these U vertices, their indices (U,), and for each of the V
+        vertices the position, among the U, of the vertex that stands for it.
         """
         label = told_apart(labels_of(self.sequences), *kept)
         sequences, importance, first, row = without_copies(self.sequences, label, importance)
@@ -112,7 +113,7 @@ class FitInput:
     def gathered(
         self, vertex_importance: Array | None = None, frame_importance: Array | None = None
     ) -> tuple[Trajectories, Array, Array]:
-        """The shots, and the model's rest pose and transforms, in the solver's space."""
+        """Convert the shots, and the model's rest pose and transforms, to the solver's space."""
         world = self.transforms()
         data = gather(
             self.sequences,
@@ -208,7 +209,7 @@ def _model(
 
 
 def fit_of(sequences: list[MeshSequence], skinning: Skinning) -> Fit:
-    """Fit of a model, whose error is measured on the frames."""
+    """Fit normals to a model, measure its error on the frames, and return both as a Fit."""
     rest, weights, transforms = (
         np.asarray(a, dtype=np.float64)
         for a in (skinning.rest, skinning.weights, skinning.transforms)

@@ -172,7 +172,7 @@ def shapes_within(truth: Array, model: Skinning, limit: float, names: Any = None
 
 
 def _displaced(model: Skinning, left: Array, amounts: Any, limit: float, names: Any) -> Skinning:
-    """Model with displacements where the tolerance `limit` requires them."""
+    """Copy of a model with displacements where the tolerance `limit` requires them."""
     far = np.linalg.norm(left, axis=2) > limit
     keep = (np.abs(amounts) > 0).T.astype(np.float64) @ far > 0
     start = np.zeros((1 + len(keep), model.n_vertices, 3))
@@ -217,7 +217,10 @@ def components(model: Skinning, left: Array) -> tuple[Array, Array]:
 
 @serial_blas()
 def _alternated(model: Skinning, left: Array, amounts: Array, names: Any) -> Skinning:
-    """Model with shapes, whose rest pose may move, found by solving for each part in turn."""
+    """Copy of a model with shapes, found by solving for displacements and amounts in turns.
+
+    Its rest pose may move.
+    """
     turns, error = _blended(model), math.inf
     count = amounts.shape[1]
     used = np.ones((1 + count, model.n_vertices), dtype=bool)

@@ -168,7 +168,7 @@ class _Barred(Trajectories):
 
 
 def _check_allowed(allowed: Any, n_vertices: int, n_bones: int) -> NDArray[np.bool_] | None:
-    """Mask (V, B) of the bones that each vertex may follow; None if all may."""
+    """Check `allowed`; return a mask (V, B) of the bones that vertices may follow (None: all)."""
     if allowed is None:
         return None
     wanted = f"a bool mask of shape ({n_vertices}, {n_bones}) or ({n_bones},)"

@@ -81,10 +81,11 @@ def of_each_span(
     spans: list[tuple[int, int]] | None = None,
     also: Sequence[Any] = (),
 ) -> Iterator[Any]:
-    """Results of ``function(frames, transforms, *also, *skinning[:-1])`` for each span, in order.
+    """Call ``function(frames, transforms, *also, *skinning[:-1])`` for each span.
 
     `transforms` are the rows of ``skinning[-1]`` for the frames of the span; of the arrays `also`,
-    the function gets the same rows.  By default the spans cover all frames.
+    the function gets the same rows.  By default the spans cover all frames.  The results are in the
+    order of the spans.
     """
     *bound, transforms = skinning
     spans = spans_of(len(transforms)) if spans is None else spans

@@ -77,7 +77,7 @@ def spans_of(n_frames: int, most: int | None = None) -> list[tuple[int, int]]:
 def _cut(
     pieces: Iterable[tuple[Any, int, int]], start: int, stop: int
 ) -> Iterator[tuple[Any, int, int]]:
-    """Parts of the pieces that hold frames `start` to `stop` - 1, counted through all pieces."""
+    """Yield the parts of pieces that hold frames `start` to `stop` - 1, counted through all."""
     offset = 0
     for array, first, last in pieces:
         i, k = max(start - offset, 0), min(stop - offset, last - first)
@@ -108,7 +108,7 @@ class Local:
     """Executor that runs a task in this process, one span after the other, with all threads."""
 
     def map(self, task: SpanTask) -> Iterator[Any]:
-        """Results in the order of the spans; each is computed when the iterator reaches it."""
+        """Yield the results in the order of the spans, each computed when it is needed."""
         for k in range(len(task.spans)):
             frames = Frames(tuple(task.pieces(k)), task.n_vertices)
             yield task.function(frames, *task.arguments(k), *task.shared)
@@ -157,7 +157,7 @@ class Cluster:
         return self.client.submit(*call, pure=False, retries=2)
 
     def _calls(self, task: SpanTask) -> Iterator[Any]:
-        """Futures of the calls of a task; each is submitted when the iterator reaches it."""
+        """Yield the futures of the calls of a task; each is submitted when iteration reaches it."""
         common = self.client.submit(_same, task.shared, pure=False)
         for k in range(len(task.spans)):
             pieces = [self._portable(*p) for p in task.pieces(k)]
@@ -234,7 +234,11 @@ def _opens_elsewhere(array: Any) -> bool:
 
 
 def executor_for(sequences: Sequence[MeshSequence]) -> Executor:
-    """Dask workers if a client is active and they can read all sequences, else this process."""
+    """Executor for passes over the frames of some sequences.
+
+    It uses the workers of a Dask client if one is active and the workers can read all sequences;
+    otherwise this process.
+    """
     distributed = sys.modules.get("distributed")  # without it there is no client
     if distributed is None:
         return Local()

@@ -17,7 +17,7 @@ _NO_HEADING = 1e-9  # of the moment of the rest pose: below it, no heading is de
 
 
 def with_root(model: Skinning, *, moving: bool = True) -> Skinning:
-    """Model with one more bone, the root of all others, which moves no vertex itself.
+    """Copy of a model with one more bone: the root of all others, which moves no vertex itself.
 
     No bone's transform from the rest pose changes, and so no vertex; `local_transforms()` of the
     former roots are relative to the new one. Bones without a hierarchy become its children, with

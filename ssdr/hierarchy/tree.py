@@ -55,7 +55,7 @@ class Tree:
         return near + ([int(self.parents[bone])] if self.parents[bone] >= 0 else [])
 
     def joint(self, a: int, b: int) -> Array:
-        """Joint (3,) between two neighbours in the tree."""
+        """Position (3,), in the rest pose, of the joint between two adjacent bones of the tree."""
         return np.asarray(self.points[a if self.parents[a] == b else b])
 
     def subtree_sums(self, values: Array) -> Array:

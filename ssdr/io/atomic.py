@@ -98,7 +98,7 @@ def check_beside(path: Path) -> None:
     """Raise an InputError if writing `path` would overwrite a companion file that is not its own.
 
     The companion is the .bin of a .gltf or the .faces.npy of a .npy. If `path` exists, so that it
-    is overwritten, the companion is taken to be its own; if not, it belongs to something else.
+    is overwritten, the companion is taken to be that of the old file; if not, that of another file.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def check_beside(path: Path) -> None:
 
 
 def write_bytes(path: Path | str, data: bytes, *, flush: bool = True) -> int:
-    """Write `data` to `path` by :func:`atomic_path`, and return the number of bytes."""
+    """Write `data` to `path` through :func:`atomic_path`, and return the number of bytes."""
     with atomic_path(path, flush=flush) as temporary:
         return temporary.write_bytes(data)
 
@@ -131,7 +131,7 @@ def _remove_stale(folder: Path) -> None:
 
 
 def remove(path: Path) -> None:
-    """Remove a file or a folder, if it is there."""
+    """Remove a file or a folder, if it exists."""
     if path.is_dir():
         shutil.rmtree(path, ignore_errors=True)
     else:

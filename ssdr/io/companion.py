@@ -18,7 +18,7 @@ _SUFFIXES = (".obj", ".ply", ".off", ".npz")
 
 
 def over_mesh(vertices: Any, path: Path, given: Any, fps: float | None) -> MeshSequence:
-    """Sequence of a file's vertices, with faces and surface of the mesh that goes with it.
+    """Sequence of a file's vertices, with faces and surface of the mesh that goes with the file.
 
     Parameters
     ----------
@@ -36,7 +36,8 @@ def over_mesh(vertices: Any, path: Path, given: Any, fps: float | None) -> MeshS
     InputError
         If no mesh is found, or `given` does not fit the vertices.
     FormatError
-        If the mesh of a file does not fit the vertices, or these are not valid for a sequence.
+        If the mesh of a file does not fit the vertices, or the vertices are not valid for a
+        sequence.
     """
     n_vertices = vertices.shape[1]
     if given is None:
@@ -86,6 +87,6 @@ def _read(file: Path, path: Path, n_vertices: int) -> MeshSequence:
 
 
 def _still(faces: Any, n_vertices: int) -> MeshSequence:
-    """Sequence of one frame with these faces, all of whose vertices are at the origin."""
+    """Sequence of one frame with the given faces and all vertices at the origin."""
     checked = check_faces(faces, n_vertices, "faces")
     return MeshSequence(np.zeros((1, n_vertices, 3)), checked, validate=False)

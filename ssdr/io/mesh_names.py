@@ -29,7 +29,7 @@ def mesh_names(meshes: Any) -> list[str]:
 
 
 def choose(meshes: str | Sequence[str] | None, names: Sequence[Collection[str]]) -> list[int]:
-    """Indices of the meshes that have a name in `meshes`, or of all meshes if that is None.
+    """Indices of the meshes that have a name in `meshes`, or of all meshes if `meshes` is None.
 
     `names` holds, for each mesh, the names by which it can be chosen.
 

@@ -14,7 +14,7 @@ from .registry import FORMATS, Format, format_of, format_to_read, is_many, refus
 def readable_path(
     path: Any, fps: float | None = None, scale: float = 1.0, function: str = "read"
 ) -> tuple[Path, Format]:
-    """Path and format of a file, after checking that it can be read and the options are valid.
+    """Check that a file can be read and the options are valid; return its path and format.
 
     `function` names the function that the format must have, such as ``"read"``.
     """

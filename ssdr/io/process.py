@@ -1,4 +1,4 @@
-"""Running of a script that reads a file in a process of its own."""
+"""Running, in a process of its own, of a script that reads a file."""
 
 from __future__ import annotations
 

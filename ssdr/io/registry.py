@@ -99,8 +99,8 @@ class Format:
     extra : str or None
         Extra of ssdr that the format needs.
     space : Space or None
-        Space that its files must have, where a file may choose each part that is unknown here; None
-        if files cannot state a space.
+        Space that its files must have.  If its unit or up axis is unknown, a file may choose that;
+        None if files cannot state a space.
     """
 
     title: str
@@ -110,7 +110,7 @@ class Format:
     space: Space | None = None
 
     def has(self, *names: str) -> bool:
-        """Whether the format has one of the functions."""
+        """Whether the format has any of the functions."""
         return not self.functions.isdisjoint(names)
 
     def function(self, name: str) -> Callable[..., Any]:
@@ -368,13 +368,13 @@ def refuse_device(path: Path) -> None:
 
 
 def read_file(path: Path) -> bytes:
-    """All bytes of a file, after a check of its size; to be called inside :func:`reading`."""
+    """Check the size of a file and read all its bytes; to be called inside :func:`reading`."""
     afford(path.stat().st_size, "the whole file", path)
     return path.read_bytes()
 
 
 def seconds(frames: NDArray[np.integer], fps: float) -> NDArray[np.float64]:
-    """Times of frames in seconds, after checking that float32 can hold them.
+    """Convert frame indices to seconds, and check that float32 can hold the times.
 
     Raises
     ------

@@ -1,6 +1,6 @@
 """A model as engines play it: joints with keyframes, and skin weights.
 
-Both are rounded as a file stores them; the error of that rounding is measured.
+Keyframes and weights are rounded as a file stores them, and the error of the rounding is measured.
 
 If the model has a hierarchy, its joints are stored, with transforms relative to their parents. If
 it has none, each bone gets a joint at the centroid of the vertices that it moves. The reason is
@@ -141,7 +141,7 @@ class Rig:
         return np.concatenate([rotation, shift[..., None]], axis=-1)
 
     def bone_matrices(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Transforms, as of :meth:`matrices`, of the model's bones, in their order."""
+        """Transforms of the model's bones, in their order, at `times`; see :meth:`matrices`."""
         moves = self.matrices(times)
         return moves if self.moving is None else moves[:, self.moving]
 

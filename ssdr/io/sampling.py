@@ -1,7 +1,7 @@
 """Frames at which the clips of a file are sampled, and what is lost between them.
 
-Frames follow each other at one rate, and key times of a file need not. Where they do not, the file
-is sampled, and a warning states the largest error of vertices that results.
+Frames follow each other at one rate, and key times of a file need not. If the key times do not, the
+file is sampled, and a warning states the largest error of vertices that results.
 """
 
 from __future__ import annotations

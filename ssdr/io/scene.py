@@ -74,15 +74,15 @@ class ScenePart(Protocol):
     """Vertices of a scene that one skeleton moves, and their triangles.
 
     `shape(time)` returns the vertices (V, 3) before skinning or, if these change over time, a
-    function from a frame's index to them. `at_rest(time)` returns the vertices without shapes, and
-    the shapes. `transforms(time)` returns the transforms (F, B, 3, 4) of the bones from the rest
-    pose. `bones(transforms)` returns the skeleton with such transforms. `time` is that of a
+    function from a frame's index to vertices. `at_rest(time)` returns the vertices without shapes,
+    and the shapes. `transforms(time)` returns the transforms (F, B, 3, 4) of the bones from the
+    rest pose. `bones(transforms)` returns the skeleton with such transforms. `time` is that of a
     :class:`Sample`.
 
     Attributes
     ----------
     skeleton : hashable
-        Identity of the skeleton: parts with equal ones share its bones.
+        Identity of the skeleton: parts whose identities are equal share its bones.
     indices : (V, K) int array
         Bones of the skeleton that move each vertex.
     weights : (V, K) float array
@@ -123,9 +123,10 @@ class Bones:
 def file_weights(
     indices: NDArray[np.integer], weights: NDArray[np.floating], n_joints: int, what: object
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """Indices and weights (V, K) of a file, with weights scaled to sum 1 and unused indices 0.
+    """Check indices and weights (V, K) of a file, and return them for a model.
 
-    `what` names the mesh in messages.
+    Weights are scaled to sum 1, and the indices of unused influences become 0. `what` names the
+    mesh in messages.
 
     Raises
     ------
@@ -147,9 +148,9 @@ def file_weights(
 
 
 def facing(linear: NDArray[np.floating]) -> tuple[int, bool]:
-    """First frame in which matrices (F, 3, 3) have their usual sign of det, and whether it is < 0.
+    """First frame in which matrices (F, 3, 3) have the usual sign of det, and whether it is -1.
 
-    The usual sign is that of most frames; that of a mesh which grows from size 0 is 0 at first.
+    The usual sign is that of most frames. The sign of a mesh which grows from size 0 is 0 at first.
     """
     largest = np.abs(linear).max(axis=(1, 2), keepdims=True)
     signs = np.sign(np.linalg.det(linear / np.where(largest > 0, largest, 1)))

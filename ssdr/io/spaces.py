@@ -23,7 +23,8 @@ def in_space(thing: Thing, space: Space) -> Thing:
     ----------
     thing : MeshSequence or Skinning
     space : Space
-        Unit and up axis of the result.  One that is unknown here or in `thing` does not change.
+        Unit and up axis of the result.  If the unit or the axis is unknown in `space` or in
+        `thing`, it does not change.
 
     Returns
     -------

@@ -108,6 +108,10 @@ def read_weights(
         Number of vertices that the table must have. Without it, a table that has lost its last
         lines is not noticed.
 
+    Returns
+    -------
+    SkinWeights
+
     Raises
     ------
     FormatError
@@ -164,7 +168,7 @@ def _pack(
     weight: NDArray[np.float64],
     names: tuple[str, ...],
 ) -> SkinWeights:
-    """Skin weights from the columns of a table, in which `bone` holds indices into `names`."""
+    """Pack the columns of a table as skin weights; `bone` holds indices into `names`."""
     usable = np.isfinite(weight).all() and (weight >= 0).all()
     check(usable, "a weight is negative or not finite")
     used = weight > 0

@@ -1,4 +1,4 @@
-"""Files copied with all their contents, and what is not read of them."""
+"""Copies of files with all contents, and lists of what is not read from a file."""
 
 from __future__ import annotations
 

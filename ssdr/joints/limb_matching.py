@@ -78,7 +78,7 @@ def match_by_motion(
 
 
 def matched_bones(place: Array, gap: Array, tree: Tree) -> NDArray[np.intp]:
-    """Match each bone of a skeleton with a free bone; return the indices (B,) of these, or −1.
+    """Match each bone of a skeleton with a free bone; return the free bones' indices (B,), or −1.
 
     No free bone is matched twice.  `place` (n, B) is the cost of each match, and `gap` (H, n, n),
     for the H bones with parents, the cost of the match of the bone together with its parent's.

@@ -48,8 +48,8 @@ class Mirror:
     gap : float
         Mean distance between a vertex's image and the vertex nearest to it.
     partners : (B,) int array
-        Index of the bone that mirrors each bone: its own if it lies in the middle, -1 if no bone
-        does.
+        Index of the bone that mirrors each bone: its own index if it lies in the middle, -1 if no
+        bone mirrors it.
     sides : (B,) int array
         1 for bones on the side to which `normal` points, -1 on the other side, 0 in the middle.
 
@@ -141,7 +141,7 @@ def mirror_of(
 
 
 def edges_with_image(mirror: Mirror, parents: NDArray[np.integer]) -> dict[int, bool]:
-    """For each bone, whether the mirror image of its edge to its parent is an edge, too.
+    """Dict that tells of a bone whether the mirror image of the edge to its parent is an edge, too.
 
     Keys are the bones that have a partner and whose parent has one.
     """

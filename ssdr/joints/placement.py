@@ -101,7 +101,7 @@ def fit_joint(model: Model, a: int, b: int, prior: Array) -> tuple[Array, float]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Contacts:
-    """Contacts: for every two bones, where and how closely their skin meets.
+    """Contacts of every two bones: where and how closely their skin meets.
 
     Attributes
     ----------
@@ -119,7 +119,11 @@ class Contacts:
 
 
 def find_contacts(model: Model) -> Contacts:
-    """Find the contacts of bones by shared weights or, without these, by their nearest vertices."""
+    """Find the contacts of every two bones.
+
+    Bones whose weights overlap meet at the vertices that they share, other bones at their nearest
+    vertices.
+    """
     n_bones, weights = model.n_bones, model.dense_weights()
     overlap = weights.T @ weights
     places = np.einsum("ia,ib,id->abd", weights, weights, model.rest, optimize=True)

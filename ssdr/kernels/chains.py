@@ -18,13 +18,13 @@ from .policy import inline, kernel
 def chain_image(transforms, order, parents, points, turns, shifts, moved, out):
     """Compute the tangents (ω, τ) of all bones, given the unknowns.
 
-    transforms  (F, B, 3, 4)  float64  bones, in
+    transforms  (F, B, 3, 4)  float64  transforms of the bones, in
     order       (B,)          int64    bones, parents before children, in
     parents     (B,)          int64    parent of each bone, −1 for a root, in
     points      (B, 3)        float64  joints in the rest pose, in
     turns       (F, B, 3)     float64  ω, in
     shifts      (F, B, 3)     float64  τ of the roots, in; other rows are not read
-    moved       (B, 3)        float64  δc, in
+    moved       (B, 3)        float64  δc, changes of the joints, in
     out         (F, B, 6)     float64  tangents, out
     """
     n_bones = len(parents)
@@ -59,12 +59,12 @@ def chain_image(transforms, order, parents, points, turns, shifts, moved, out):
 
 @kernel
 def chain_pullback(transforms, order, parents, points, g, turns, shifts, moved):
-    """Apply the transpose of :func:`chain_image`; g is overwritten.
+    """Pull a gradient back through :func:`chain_image`, by its transpose; g is overwritten.
 
-    g       (F, B, 6)  float64  gradient by the tangents, in
-    turns   (F, B, 3)  float64  gradient by ω, out
-    shifts  (F, B, 3)  float64  gradient by τ of the roots, 0 elsewhere, out
-    moved   (B, 3)     float64  gradient by δc, added to
+    g       (F, B, 6)  float64  gradient with respect to the tangents, in
+    turns   (F, B, 3)  float64  gradient with respect to ω, out
+    shifts  (F, B, 3)  float64  gradient with respect to τ of the roots, 0 at other bones, out
+    moved   (B, 3)     float64  gradient with respect to δc; the result is added to it
     """
     n_bones = len(parents)
     a = np.empty(3)
@@ -105,8 +105,8 @@ def chain_pullback(transforms, order, parents, points, g, turns, shifts, moved):
 def substitute(a, j, p, c, turn, old):
     """Replace the unknown τ_j by δc in the columns of the matrix a (B, 6, B, 6).
 
-    It substitutes τ_j = P (ω_p × c + τ_p + δc) − ω_j × c − δc, where p is the parent of j, c their
-    joint, and P = R_jᵀR_p, which is `turn`.
+    It substitutes τ_j = P (ω_p × c + τ_p + δc) − ω_j × c − δc, where p is the parent of j, c the
+    joint between them, and P = R_jᵀR_p, which is `turn`.
     """
     for k in range(a.shape[0]):
         for g in range(6):
@@ -136,7 +136,7 @@ def chain_matrix(transforms, order, parents, points, u, scale, out):
 
     u      (B, B, 4, 4)  float64  Σ_i w_j w_k p̃p̃ᵀ, in
     scale  (F,)          float64  importance of each frame, in
-    out    (B, 6, B, 6)  float64  sum of the matrices, added to; the six unknowns of bone j are ω_j,
+    out    (B, 6, B, 6)  float64  the sum is added to it; the six unknowns of bone j are ω_j,
                                   then τ_j for a root and δc_j for another bone
     """
     n_bones = len(parents)
@@ -209,7 +209,7 @@ def chain_matrix(transforms, order, parents, points, u, scale, out):
 def chain_move(transforms, order, parents, points, turns, shifts):
     """Rotate every bone by exp(ω), translate roots by τ, and others so that joints connect again.
 
-    transforms  (F, B, 3, 4)  float64  bones, updated
+    transforms  (F, B, 3, 4)  float64  transforms of the bones, updated
     points      (B, 3)        float64  joints in the rest pose after their change, in
 
     The other arguments are those of :func:`chain_image`.

@@ -123,7 +123,7 @@ def fit_boxes(vertices: Any, triangles: Any, depth: int, boxes: Any) -> None:
 def farthest(
     points: Any, vertices: Any, triangles: Any, depth: int, boxes: Any, hints: Any, lead: int
 ) -> tuple[float, int]:
-    """Largest squared distance of any point to the triangles, and the index of this point.
+    """Find the point farthest from the triangles; return its squared distance and its index.
 
     points     (n, 3)                  float64  positions of the points, in
     vertices   (V, 3)                  float64  positions of the triangles' corners, in

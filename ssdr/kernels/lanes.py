@@ -1,12 +1,13 @@
 """Small dense problems of many vertices at once: errors, Gauss–Newton systems, factors, inverses.
 
-The last axis of all arrays is over LANES vertices, so that one instruction works on several of
-them.  Loops over it have a constant length, which needs no code for a remainder, and read few other
-arrays: the compiler does not vectorise loops that read more.
+The last axis of all arrays is over LANES vertices, so that one instruction works on several
+vertices.  Loops over this axis have a constant length, which needs no code for a remainder, and
+read few other arrays: the compiler does not vectorise loops that read more.
 
-All vertices have K influences here, some with a weight of 0 that is no unknown: its row of the
-matrix is that of the identity.  Symbols are those of :mod:`.weights`.  ``blocks`` (N, 16) are the
-4×4 blocks G_qs of the pairs of influences q <= s, row by row, and ``along`` (K, P, 4) is y_q.
+All vertices have K influences here.  The weight of an unused influence is 0 and no unknown: its row
+of the matrix is that of the identity.  Symbols are those of :mod:`.weights`.  ``blocks`` (N, 16)
+are the 4×4 blocks G_qs of the pairs of influences q <= s, row by row, and ``along`` (K, P, 4) is
+y_q.
 """
 
 from __future__ import annotations

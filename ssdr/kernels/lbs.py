@@ -104,15 +104,15 @@ def pull_back_to_vertices(
     first: int,
     last: int,
 ) -> None:
-    """Add up the gradients by the rest positions and weights of vertices first..last.
+    """Add up the gradients with respect to rest positions and weights of vertices first..last.
 
     rest        (V, 3)        float     rest positions, in
     indices     (V, K)        int32     bone of each influence, in
     weights     (V, K)        float     its weight, in
     transforms  (F, B, 3, 4)  float     transforms of the bones, in
-    gradient    (F, V, 3)     float     gradient by the positions, in
-    to_rest     (V, 3)        float64   gradient by `rest`, added to for first..last
-    to_weights  (V, K)        float64   gradient by `weights`, added to for first..last
+    gradient    (F, V, 3)     float     gradient with respect to the positions, in
+    to_rest     (V, 3)        float64   gradient with respect to `rest`, added to first..last
+    to_weights  (V, K)        float64   gradient with respect to `weights`, added to first..last
 
     ``float`` is float32 or float64, the same type for all five arrays.
     """
@@ -146,13 +146,14 @@ def pull_back_to_bones(
     first: int,
     last: int,
 ) -> None:
-    """Add up the gradients by the transforms of frames first..last.
+    """Add up the gradients with respect to the transforms of frames first..last.
 
     rest           (V, 3)        float     rest positions, in
     indices        (V, K)        int32     bone of each influence, in
     weights        (V, K)        float     its weight, 0 in unused influences, in
-    gradient       (F, V, 3)     float     gradient by the positions, in
-    to_transforms  (F, B, 3, 4)  float64   gradient by the transforms, added to for first..last
+    gradient       (F, V, 3)     float     gradient with respect to the positions, in
+    to_transforms  (F, B, 3, 4)  float64   gradient with respect to the transforms, added to
+                                           first..last
 
     ``float`` is float32 or float64, the same type for all four arrays.
     """

@@ -1,10 +1,10 @@
 """Decorators of kernels, which use machine code shipped with the package or compile by Numba.
 
 A wheel of a platform holds an extension module with the machine code of all kernels
-(``.ci/kernels.py`` makes it).  It is in the installed package, and so as trusted as its code.
-If there is none for these sources, this Python and this processor, Numba is imported and
-compiles each kernel when it is first called.  Neither contracts nor reorders arithmetic, so that
-both have the same bits.
+(``.ci/kernels.py`` makes it).  It is part of the installed package, and so as trusted as the
+package's code.  If there is none for these sources, this Python and this processor, Numba is
+imported and compiles each kernel when it is first called.  Neither the shipped code nor Numba's
+contracts or reorders arithmetic, so that both give the same bits.
 
 Numba compiles a cached kernel again only if the kernel's own file changes.  After a change of a
 helper in another file, delete ``ssdr/kernels/__pycache__``.
@@ -39,7 +39,10 @@ def code_file(level: str) -> Path:
 
 
 def _load() -> dict[str, Any]:
-    """Functions by name from the best shipped machine code that this processor can run, if any."""
+    """Load the best shipped machine code that this processor can run; return its functions by name.
+
+    The dict is empty if there is none.
+    """
     core = "core" if np.__version__ < "2" else "_core"
     has = importlib.import_module(f"numpy.{core}._multiarray_umath").__cpu_features__
     for level, features in LEVELS.items():

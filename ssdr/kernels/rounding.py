@@ -35,7 +35,7 @@ def move_units(
     weights       (V, K)       float64  weights, multiples of a unit 1/steps, descending, updated
     error         (V,)         float64  squared error of the positions, out
     normals       (V, P-1, 3)  float64  rest normals, updated
-    normal_error  (V,)         float64  squared error of the normals, as of unit vectors, out
+    normal_error  (V,)         float64  squared error with respect to the unit normals, out
     hold          (V, 4)       float64  pull (μ, m) on each rest position, in
     length        float                 length of a normal treated as a point, in
     locked        (V,)         bool     vertices whose weights are not changed, in

@@ -50,7 +50,7 @@ def schur_vertices(
     total       (B, B, 4, 4)  float64  Σ_i a δaᵀ, in the layout of `cross`, times importance, where
                                        a is w p̃ of a bone and δa its change, added to
 
-    ``real`` is float32 or float64, the same for all these arrays; each group is summed in it.
+    ``real`` is float32 or float64, the same for all these arrays; groups are summed in it, too.
     """
     real = inverse.dtype
     n_keep = bones.shape[1]
@@ -227,9 +227,9 @@ def tangent_pullback(transforms, g, scale, out):
     """Apply the transpose of :func:`tangent_image`.
 
     transforms  (F, B, 3, 4)  float64  bones, in
-    g           (3F, 4, B)    real     gradient by the entries of the transforms, in
+    g           (3F, 4, B)    real     gradient with respect to the entries of the transforms, in
     scale       (F,)          float64  root of each frame's importance, in
-    out         (F, B, 6)     float64  gradient by the tangents (ω, τ), out
+    out         (F, B, 6)     float64  gradient with respect to the tangents (ω, τ), out
     """
     for t in range(len(transforms)):
         s = scale[t]

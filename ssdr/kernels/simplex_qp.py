@@ -163,9 +163,10 @@ def invert(a, n, full, row):
 
 @inline
 def cheapest_to_drop(h, w, n, a, full, row, scale):
-    """Indices of the two weights cheapest to remove, and the rise of the error by the first.
+    """Indices of the two weights cheapest to remove, and the rise of the error without the first.
 
-    The last of the n weights is no candidate.  An index is −1 if there is no such weight.
+    The last of the n weights is no candidate.  An index is −1 if there is no such weight.  a, full,
+    row and scale are scratch.
 
     Removing weight q raises the error by w_q² / P_qq, where P is the inverse of h restricted to
     changes of the weights that keep their sum.  This is exact if the other weights stay positive;

@@ -157,7 +157,7 @@ def solve_vertices(
     gram          (B, 10, B)   float64  coefficients of p̃ᵀ G_jk p̃, bones outermost, in
     pairs         (B, B, 10)   float64  the coefficients in `gram`, innermost here, in
     pull          (V, B)       float64  linear term of weight smoothness, empty without it, in
-    stiff         (V,)         float64  quadratic term of it, empty without it, in
+    stiff         (V,)         float64  quadratic term of weight smoothness, empty without it, in
     rest          (V, 3)       float64  rest positions, updated where `move_rest`
     support       (V, S)       int32    bones of the solution before the reduction to K, updated
     share         (V, S)       float64  weights of the bones in `support`, updated
@@ -166,7 +166,7 @@ def solve_vertices(
     weights       (V, K)       float64  weights of these bones, solved again, descending, updated
     error         (V,)         float64  squared error of the positions, out
     normals       (V, P-1, 3)  float64  rest normals, updated
-    normal_error  (V,)         float64  squared error of the normals, as of unit vectors, out
+    normal_error  (V,)         float64  squared error with respect to the unit normals, out
     hold          (V, 4)       float64  pull (μ, m) on each rest position, in
     length        float                 length of a normal treated as a point, in
     locked        (V,)         bool     vertices whose weights are not changed, in

@@ -111,7 +111,7 @@ def take_columns(rows, ids, n, h, alive):
 
 @inline
 def gradient_of_all(f_all, rows, w, n, grad):
-    """Set `grad` to Hw − f, half the gradient of the error in the weights of all bones."""
+    """Set `grad` to Hw − f, half the error's gradient with respect to all bones' weights."""
     for j in range(len(grad)):
         grad[j] = -f_all[j]
     for q in range(n):

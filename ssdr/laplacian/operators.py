@@ -212,6 +212,6 @@ def _assemble(a: Any, b: Any, weights: NDArray[np.float64], n: int) -> csr_array
 def check_mesh(
     vertices: ArrayLike, faces: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Checked vertices ``(V, 3)`` as float64 and triangles ``(T, 3)`` as int32."""
+    """Check a mesh; return vertices ``(V, 3)`` as float64 and triangles ``(T, 3)`` as int32."""
     points = check_floats(vertices, "vertices", ("V", 3)).astype(np.float64)
     return points, check_faces(faces, len(points))

@@ -43,7 +43,7 @@ def smooth_weights(
     influences : int, optional
         Most influences per vertex; the largest are kept.  By default as many as the model has.
     kind, mass, backend
-        As of :class:`LaplacianSmoother`; "uniform" makes no weight negative.
+        As in :class:`LaplacianSmoother`; "uniform" makes no weight negative.
 
     Returns
     -------

@@ -109,7 +109,7 @@ def compare(
         Sequences that are not in memory are read by chunks of frames.  The normals of a skinning
         `other` are compared as engines draw them.
     faces : (T, 3) int array, optional
-        Triangles of both; by default those of either sequence.  Without triangles, the Hausdorff
+        Triangles of both animations; by default those of either.  Without triangles, the Hausdorff
         distance is that of the vertices alone and STED has no spatial part.
     hausdorff, sted : bool
         Whether to compute these metrics, which take most of the time.  For parameters other than

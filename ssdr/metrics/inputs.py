@@ -25,9 +25,10 @@ _CHUNK_BYTES = 16 << 20  # bytes of float64 compared at a time, to bound memory
 
 
 def as_sequence(frames: Frames, faces: ArrayLike | None, argument: str) -> MeshSequence:
-    """`frames` as a MeshSequence, skinned if they are a model; `faces`, if given, replace its own.
+    """Convert `frames` to a MeshSequence; a model is skinned.
 
-    `argument` is the name of `frames` in errors.
+    `faces`, if given, replace the triangles of `frames`.  `argument` is the name of `frames` in
+    errors.
     """
     frames = skinning_in(frames)
     if isinstance(frames, Skinning):
@@ -46,7 +47,7 @@ def as_sequence(frames: Frames, faces: ArrayLike | None, argument: str) -> MeshS
 def as_pair(
     reference: Frames, other: Frames, faces: ArrayLike | None = None
 ) -> tuple[MeshSequence, MeshSequence]:
-    """Both arguments as sequences with equally many frames and vertices."""
+    """Convert both arguments to sequences, and check that these have the same shape."""
     first = as_sequence(reference, faces, "reference")
     second = as_sequence(other, faces, "other")
     if first.vertices.shape != second.vertices.shape:
@@ -59,7 +60,7 @@ def as_pair(
 
 
 def check_finite(first: MeshSequence, second: MeshSequence, *results: Any) -> None:
-    """Refuse results that are not finite.
+    """Raise an InputError if a result is not finite.
 
     Raises
     ------
@@ -91,5 +92,5 @@ def chunk_size(sequence: MeshSequence, per_frame: int = 0) -> int:
 
 
 def read(sequence: MeshSequence, start: int, stop: int) -> NDArray[np.float64]:
-    """Frames ``start:stop``, ``(n, V, 3)``, in float64."""
+    """Read the frames ``start:stop`` as a float64 array ``(n, V, 3)``."""
     return np.asarray(sequence.frames(slice(start, stop)), dtype=np.float64)

@@ -34,7 +34,7 @@ class NormalErrors:
     p95 : float
         Angle that 95 % of all do not exceed, to a hundredth of a degree.
     beyond_20, inwards : float
-        Shares of the angles of 20° and more and of 90° and more, from 0 to 1.
+        Share, from 0 to 1, of the angles of at least 20°, and of at least 90°.
     surface : float or None
         Of a skinning, the mean angle of the normals of its own surface, which are drawn by programs
         that compute normals anew in every frame.
@@ -79,10 +79,10 @@ def normals(reference: Frames, model: Frames, faces: ArrayLike | None = None) ->
     """Angles between the normals of a reference and those that are drawn of a model.
 
     The normals of a surface are means over the triangles around a vertex, weighted by their angles
-    there, and separate on the two sides of a hard edge.  Game engines and renderers draw a skinned
-    mesh by its rest normals n, which they transform by the blended 3×3 matrices of the bones:
-    Σ_k w_k R_k n, normalised.  Triangles without area have no normal, and a vertex with no others
-    is left out in that frame.
+    at the vertex, and separate on the two sides of a hard edge.  Game engines and renderers draw a
+    skinned mesh by its rest normals n, which they transform by the blended 3×3 matrices of the
+    bones: Σ_k w_k R_k n, normalised.  Triangles without area have no normal, and a vertex without
+    other triangles is left out in that frame.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def normals(reference: Frames, model: Frames, faces: ArrayLike | None = None) ->
         A skinning is measured as engines draw it, by the normals that it has or, if it has none, by
         those of its rest pose; frames by the normals of their surface.
     faces : (T, 3) int array, optional
-        Triangles of both; by default those of either.
+        Triangles of reference and model; by default those of either.
 
     Returns
     -------

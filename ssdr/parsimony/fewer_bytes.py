@@ -53,12 +53,12 @@ def fewer_bytes(
     rigid: Pruned,
     skinning_of_all: Callable[..., Skinning],
 ) -> Pruned:
-    """The model of fewest bytes that holds the tolerance, and its prunings.
+    """Find the model of fewest bytes that holds the tolerance; return it and its prunings.
 
     Parameters
     ----------
     models : ModelsByBones
-        Of a search that found the fewest bones.
+        Models of a search that found the fewest bones.
     bounds : Bounds
     effort : {"fast", "balanced", "best"}
     tolerance : float
@@ -142,9 +142,10 @@ def _affine(
 def _with_shapes(
     models: ModelsByBones, tolerance: float, bone: float
 ) -> tuple[SolvedFrames, Model, Pruned] | None:
-    """A model in which shapes replace bones whose keys take more bytes.
+    """Replace bones by shapes, where the keys of the bones take more bytes, and drop keys.
 
-    Returns None if shapes do not pay or the model misses the tolerance.
+    Returns the frames, the model before it gets shapes, and the result with its prunings; or None
+    if shapes do not pay or the result misses the tolerance.
     """
     frames, problem, held = models.frames, models.frames.problem, models.held_bones
     # bones, each of so many bytes, that a shape has to replace; one alone is not worth the trial

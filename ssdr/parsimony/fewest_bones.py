@@ -181,7 +181,7 @@ def start_and_polish(d: Descent) -> None:
 
 
 def merge_and_polish(d: Descent, steps: int) -> None:
-    """Remove the cheapest bones, and polish the others."""
+    """Remove the bones whose removal costs least, and polish the others."""
     merge_down(d)
     polish(d, steps=steps, gain=0.005)
 

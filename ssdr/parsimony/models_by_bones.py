@@ -58,7 +58,7 @@ def start_merged(d: Descent, factor: float) -> None:
 
 
 def merge_down(d: Descent) -> None:
-    """Remove the cheapest bones until `d.bones` are left."""
+    """Remove the bones whose removal costs least until `d.bones` are left."""
     if d.rigid_joints:
         remove_bones(d)
     else:
@@ -75,7 +75,11 @@ def move_some(d: Descent, count: int) -> None:
 
 
 def search_long(d: Descent, moves: int, trials: int) -> None:
-    """Search for long around the present model."""
+    """Improve the model by a long search.
+
+    Move up to `moves` bones, polish, return to the best model, and try `trials` changes. With rigid
+    joints: polish, then try `trials` changes of the tree.
+    """
     if d.rigid_joints:
         polish(d, steps=30, gain=0.005)
         move_some(d, trials)

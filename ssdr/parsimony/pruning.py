@@ -1,8 +1,8 @@
 """Pruning: influences and keyframes are dropped as far as the tolerance allows.
 
-One multiplier λ, the price of a byte, decides on both: among all ways to store the weights of a
-vertex or the keys of a bone, the one of least squared error + λ · bytes is chosen (Everett 1963).
-The search is for the highest price at which the model still holds the tolerance.
+One multiplier λ, the price of a byte, decides on influences and keyframes: among all ways to store
+the weights of a vertex or the keys of a bone, the one of least squared error + λ · bytes is chosen
+(Everett 1963).  The search is for the highest price at which the model still holds the tolerance.
 """
 
 from __future__ import annotations
@@ -116,9 +116,10 @@ def polish_weights(d: Descent, *, polish_steps: int = _AFTERWARDS) -> Iterator[N
 
 
 class Pruned(NamedTuple):
-    """A skinning with fewer influences, one that has fewer keys as well, and their errors.
+    """A skinning with fewer influences, the same with fewer keys as well, and their errors.
 
-    `bytes` and `kept_error` are those of the second or, if a file is described, of its file.
+    `bytes` and `kept_error` are those of the skinning with fewer keys or, if a file is described,
+    of its file.
     """
 
     fewer: Skinning
@@ -202,7 +203,7 @@ def prune(
 
 
 def _schedules(frames: SolvedFrames) -> tuple[Schedule, list[Schedule]]:
-    """Steps after influences are dropped, and alternatives that are tried in turn at the end."""
+    """Schedule that follows the loss of influences, and alternatives to try in turn at the end."""
     polishes = frames.measure == "rmse"  # a polish may raise the largest error
 
     def usual(d: Descent) -> None:
@@ -270,7 +271,7 @@ def _pruned(
     schedule: Schedule,
     skinning_of_all: Callable[[Model, Trajectories], Skinning],
 ) -> Pruned:
-    """A model without the influences and keys that are not worth the price."""
+    """Remove the influences and keys that are not worth the price, and return a Pruned."""
     storage = frames.problem.storage
     influence = influence_bytes(fewer.models[0].n_bones, storage) / frames.data.scale**2
     model = fewer.build(fewer.choose(price * influence)[0])

@@ -165,7 +165,7 @@ def _least_bones(frames: SolvedFrames, tolerance: float) -> tuple[int, int]:
 
 
 def _kept_error(frames: SolvedFrames, skinning: Skinning, tolerance: float) -> float:
-    """Error of a skinning; if it holds the tolerance, the larger of this and its file's error."""
+    """Error that decides whether a skinning is kept; see :meth:`SolvedFrames.kept`."""
     return frames.kept(skinning, frames.error_of_all(skinning), tolerance)[1]
 
 

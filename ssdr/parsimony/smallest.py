@@ -122,8 +122,8 @@ def smallest(
         file, too, and of the models that pruning tries the one with the smallest file is chosen:
         each is written to a temporary file, and measured as a reader decodes it.
     time_limit : float, optional
-        Most seconds for this call, without compilation.  After these, the smallest model so far
-        that holds the tolerance is returned without pruning; if none does, the model of least
+        Most seconds for this call, without compilation.  When they are over, the smallest model so
+        far that holds the tolerance is returned without pruning; if none does, the model of least
         error.
     checkpoint : path, optional
         As in :func:`decompose`; holds the smallest model so far that holds the tolerance.

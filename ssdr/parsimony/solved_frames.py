@@ -1,4 +1,4 @@
-"""Frames that a search solves, and errors of models on these and on all frames.
+"""Frames that a search solves, and errors of models on the solved frames and on all frames.
 
 If the frames do not fit into memory, representative frames are solved, and the error is measured on
 all frames.
@@ -53,9 +53,9 @@ class SolvedFrames:
     ----------
     sequences : list of MeshSequence
     data : Trajectories
-        Compressed trajectories of these frames.
+        Compressed trajectories of the frames in `sequences`.
     initial : Initial
-        Parts that the caller gave, in the solver's space and for these frames.
+        Parts that the caller gave, in the solver's space and for the frames in `sequences`.
     scan : Scan or None
         None if all frames are in memory.
     degree : float
@@ -79,13 +79,17 @@ class SolvedFrames:
         self.data = data.compressed(problem.bones)
 
     def squared(self, rmse: float) -> float:
-        """Convert an RMSE to the squared error in the solver's space, summed over these frames."""
+        """Convert an RMSE to a squared error in the solver's space, summed over solved frames."""
         return (rmse / self.data.scale) ** 2 * self.data.n_frames * self.data.n_vertices
 
     def descent(
         self, bones: int, *, data: Trajectories | None = None, initial: Initial | None = None
     ) -> Descent:
-        """A descent on these frames, or on a changed copy `data` of them."""
+        """Begin a descent on the frames that the search solves.
+
+        `data`, if given, is a changed copy of the trajectories that replaces them; `initial`
+        replaces the initial parts.
+        """
         problem = self.problem
         return Descent(
             self.data if data is None else data,
@@ -101,7 +105,7 @@ class SolvedFrames:
 
     @property
     def are_all_exact(self) -> bool:
-        """Whether these are all frames, with weights and keys returned as solved, not rounded."""
+        """Whether all frames are solved, and weights and keys returned as solved, not rounded."""
         return self.scan is None and self.problem.storage == "float32" and self.written is None
 
     @property
@@ -112,7 +116,8 @@ class SolvedFrames:
     def with_normals(self, model: Model) -> tuple[Trajectories, Model]:
         """The trajectories and a model, with normals if these have a tolerance and bones are rigid.
 
-        Both are as the step :func:`~ssdr.search.steps.solve_normals` leaves them.
+        Otherwise both are returned as they are. The normals are those that
+        :func:`~ssdr.search.steps.solve_normals` adds; the trajectories then also have the `slack`.
         """
         if not self.degree or self.problem.constraints.bone_model != "rigid":
             return self.data, model
@@ -129,7 +134,7 @@ class SolvedFrames:
     def error(self, model: Model, measure: Measure | None = None) -> float:
         """Error of a model on the frames that the search solves, in the mesh's units.
 
-        If `measure` is given, it is that of positions alone.
+        If `measure` is given, the error is that of positions alone, by this measure.
         """
         if measure is None:
             error = self.error(model, self.measure)
@@ -196,8 +201,8 @@ class SolvedFrames:
     def kept(self, skinning: Skinning, error: float, tolerance: float) -> tuple[int, float]:
         """Bytes and error that decide whether a skinning is kept.
 
-        They are those of its file if `error` holds the tolerance and a file is described, and
-        otherwise its own; the error is `error` at least.
+        If `error` holds the tolerance and a file is described, they are those of the file, with an
+        error of at least `error`. Otherwise they are those of the skinning.
         """
         file = self.file(skinning) if error <= tolerance else None
         if file is None:

@@ -49,8 +49,8 @@ def skinning_of(
 ) -> Skinning:
     """Convert a model to a skinning in the input's space, with the faces and names of the input.
 
-    `sequences` are the frames of the model, by default all frames.  Its normals are those of the
-    rest pose, if the input has any: :func:`with_normals` fits better ones.
+    `sequences` are the frames of the model, by default all frames.  The skinning's normals are
+    those of the rest pose, if the input has any: :func:`with_normals` fits better ones.
     """
     skin = dataclasses.replace(model, transforms=model.transforms[:0])
     padded = skin.with_influences(problem.influences)

@@ -134,7 +134,11 @@ def check_problem(
 
 
 def _check_stored(influences: Any) -> tuple[int, WeightStorage]:
-    """Check `influences`; return their largest number, and the type in which weights are stored."""
+    """Check `influences`, a number or a pair (number, storage), and return it as a pair.
+
+    The pair is the largest number of influences per vertex, and the type in which weights are
+    stored.
+    """
     if not (isinstance(influences, tuple) and len(influences) == 2):
         return check_influences(influences), "float32"
     count, storage = influences

@@ -1,4 +1,4 @@
-"""Checks of the parts of a model that a caller gives to begin from: a start, and a skeleton."""
+"""Checks of the parts of a model that a caller starts from: a start, and a skeleton."""
 
 from __future__ import annotations
 
@@ -193,7 +193,7 @@ def with_skeleton(
 
 
 def _same_tree(start: Skinning, initial: Initial, skeleton: Skinning, rotations: Array) -> Tree:
-    """Tree of the model to start from, whose parents must be those of the skeleton.
+    """Check that the model to start from has the parents of the skeleton, and return its tree.
 
     If a locked rotation differs from the model's, the tree is marked as not rigid, so that the
     bones are attached to it anew.

@@ -78,7 +78,7 @@ class Initial:
     def beside_model(self) -> Initial:
         """Parts for starts that do not use a complete given model.
 
-        If there is such a model, this is `rest_frame` alone; otherwise these are all parts.
+        They are `rest_frame` alone if such a model was given, and otherwise all parts.
         """
         return Initial(rest_frame=self.rest_frame) if self.is_model else self
 
@@ -123,7 +123,7 @@ class Initial:
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Problem:
-    """A call whose arguments have been checked.
+    """Problem to solve: the checked arguments of a call.
 
     Attributes
     ----------

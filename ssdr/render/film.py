@@ -205,7 +205,7 @@ class Film:
         return path
 
     def _palette(self) -> Image.Image:
-        """Picture with the 256 colours of a GIF, chosen from some of the frames.
+        """Picture whose palette is the 256 colours of the GIF, chosen from some of the frames.
 
         All frames share one palette, since the background flickers otherwise.
         """

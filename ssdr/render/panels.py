@@ -52,7 +52,7 @@ class Panels:
     frames : tuple of int
     view : View
     scales : dict of Style to Scale
-        Of the styles of `rows` that show an error.
+        Scale of each style of `rows` that shows an error.
     """
 
     rows: tuple[tuple[Scene, Style], ...]
@@ -151,14 +151,17 @@ class Panels:
 
 
 def as_many(name: str, texts: Sequence[str], things: Sequence[Any]) -> list[str]:
-    """Texts as a list, checked to be as many as `things`."""
+    """Check that there are as many texts as `things`, and return them as a list."""
     if isinstance(texts, str) or len(texts) != len(things):
         raise InputError(name, f"{len(things)} texts", texts)
     return [str(t) for t in texts]
 
 
 def checked_frames(frames: Any, n_frames: int) -> list[int]:
-    """Frame indices, checked and counted from 0; negative ones are counted from the end."""
+    """Check frame indices and return them, counted from 0.
+
+    Negative indices are counted from the end.
+    """
     order = [int(t) for t in frames]
     if not order:
         raise InputError("frames", "at least one frame", "none")

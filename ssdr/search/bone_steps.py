@@ -59,9 +59,10 @@ def merge(d: Descent, *, steps: int = 3, alternations: int = 4) -> Iterator[None
 def move_bones(
     d: Descent, *, steps: int = 16, patience: int = 4, alternations: int = 4
 ) -> Iterator[None]:
-    """Move cheap bones, one at a time, to where the error is largest; keep each improvement.
+    """Move bones whose removal costs least, one at a time, to where the error is largest.
 
-    It ends after `steps` moves, or `patience` moves in a row that do not lower the objective.
+    Each improvement is kept.  It ends after `steps` moves, or `patience` moves in a row that do not
+    lower the objective.
     """
     change = partial(move_cheapest_bone, alternations=alternations)
     return tried(d, [change], steps=steps, iterations=alternations, patience=patience)

@@ -197,7 +197,8 @@ def polish_then_drop_influence(
     """Polish `steps` times (in place); return a copy with one influence fewer per vertex.
 
     With few influences the choice of bones for each vertex leads to many poor minima.  With more
-    influences there are fewer poor minima, and their bones are close to those of a good model.
+    influences there are fewer poor minima, and the bones at these minima are close to those of a
+    good model.
     """
     polish_steps(data, model, steps, constraints)
     smaller = model.with_influences(model.n_influences - 1)
@@ -276,9 +277,10 @@ def _with_fewer_influences(
 def alternate_some(
     data: Trajectories, model: Model, rng: np.random.Generator, constraints: Constraints
 ) -> Model:
-    """Alternate one to five times, keeping the K largest weights of each vertex.
+    """A copy after one to five alternations of weights and bones, their number chosen at random.
 
-    The other weights are dropped even if that raises the error.
+    Each vertex keeps its K largest weights; the other weights are dropped even if that raises the
+    error.
     """
     moved = model.with_restarted_support()
     for _ in range(int(rng.integers(1, _MOST_ALTERNATIONS + 1))):

@@ -6,8 +6,9 @@ that of an independent model with as many bones, the objective is Σ_l (E_l / E*
 large p makes depend mostly on the largest ratio.
 
 To move the bones of all levels at once, the vertices of all levels are stacked into one mesh.  The
-importance of each vertex is multiplied by the derivative of the objective by its level's E_l.  A
-Gauss–Newton step on this mesh keeps the influences; each level chooses them between such steps.
+importance of each vertex is multiplied by the derivative of the objective with respect to its
+level's E_l.  A Gauss–Newton step on this mesh keeps the influences; each level chooses them between
+such steps.
 """
 
 from __future__ import annotations
@@ -137,7 +138,8 @@ class Nested:
     def swapped(self, levels: list[Model]) -> list[Model]:
         """Copies in which two bones change places.
 
-        One is a cheap bone of a random level; the other is a bone that only finer levels have.
+        One is a bone of a random level whose removal costs little; the other is a bone that only
+        finer levels have.
         """
         k = int(self.rng.integers(1, len(levels)))
         least = levels[k + 1].n_bones if k + 1 < len(levels) else 0

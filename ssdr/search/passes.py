@@ -1,6 +1,6 @@
 """Passes over all frames, which finish a model that was found on some of them.
 
-A pass is one alternation.  It reads the frames span by span and solves the bones of each, then
+A pass is one alternation.  It reads the frames span by span and solves the bones of each span, then
 solves weights and rest pose from two sums over all frames: Y, the products of vertices with
 transforms, and G, those of transforms with each other.  It holds a block of frames, the transforms
 and two (V, 4B) matrices in memory.  Its error is that of all frames, not an estimate.

@@ -44,7 +44,9 @@ PASSES = {"fast": 1, "balanced": 1, "best": 4}
 
 
 def solve(problem: Problem, schedule: Schedule | None = None) -> Decomposition:
-    """Solve a problem; a given `schedule` replaces that of the effort, with all frames in memory.
+    """Solve a problem by the schedule of its effort, or by `schedule` if that is given.
+
+    With a given `schedule`, all frames are held in memory.
 
     Raises
     ------
@@ -118,7 +120,7 @@ def read_frames(
 ) -> tuple[list[MeshSequence], Trajectories, Initial]:
     """Read the frames that a scan chose, or all frames if `chosen` is None.
 
-    Returns them, their trajectories, and the given parts in the space of the trajectories.
+    Returns the frames, their trajectories, and the given parts in the space of the trajectories.
     """
     sequences, initial = problem.sequences, problem.initial
     importance = problem.frame_importance
@@ -138,7 +140,7 @@ def read_frames(
 def rounded(
     problem: Problem, data: Trajectories, model: Model, report: Callable[[Model], None]
 ) -> Model:
-    """The model with its weights rounded to the type `problem.storage`.
+    """Round the weights of a model to the type `problem.storage`, and return the model.
 
     After each round of polish steps `report` is called; if it raises Stop, the rounds end.
     """
@@ -158,7 +160,7 @@ def rounded(
 
 
 def _rounded_best(problem: Problem, d: Descent, *, done: float) -> tuple[Model, list[Step]]:
-    """The best model with weights that the problem's storage holds, and the records of all steps.
+    """Round the weights of the best model for storage; return it and the records of all steps.
 
     `done` is the fraction of the work that is done before.
     """

@@ -105,7 +105,7 @@ def relax(d: Descent, *, steps: int = 4, polish_steps: int = 8) -> Iterator[None
 def solve_normals(d: Descent) -> Iterator[None]:
     """Solve rest normals, too, from now on, if these are requested and the bones are rigid.
 
-    They come late, since they would lead a search for bones to models with more error.
+    Normals come late, since they would lead a search for bones to models with more error.
     """
     if not (d.normals and len(d.data.faces) and d.asked.bone_model == "rigid"):
         return
@@ -130,7 +130,7 @@ def last_polish(d: Descent, *, steps: int, gain: float = 0.0) -> None:
 
 @step("unfold", cost=3)
 def unfold(d: Descent, *, steps: int = 8) -> Iterator[None]:
-    """Unfold the triangles of the rest pose that are flipped, with ten times stiffer edges there.
+    """Unfold the flipped triangles of the rest pose, by making their edges ten times stiffer.
 
     The result becomes the best model even if its error is higher, as a rest pose with folds is not
     a surface.
@@ -163,9 +163,9 @@ def on_sample(
     """Follow a schedule on a third of the vertices, then continue from its best model on all.
 
     The sample, evenly spaced in the order of :func:`by_motion`, has at least `least` and at most
-    `most` vertices for each of the `d.bones` bones.  If these are half of the vertices or more, the
-    schedule runs on all.  Returns whether it ran on a sample.  If `free`, no surface holds the rest
-    pose of the sample: that is enough to find where bones belong.
+    `most` vertices for each of the `d.bones` bones.  If that would be half of the vertices or more,
+    the schedule runs on all.  Returns whether it ran on a sample.  If `free`, no surface holds the
+    rest pose of the sample: that is enough to find where bones belong.
     """
     count = sample_size(d.data.n_vertices, d.bones, least, most)
     if 2 * count >= d.data.n_vertices:

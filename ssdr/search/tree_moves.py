@@ -173,7 +173,10 @@ def move_bone_to_error(
 def replace_bone(
     data: Trajectories, model: Model, rng: np.random.Generator, constraints: Constraints
 ) -> Model:
-    """Split the bone with the patch of largest error, polish, and remove the cheapest bone."""
+    """Split the bone with the patch of largest error, and polish; then remove a bone.
+
+    The removed bone is the one whose removal costs least.
+    """
     grown = split_bone(data, model.with_restarted_support(), rng)
     polish_steps(data, grown, int(rng.integers(3, 7)), constraints)
     return remove_cheapest_bone(data, grown, constraints)
@@ -239,7 +242,10 @@ def split_bone(
 
 
 def remove_cheapest_bone(data: Trajectories, model: Model, constraints: Constraints) -> Model:
-    """A copy without the cheapest bone, whose neighbours are then attached to one among them."""
+    """A copy without the bone whose removal costs least.
+
+    The neighbours of that bone are attached to one among them.
+    """
     losses = removal_losses(data, model)
     bone = int(np.argmin([loss.cost for loss in losses]))
     loss = losses[bone]

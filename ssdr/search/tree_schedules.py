@@ -159,7 +159,7 @@ def relax_tree(d: Descent) -> None:
 
 
 def attach_and_polish(d: Descent) -> None:
-    """Attach the bones at joints and polish them there."""
+    """Attach the bones at joints, and polish the attached bones."""
     attach(d)
     polish(d, steps=8)
 

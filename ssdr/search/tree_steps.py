@@ -127,7 +127,7 @@ def add_bones(d: Descent, *, steps: int = 4) -> Iterator[None]:
 
 @step("remove bones", cost=30)
 def remove_bones(d: Descent, *, steps: int = 3) -> Iterator[None]:
-    """Remove the cheapest bone of a tree repeatedly, until `d.bones` bones are left."""
+    """Remove the bone whose removal costs least, repeatedly, until `d.bones` are left."""
     while d.model.n_bones > d.bones:
         model = d.model.with_restarted_support()
         _polish_changed(d, remove_cheapest_bone(d.data, model, d.constraints))

@@ -162,7 +162,7 @@ class GaussNewton:
         return self._system
 
     def _solve(self, system: ReducedSystem) -> tuple[Array, float]:
-        """The damped step x, and the decrease of the objective that is predicted for it."""
+        """Solve for the damped step x; return it and the predicted decrease of the objective."""
         tangent = self.tangent
         penalty = self.objective.joint_penalty(self.data, self.model, tangent.joints)
         tangent.penalty = penalty

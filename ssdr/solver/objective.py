@@ -160,7 +160,11 @@ class Objective:
     def joint_penalty(
         self, data: Trajectories, model: Model, joints: NDArray[np.intp]
     ) -> JointPenalty:
-        """Quadratic approximation of the penalty on the joints of the bones `joints` (J,)."""
+        """Quadratic approximation, at `model`, of the penalty on joints.
+
+        `joints` (J,) are the indices of the bones whose joints may move.  Without a penalty, the
+        stiffness is 0.
+        """
         error = model.weighted_error(data) + data.slack
         factor = dataclasses.replace(self, smoothness=None).value(data, model) / max(error, 1e-300)
         if not self.constraints.near_skin or not len(joints):
@@ -215,7 +219,7 @@ def normal_length(data: Trajectories, model: Model, penalty: float = 0.0) -> flo
 def rest_pulls(
     data: Trajectories, model: Model, constraints: Constraints, penalty: float = 0.0
 ) -> Array:
-    """Pulls (V, 4) on the rest positions towards the surface, as of ``RestSurface.pulls``.
+    """Pulls (V, 4) on the rest positions towards the surface, in the form of ``RestSurface.pulls``.
 
     They are 0 if the rest pose is free or locked, and for a start, which has no errors yet.
     `penalty` is what the objective adds to the error.
@@ -243,10 +247,11 @@ def mean_joint_penalty(squared: Array) -> float:
 
 
 def joint_offsets(model: Model) -> tuple[Array, Array]:
-    """Vectors (B, 3) to joints from where the skin of their bones meets, and d² (B,).
+    """Vectors (B, 3) to each bone's joint from the point where its skin meets its parent's, and d².
 
-    d² is the squared norm of the vector plus the squared gap of :func:`meeting_points`, which is
-    positive if the skin of the two bones does not touch.  At roots d² is 0.
+    d² (B,) is the squared norm of the vector plus the squared gap of :func:`meeting_points`, which
+    is large if the skins of the two bones are apart, and small if their weights overlap much.  At
+    roots d² is 0.
     """
     tree = model.hierarchy
     points, gaps = meeting_points(model)
@@ -261,8 +266,8 @@ def meeting_points(model: Model) -> tuple[Array, Array]:
     If the weights of the two bones overlap much, the point is the mean of the vertices, weighted by
     w_child · w_parent, and the gap is 0.  If they do not overlap, the point is the midpoint between
     the centroids of the two bones, and the gap is half the distance of the centroids.  In between,
-    both are blended.  For roots, and if one of the two bones moves no vertices, the point is the
-    joint and the gap 0.
+    point and gap are blended.  For roots, and if one of the two bones moves no vertices, the point
+    is the joint and the gap 0.
     """
     tree = model.hierarchy
     n_bones, weights, indices = model.n_bones, model.weights, model.indices

@@ -1,4 +1,4 @@
-"""A rest pose that stays a surface: a factor of the objective that grows as edges of it change.
+"""A rest pose that stays a surface: a factor of the objective that grows as its edges change.
 
 Positions in the frames hardly determine the rest pose: patches that one bone moves alone may lie
 anywhere in it, and small weights make up for large steps between neighbours.  Solved for positions
@@ -10,10 +10,10 @@ objective has the factor 1 + c·S, where the strain
 compares the edges of the rest pose p with those of a pose h of the input.  As a factor it costs the
 same share of the error whatever the error is, and nothing where a model is exact.
 
-The logarithm of a product is majorised by the linear terms of its factors (log is concave), and a
-difference along an edge by both its ends (|a − b|² <= 2|a − m|² + 2|b − m|²).  That leaves a
-quadratic pull on each rest position alone, so that vertices are still solved one by one, and no
-step that lowers the error with these pulls raises the objective.
+The logarithm of a product is majorised by the linear terms of its factors (log is concave), and the
+squared difference along an edge by a term for each end (|a − b|² <= 2|a − m|² + 2|b − m|²).  That
+leaves a quadratic pull on each rest position alone, so that vertices are still solved one by one,
+and no step that lowers the error with these pulls raises the objective.
 
 References
 ----------
@@ -152,14 +152,18 @@ class RestSurface:
         return np.flatnonzero(reached)
 
     def extended(self, rows: NDArray[np.intp]) -> RestSurface:
-        """The surface of vertices `rows`: the first V as here, then copies, which are free."""
+        """A surface with a row for each of the vertices `rows`.
+
+        The first V rows are all vertices in order, with the edges of this surface.  The other rows
+        are copies of vertices; these have no edges, and so are not pulled.
+        """
         n, more = len(rows), len(rows) - len(self.pose)
         known = self.edges.tocoo()
         edges = csr_array((known.data, (known.row, known.col)), shape=(n, n))
         return RestSurface(self.pose[rows], edges, np.pad(self.degree, (0, more)))
 
     def repeated(self, count: int) -> RestSurface:
-        """The surface of `count` copies of the mesh, whose strain is the mean over these."""
+        """The surface of `count` copies of the mesh, whose strain is the mean over the copies."""
         edges = csr_array(block_diag(count * [self.edges / count]))
         degree = np.tile(self.degree / count, count)
         return RestSurface(np.tile(self.pose, (count, 1)), edges, degree)
@@ -176,7 +180,7 @@ def central_frame(data: Trajectories, *, first: bool = False) -> int:
 
     The strain between it and the others is least, so that a rest pose near it costs least.  Points
     without triangles are joined to their nearest neighbours.  If `first`, frame 0 is returned,
-    unless parts of the mesh have no size there.
+    unless parts of the mesh have no size in it.
     """
     few = np.unique(np.linspace(0, data.n_frames - 1, _FEW).round().astype(int))
     edges = np.sort(data.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)).astype(np.intp)

@@ -45,7 +45,9 @@ def rounded_models(
     constraints: Constraints,
     rounds: int,
 ) -> Iterator[Model]:
-    """Models with weights rounded for `storage`, each of lower objective; the first comes quickly.
+    """Yield models with weights rounded for `storage`; the first comes quickly.
+
+    The objective never rises from one model to the next.
 
     Parameters
     ----------

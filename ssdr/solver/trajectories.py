@@ -163,8 +163,8 @@ class Trajectories(Alignment):
         """A copy with the normals of all frames, computed from the positions that it holds.
 
         They are the means of the normals of the triangles around a vertex, weighted by the angles
-        there (Thürmer and Wüthrich 1998).  The basis is that of the positions: it spans what bones
-        can do, and so all of the normals that a model can fit.
+        at the vertex (Thürmer and Wüthrich 1998).  The basis is that of the positions: it spans
+        what bones can do, and so all of the normals that a model can fit.
         """
         n, n_frames = self.n_vertices, self.n_frames
         normals, n2 = np.zeros(self.z.shape), np.zeros(n)

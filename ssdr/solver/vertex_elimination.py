@@ -73,8 +73,8 @@ class ReducedSystem:
         Σ_i w_j w_k p̃ p̃ᵀ.  Multiplied by the importance of a frame, it is H_mm of each axis of the
         frame.
     gradient : (3F, 4B) float64
-        Half gradient of the squared error and the terms of rest pose and normals by the stacked
-        transforms, with the vertices at their optimum.
+        Half gradient of the squared error and the terms of rest pose and normals with respect to
+        the stacked transforms, with the vertices at their optimum.
     """
 
     def __init__(
@@ -127,7 +127,7 @@ class ReducedSystem:
         run_chunks(work, self._tasks)
 
     def _eliminate(self, cross: Array, share: float) -> tuple[Array, Array]:
-        """Response of the vertices to a change δM of the transforms, and its effect on these.
+        """Response of the vertices to a change δM of the transforms, and the effect on the bones.
 
         Parameters
         ----------

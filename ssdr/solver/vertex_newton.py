@@ -28,7 +28,7 @@ __all__ = ["VertexSystem", "newton_vertices", "optimise_some", "optimise_vertice
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class VertexSystem:
-    """Gauss–Newton matrices and gradients of all vertices, with which a step eliminates these.
+    """Gauss–Newton matrices and gradients with which a step eliminates all vertices.
 
     Attributes
     ----------
@@ -164,7 +164,7 @@ def newton_vertices(
     model : Model
         Its rest pose, weights and error are changed, its transforms not read.
     hold : (V, 4) array
-        Pulls on the rest positions, as of ``RestSurface.pulls``.
+        Pulls on the rest positions, in the form of ``RestSurface.pulls``.
     length : float
         Length of a normal treated as a point.
     constraints : Constraints

@@ -43,7 +43,7 @@ class Tracks:
     s² tr((X − L) G (X − L)ᵀ), where G is the weighted sum of p pᵀ.  For rigid and similarity bones
     this is exact if one bone changes and each vertex has one influence; with several influences it
     is an upper bound (Jensen's inequality).  If several bones of a chain change, the error may be
-    more or less than the sum of theirs.
+    more or less than the sum of the bones' errors.
 
     Parameters
     ----------

@@ -108,7 +108,10 @@ def size(skinning: Skinning, *, storage: WeightStorage = "uint16") -> Size:
 
 
 def _shape_bytes(shapes: Shapes) -> int:
-    """Bytes of displacements and amounts, each dense or sparse, whichever takes fewer."""
+    """Number of bytes of the displacements of shapes and of their amounts per frame.
+
+    Each is dense or sparse, whichever takes fewer.
+    """
     total = 0
     for values, each in ((shapes.moved.T, 12), (shapes.amounts != 0, 4)):
         used = values.sum(axis=0)
@@ -118,17 +121,17 @@ def _shape_bytes(shapes: Shapes) -> int:
 
 
 def influence_bytes(bones: int, storage: WeightStorage) -> int:
-    """Bytes per influence: a weight of 16 bits, or of 8, and an index."""
+    """Number of bytes per influence: a weight of 16 bits, or of 8, and an index."""
     return (1 if storage == "uint8" else 2) + index_bytes(bones)
 
 
 def index_bytes(bones: int) -> int:
-    """Bytes of the index of a bone."""
+    """Number of bytes of the index of a bone."""
     return 1 if bones <= 256 else 2
 
 
 def key_bytes(skinning: Skinning) -> NDArray[np.int64]:
-    """Bytes (B,) of one key of each bone."""
+    """Number of bytes (B,) of one key of each bone."""
     each = np.full(skinning.n_bones, _KEY_BYTES[skinning.bone_model])
     if skinning.parents is None:
         return each
@@ -138,5 +141,5 @@ def key_bytes(skinning: Skinning) -> NDArray[np.int64]:
 
 
 def time_bytes(frames: int) -> int:
-    """Bytes of a key's frame index in an animation of `frames` frames."""
+    """Number of bytes of a key's frame index in an animation of `frames` frames."""
     return 2 if frames <= 1 << 16 else 4

@@ -33,7 +33,7 @@ class Blocks:
     def array(self, values: NDArray[Any], *, delta: bool = False) -> dict[str, Any]:
         """Append an array as a new block; return its document entry, with block index and layout.
 
-        The bytes of its numbers are sorted by significance and compressed by zlib.
+        Its bytes are shuffled, one plane for each byte of a number, and compressed by zlib.
 
         Parameters
         ----------

@@ -76,8 +76,8 @@ class Motion:
 class Truth:
     """Reference, of which the vertices of the model are read.
 
-    If the model was welded and the reference was not, `rows` (V,) holds their indices in the
-    reference.
+    If the model was welded and the reference was not, `rows` (V,) holds the index in the reference
+    of each vertex of the model.
     """
 
     sequence: MeshSequence
@@ -85,7 +85,7 @@ class Truth:
 
     @classmethod
     def of(cls, model: Skinning, reference: MeshSequence) -> Truth:
-        """Reference, checked to have the frames and vertices of the model.
+        """Check that a reference has the frames and vertices of a model, and return it as a Truth.
 
         Raises
         ------

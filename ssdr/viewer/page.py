@@ -86,7 +86,7 @@ def view(
     max_bytes: int = _MAX_BYTES,
     open: bool | None = None,
 ) -> Page:
-    """Write a page that shows a model or a sequence beside another, and open it in the browser.
+    """Write a page that shows a model or a sequence beside a reference; open it in the browser.
 
     The page is one HTML file with everything in it. It needs no network and can be sent by mail.
     It plays the animation, lights it as engines do, compares it with the input, colours it by
@@ -171,7 +171,7 @@ def page_text(
     reference_name: str = "",
     max_bytes: int = _MAX_BYTES,
 ) -> tuple[str, Payload]:
-    """Text of a page and what it holds; parameters and errors as of :func:`view`."""
+    """HTML text of a page, and its Payload; parameters and errors are those of :func:`view`."""
     subject = skinning_in(model)
     if not isinstance(subject, (Skinning, MeshSequence)):
         expected = "a Skinning, Decomposition or MeshSequence"

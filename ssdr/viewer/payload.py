@@ -74,7 +74,7 @@ def payload(
     reference_name: str,
     max_bytes: int,
 ) -> Payload:
-    """Content of the page of a model and its input; arguments as of :func:`ssdr.view`.
+    """Content of the page of a model and its input; arguments are those of :func:`ssdr.view`.
 
     Raises
     ------
@@ -205,7 +205,10 @@ def weight_entries(model: Skinning, blocks: Blocks) -> dict[str, Any]:
 
 
 def _rig(model: Skinning, center: Float, scale: float, blocks: Blocks) -> dict[str, Any]:
-    """Names, places, colours and tree of the bones, and each one's share of the weights."""
+    """Names, places, colours and tree of the bones, and each bone's share of the weights.
+
+    The colours of the vertices are appended to `blocks`.
+    """
     centroids = model.centroids()
     heads = centroids if model.parents is None else np.asarray(model.joint_positions, np.float64)
     ends, rigid = None, False

@@ -78,9 +78,9 @@ def _directions(normals: Any, blocks: Blocks) -> dict[str, Any]:
 
 
 def _look(material: Material | None, uv: Any, blocks: Blocks, notes: list[str]) -> dict[str, Any]:
-    """Colour (linear RGB) of a material, and the entry of its texture, which is appended.
+    """Colour (linear RGB) of a material, and the entry of its texture.
 
-    Both are None without a material.
+    The texture is appended to `blocks`.  Both are None without a material.
     """
     if material is None:
         return {"color": None, "texture": None}
@@ -92,7 +92,10 @@ def _look(material: Material | None, uv: Any, blocks: Blocks, notes: list[str]) 
 
 
 def _small(data: bytes, kind: str, notes: list[str]) -> tuple[bytes, str]:
-    """A texture that a page can hold, and its MIME type; empty if it is no picture."""
+    """Shrink a texture that is too large for a page; return it and its MIME type.
+
+    The texture is empty if it is no picture.
+    """
     if len(data) <= _TEXTURE_BYTES and kind in ("image/png", "image/jpeg"):
         return data, kind
     try:

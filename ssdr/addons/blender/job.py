@@ -71,7 +71,7 @@ class Job:
 def _mapped(
     run: Generator[Any, None, Any], said: Callable[[Any], tuple[float, str]]
 ) -> Generator[tuple[float, str], None, Any]:
-    """Go through a generator, yield `said` of what it yields, and return what it returns."""
+    """Run a generator: yield ``said(x)`` for each x that it yields, and return what it returns."""
     try:
         while True:
             yield said(next(run))

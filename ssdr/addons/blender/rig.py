@@ -36,7 +36,7 @@ def skin(model: dict[str, Any], frame: int) -> Any:
 def save_skeleton(armature: Any, place: Any, path: Path) -> None:
     """Write an armature in its present pose as a skeleton: the deforming bones and their parents.
 
-    Positions are relative to `place`.  The file also has a mesh, of one vertex a bone.
+    Positions are relative to `place`.  The file also has a mesh, with one vertex per bone.
     """
     bones = [bone for bone in armature.pose.bones if bone.bone.use_deform]
     if not bones:
@@ -74,7 +74,7 @@ def build(
     *,
     beside: bool,
 ) -> Any:
-    """Give the object, or with `beside` a copy of it, the model's mesh and bones, and return it.
+    """Give an object, or with `beside` a copy of it, a model's mesh and bones; return this object.
 
     `errors` (V,) become a colour attribute unless they are None.
     """

@@ -24,7 +24,7 @@ def _environment() -> Path:
 
 
 def _python(context: Any) -> Path:
-    """Python set in the preferences, else that of the environment made by their button."""
+    """Python named in the preferences or, if none is, that of the environment made there."""
     named = context.preferences.addons[__package__].preferences.python
     python = Path(bpy.path.abspath(named)) if named else python_in(_environment())
     if not python.is_file():

@@ -70,7 +70,10 @@ class Reader:
         self.meshes.append(self.mesh(mesh, names, above))
 
     def find(self, top: Any) -> Iterator[tuple[list[str], list[tuple[str, Any]], Any]]:
-        """Yield names, transforms above and object of visible meshes; add others to `hidden`."""
+        """Yield names, transforms above and object of each visible mesh.
+
+        The paths of meshes that are not visible are added to `hidden`.
+        """
         waiting: list[Any] = [(top, [], [], False)]
         while waiting:
             item, names, chain, hidden = waiting.pop()
@@ -100,7 +103,10 @@ class Reader:
             )
 
     def transform(self, schema: Any, above: int) -> dict[str, Any]:
-        """Record of a transform with parent index `above`; stores its matrices for row vectors."""
+        """Store the matrices of a transform, for row vectors, and return its record.
+
+        `above` is the index of the transform above it.
+        """
         if not schema.getNumSamples():
             values = self.put(np.eye(4)[None])
             return {"parent": above, "clock": ([0.0], 1.0, 1), "values": values}
@@ -112,7 +118,7 @@ class Reader:
         return {"parent": parent, "clock": clock(schema), "values": values}
 
     def mesh(self, item: Any, names: list[str], above: int) -> dict[str, Any]:
-        """Record of a mesh; stores its arrays."""
+        """Store the arrays of a mesh and return its record."""
         schema = item.getSchema()
         points = schema.getPositionsProperty()
         times = selectors(points)

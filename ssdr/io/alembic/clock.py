@@ -24,9 +24,9 @@ _DATA = 1 << 63  # bit of an address in Ogawa that marks data, not a group
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FrameTimes:
-    """Times of the frames at which a cache is read: `count` from time `first` (s), `rate` a second.
+    """Times of the frames at which a cache is read: `count` frames, `rate` per second.
 
-    `missed` (N,) holds the times of samples that lie on no frame.
+    The first is at `first` seconds. `missed` (N,) holds the times of samples that lie on no frame.
     """
 
     first: float

@@ -94,9 +94,9 @@ class CacheMesh:
     Attributes
     ----------
     names : list of str
-        Names of all objects above it, the highest first, then its own.
+        Names of all objects above the mesh, the highest first, then its own.
     clocks : list of (S,) arrays
-        Times of the samples of its points and of each transform above it.
+        Times of the samples of the points, and of those of each transform above the mesh.
     """
 
     def __init__(
@@ -153,9 +153,9 @@ class CacheMesh:
     def _read_sets(
         self, sets: Sequence[Any], arrays: Arrays, materials: list[str]
     ) -> NDArray[np.int64]:
-        """Material index (T,) of the triangles, -1 where there is none; extends `materials`.
+        """Append new materials to `materials`; return the material index (T,) of each triangle.
 
-        Each set of faces is a material.
+        Each set of faces is a material. A triangle without one has the index -1.
         """
         of_polygon = np.full(self.polygon.max(initial=-1) + 1, -1)
         for name, key in sets:

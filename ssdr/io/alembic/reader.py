@@ -136,7 +136,10 @@ def _installed() -> bool:
 def _read_archive(
     path: Path, wanted: list[str] | None, time_limit: float, max_bytes: int
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Run ``archive.py`` on a file: records and arrays of the meshes `wanted`, or of all (None)."""
+    """Run ``archive.py`` on a file; return records and arrays of the meshes `wanted`.
+
+    If `wanted` is None, these are all meshes.
+    """
     job = {"path": str(path.resolve()), "meshes": wanted, "max_bytes": max_bytes}
     # what can be imported here can be imported there
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}

@@ -286,7 +286,7 @@ def _text(arrays: Mapping[str, NDArray[Any]], key: str) -> str:
 
 
 def _only(array: NDArray[Any], key: str, what: str, kinds: str) -> Any:
-    """Single entry of an array, checked to be the only one and of a kind in `kinds`."""
+    """Check that an array has a single entry, of a kind in `kinds`, and return the entry."""
     if array.size != 1 or array.dtype.kind not in kinds:
         raise InputError(key, f"one {what}", f"{array.dtype} of shape {array.shape}")
     return array.ravel()[0]

@@ -94,9 +94,9 @@ def read(
 def sequence_of(
     arrays: dict[str, NDArray[Any]], path: Path, clip: str, fps: float | None
 ) -> MeshSequence:
-    """Sequence, with y up, of the arrays that ``script.py`` has read; warns of keys between frames.
+    """Make a sequence, with y up, of the arrays that ``script.py`` has read.
 
-    `fps` is the requested rate, or None.
+    A warning tells of keys between frames. `fps` is the requested rate, or None.
     """
     sequence = MeshSequence(
         arrays["vertices"],

@@ -29,7 +29,7 @@ def world_points(item: Any, graph: Any) -> tuple[Any, Any]:
 
 
 def lost_between(items: list[Any], timeline: Any) -> tuple[float, float]:
-    """Largest error of vertices at the keys that a timeline misses, and largest diagonal then.
+    """Largest error of vertices, and largest diagonal, at the keys that a timeline misses.
 
     The error is the distance between the vertices at a key and those interpolated linearly between
     the two frames around it. At most 100 keys are compared.

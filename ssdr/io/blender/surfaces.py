@@ -70,7 +70,7 @@ def join(items: list[Any], arrays: dict[str, Any], path: str, mirrored: Any) -> 
 
 
 def describe(number: int, material: Any, arrays: dict[str, Any], path: str) -> dict[str, Any]:
-    """Fields of a `Material` of this package, read from a material of Blender.
+    """Read the fields of a `Material` of this package from a material of Blender.
 
     The bytes of its texture are added to `arrays` under the key ``texture_<number>``.
     """
@@ -97,7 +97,7 @@ def describe(number: int, material: Any, arrays: dict[str, Any], path: str) -> d
 
 
 def picture(image: Any, arrays: dict[str, Any], path: str) -> bytes:
-    """Bytes of an image that is packed or lies in the folder of the file `path`, otherwise empty.
+    """Read the bytes of an image; empty unless it is packed or in the folder of the file `path`.
 
     The path of an image in another folder is added to ``arrays["outside"]``.
     """

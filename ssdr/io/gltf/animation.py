@@ -229,7 +229,7 @@ class Nodes:
             self.shown = descendants(self.items, scene.get("nodes", []))
 
     def ancestors(self, node: int) -> Iterator[int]:
-        """Indices of the nodes above a node, the nearest first."""
+        """Yield the indices of the nodes above a node, the nearest first."""
         while node in self._parent:
             node = self._parent[node]
             yield node

@@ -311,7 +311,7 @@ class Packed(Builder):
         return array, "NONE", None
 
     def stored_displacements(self, array: NDArray[Any], use: str) -> NDArray[Any]:
-        """As of :meth:`Builder.stored_displacements`: integers where they hold the values."""
+        """Displacements of a sparse morph target as stored: integers where they hold the values."""
         if use == "POSITION":
             return self.grid.displacements(array)
         fits = np.abs(array).max(initial=0) <= 1

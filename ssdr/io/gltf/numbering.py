@@ -52,7 +52,7 @@ def unknown_extensions(json: dict[str, Any]) -> list[str]:
 
 
 def _slots(item: Any, keys: list[str]) -> Iterator[tuple[Any, Any]]:
-    """Lists or objects that hold an index at the end of a path, with the index's position or key.
+    """Yield each list or object that holds an index at the end of a path, and the position or key.
 
     The path starts at `item`, and its parts are `keys`.
     """

@@ -249,7 +249,7 @@ class Template:
         remove_unused(json, original)
 
     def _unneeded_nodes(self, skins: set[int]) -> set[int]:
-        """Indices of nodes to remove: joints of `skins` alone, and nodes with only those below.
+        """Indices of nodes to remove: joints of `skins` alone, and nodes above nothing but these.
 
         A note says how many joints must stay because other nodes are below them.
         """

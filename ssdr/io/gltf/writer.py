@@ -79,7 +79,7 @@ def write_skinning(
         cannot be kept.
     levels : sequence of Skinning
         Coarser levels of detail as :func:`ssdr.levels` finds them, which use the first bones of
-        `skinning`.  Their meshes share its skeleton; ``MSFT_lod`` names their nodes.
+        `skinning`.  The meshes of the levels share its skeleton; ``MSFT_lod`` names their nodes.
     compression : {"none", "quantized", "meshopt"}
         "quantized" stores integers (``KHR_mesh_quantization``), "meshopt" compresses them as well
         (``EXT_meshopt_compression``; needs the extra meshopt).  The order of the vertices is not
@@ -166,7 +166,11 @@ def compact_size(
 
 
 def _rounding(influences: int | None, weights: WeightStorage) -> dict[str, Any]:
-    """Options of :func:`~ssdr.io.rig.build_rig`."""
+    """Keyword arguments of :func:`~ssdr.io.rig.build_rig` for glTF.
+
+    They are the influences to keep (at most 8 per vertex), the storage of weights, and that bones
+    may stretch.
+    """
     return {"influences": influences, "most": 8, "storage": weights, "stretch": True}
 
 

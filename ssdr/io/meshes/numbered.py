@@ -151,9 +151,9 @@ def _files(path: Path) -> list[Path]:
 
 
 def _report_gaps(path: Path, files: list[Path]) -> None:
-    """Warn if frames are missing, or names differ in more than a number.
+    """Warn if names differ in more than a number; otherwise, warn if frames are missing.
 
-    Two files with the same number are an error.
+    Raises a FormatError if two files have the same number.
     """
     if len(files) < 2:
         return

@@ -75,7 +75,7 @@ def value_index(
     interpolation : str
         USD's word for how many values there are, such as "vertex" for one per vertex.
     corners, faces : (T, 3) int arrays
-        Corners of each triangle among those of all polygons, and its vertices.
+        Corners of each triangle, as indices into those of all polygons, and its vertices.
     polygon : (T,) int array
 
     Returns

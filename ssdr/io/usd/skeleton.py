@@ -42,8 +42,8 @@ def put_skeleton(
     -------
     list of str or None
         Paths of the joints that move vertices, in the order of the model's bones. None if these are
-        all joints of the skeleton, in its order. The order differs if a bone of the model comes
-        before its parent, which USD forbids.
+        all joints, in the skeleton's order. The order differs if a bone of the model comes before
+        its parent, which USD forbids.
     """
     plain = unique_names([identifier(bone) for bone in rig.names])
     order = np.arange(rig.n_bones)

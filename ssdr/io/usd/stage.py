@@ -105,7 +105,7 @@ def _templates(layer: Any) -> list[dict[str, Any]]:
     Raises
     ------
     FormatError
-        If the layer names a part that it does not hold; usd-core ends the process over those.
+        If the layer names a part that it does not hold: usd-core ends the process over such a part.
     """
     found: list[dict[str, Any]] = []
 

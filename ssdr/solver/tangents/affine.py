@@ -15,7 +15,11 @@ __all__ = ["AffineTangent"]
 
 
 class AffineTangent(Tangent):
-    """Unknowns x (F, B, 12): the change of each transform; every frame and axis has the same H."""
+    """Unknowns x (F, B, 12): the change of the twelve entries of each transform.
+
+    The Gauss–Newton matrix H is the same for every frame and axis, up to the importance of the
+    frame.
+    """
 
     def image(self, x: Array) -> Array:
         return self.data.stack(x.reshape(*x.shape[:2], 3, 4))

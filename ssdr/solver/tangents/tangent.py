@@ -62,7 +62,7 @@ class Tangent(ABC):
 
     @abstractmethod
     def pullback(self, gradient: Array) -> Array:
-        """Gradient by x, computed from the gradient (3F, 4B) by the stacked transforms.
+        """Gradient with respect to x, from that (3F, 4B) with respect to the stacked transforms.
 
         This is the transpose of :meth:`image`.
         """
