@@ -225,7 +225,7 @@ def _from_neighbours(data: Trajectories, model: Model, constraints: Constraints,
         change: Array = (hat * (hat @ flat - 2 * c.reshape(hat.shape))).sum(axis=(1, 2))
         return energy + change
 
-    frame, mask = np.arange(data.n_frames), constraints.bone_mask(model.n_bones)
+    frame = np.arange(data.n_frames)
     for done in range(_ROUNDS):
         bound = _STUCK * error(model.transforms) - 1e-12 * energy
         best, freed = model.transforms.copy(), np.zeros(len(frame), dtype=bool)
@@ -235,7 +235,6 @@ def _from_neighbours(data: Trajectories, model: Model, constraints: Constraints,
             # the alignment may have rotated the neighbouring frame differently
             turn = data.rotation.swapaxes(1, 2) @ data.rotation[near]
             trial.transforms = np.einsum("tab,tjbc->tjac", turn, model.transforms[near])
-            trial.transforms[:, mask] = model.transforms[:, mask]
             _sweep_until_still(data, trial, constraints, 0.0, min(most, 4 * _SWEEPS))
             value = error(trial.transforms)
             better = value < bound

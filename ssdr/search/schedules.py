@@ -12,6 +12,7 @@ from __future__ import annotations
 from functools import partial
 
 from ..problem.problem import Effort, RigKind
+from ..progress import Stop
 from .bone_steps import add_and_merge, move_bones, search, try_places
 from .descent import Descent
 from .efforts import (
@@ -248,7 +249,9 @@ def nothing_to_place(d: Descent, effort: Effort) -> None:
     last_polish(d, steps=NUMBERS[effort].polish, gain=1e-3)
 
 
-def smooth(d: Descent, effort: Effort, size: float, *, bones_placed: bool) -> None:
+def smooth(
+    d: Descent, effort: Effort, size: float, *, bones_placed: bool, stretching: bool
+) -> None:
     """Alternate under a smoothness penalty, which the polish ignores, until the error settles.
 
     Unless weights or all bones are locked (`bones_placed`), a polish and further alternations
@@ -284,7 +287,11 @@ def smooth(d: Descent, effort: Effort, size: float, *, bones_placed: bool) -> No
     if effort != "fast":
         # on a cloth this lowers the penalised error, too; on wings it raises it
         bare = d.unpenalised()
-        free_bones(bare, "balanced", size, stretching=d.asked.bone_model != "rigid")
+        try:
+            free_bones(bare, "balanced", size, stretching=stretching)
+        except Stop as stop:
+            if str(stop) != "converged":  # no error is left, but the penalty is
+                raise
         if not d.planning:
             d.model = bare.best.model.with_restarted_support()
         alternate(d, steps=steps)
@@ -318,6 +325,7 @@ def follow_effort(
     """
     size = float(d.data.n_vertices) * d.data.n_frames * d.bones
     starts_from_model = d.initial.is_model and not tries_model
+    stretching = d.asked.bone_model != "rigid" and d.start_parts.transforms is None
     if starts_from_model and d.smoothness is not None:
         smooth_from_model(d, effort)
     elif starts_from_model and rig == "rigid":
@@ -331,11 +339,10 @@ def follow_effort(
     elif rig == "rigid":
         tree_of_bones(d, effort, size)
     elif d.smoothness is not None:
-        smooth(d, effort, size, bones_placed=bones_placed)
+        smooth(d, effort, size, bones_placed=bones_placed, stretching=stretching)
     elif bones_placed:
         nothing_to_place(d, effort)
     else:
-        stretching = d.asked.bone_model != "rigid" and d.start_parts.transforms is None
         if effort == "best":
             best_bones(d, size, stretching=stretching)
         else:
