@@ -108,7 +108,8 @@ def measure(scene: str | None = None, curve: str | None = None) -> common.Row:
 
 def curve_of(name: str) -> common.Row:
     found = ssdr.parsimony.curve(CURVES[name](), bones=40)
-    row = {key: getattr(found, key).tolist() for key in ("bones", "bytes", "percent")}
+    row = {"bones": found.bones.tolist(), "bytes": found.bytes.tolist()}
+    row["percent"] = (100 * found.rmse / found.diagonal).tolist()
     return row | {"knee": int(found.bones[found.knee])}
 
 
