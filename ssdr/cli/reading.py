@@ -212,7 +212,11 @@ def _check_one_mesh(found: list[tuple[Path, MeshSequence]]) -> None:
 
 
 def _named(found: list[tuple[Path, MeshSequence]]) -> list[MeshSequence]:
-    """Copies with unique clip names: a shared name becomes the file's, or file and clip."""
+    """Copies of the sequences with unique clip names.
+
+    A name used more than once is replaced by the stem of its file's name, or by ``stem_name`` if
+    several clips come from that file.  A suffix distinguishes names that still agree.
+    """
     own = [shot.clip or shot.name for _, shot in found]
     files = [path for path, _ in found]
     names = [

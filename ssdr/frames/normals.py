@@ -240,7 +240,7 @@ class Angles:
 
     @classmethod
     def joined(cls, parts: Iterable[Angles]) -> Angles:
-        """Angles in the frames of all parts, one part after the other."""
+        """Statistics of consecutive parts, combined: frames concatenated, the others summed."""
         listed = list(parts)
 
         def of(name: str) -> list[Any]:

@@ -24,7 +24,7 @@ Normaliser = Literal["speed", "diagonal"]
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Sted:
-    """The spatio-temporal edge difference and its two parts, without unit.
+    """The spatio-temporal edge difference and its two parts, all dimensionless.
 
     Attributes
     ----------

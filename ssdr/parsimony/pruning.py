@@ -203,7 +203,11 @@ def prune(
 
 
 def _schedules(frames: SolvedFrames) -> tuple[Schedule, list[Schedule]]:
-    """Schedule that follows the loss of influences, and alternatives to try in turn at the end."""
+    """Schedule to run after influences are removed, and other schedules to try at the end.
+
+    The latter are tried in turn with the price found, until one holds the tolerance with at most
+    slightly more bytes.
+    """
     polishes = frames.measure == "rmse"  # a polish may raise the largest error
 
     def usual(d: Descent) -> None:

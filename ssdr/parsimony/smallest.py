@@ -227,7 +227,10 @@ def _written(file: Any, problem: Problem) -> Written:
 
 
 def _check_normals_tolerance(angle: Any, problem: Problem) -> None:
-    """Raise InputError for a tolerance of normals that is not usable."""
+    """Raise InputError if the tolerance of normals is not None and no angle > 0, or cannot apply.
+
+    It cannot apply to a mesh without faces or to a search that does not solve normals.
+    """
     if angle is None:
         return
     if not (is_real(angle) and angle > 0):

@@ -162,7 +162,7 @@ def rounded(
 def _rounded_best(problem: Problem, d: Descent, *, done: float) -> tuple[Model, list[Step]]:
     """Round the weights of the best model for storage; return it and the records of all steps.
 
-    `done` is the fraction of the work that is done before.
+    `done` is the fraction of the work already done.
     """
 
     def report(model: Model) -> None:

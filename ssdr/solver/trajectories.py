@@ -108,9 +108,9 @@ class Trajectories(Alignment):
         return 1 if self.normals is None else 2
 
     def squares(self, rows: Any, length: float) -> Array:
-        """Squared norms (n, P) of the trajectories of the points of the vertices `rows`.
+        """Squared norms (n, P), over all frames, of the P points of each vertex in `rows`.
 
-        `length` is that of a normal treated as a point.
+        The points are its position and, where normals are solved, its normal scaled to `length`.
         """
         if self.n2 is None:
             return self.x2[rows, None]

@@ -172,7 +172,7 @@ def _standing(sequence: MeshSequence) -> Skinning:
 
 
 def _of_vertices(sequence: MeshSequence) -> Skinning:
-    """Model of a bone for each vertex, which moves exactly as a sequence does."""
+    """Model with one translating bone per vertex, which reproduces a sequence exactly."""
     vertices = sequence.frames(slice(None))
     moves = np.zeros((*vertices.shape, 4), dtype=vertices.dtype)
     moves[..., :3] = np.eye(3)

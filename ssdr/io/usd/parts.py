@@ -295,7 +295,7 @@ class MeshPrim:
         return points
 
     def _amounts(self, code: float) -> list[tuple[float, int, int]]:
-        """Amount, blend shape and subshape of each subshape in use at the time `code`."""
+        """Weight, blend-shape index and subshape index of each active subshape at time `code`."""
         weights = self._shaper.ComputeBlendShapeWeights(code)
         mapper = self._query.GetBlendShapeMapper()
         if mapper:

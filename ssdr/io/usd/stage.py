@@ -36,7 +36,7 @@ _STEPS[list(b"([{")], _STEPS[list(b")]}")] = 1, -1
 
 
 def open_stage(path: Path) -> Any:
-    """Open a stage from the present contents of its file, not from those that USD has in memory.
+    """Open a stage from the current contents of its file, not from those that USD has in memory.
 
     To be called inside :func:`~ssdr.io.registry.reading`.
 
@@ -100,12 +100,15 @@ def _check_layers(path: Path) -> None:
 
 
 def _templates(layer: Any) -> list[dict[str, Any]]:
-    """Times that each set of value clips in a layer states for its pattern of files.
+    """Template start time, end time and stride of each set of value clips in a layer.
+
+    There is one dict per set that states any of them, without the keys that it does not state.
 
     Raises
     ------
     FormatError
-        If the layer names a part that it does not hold: usd-core ends the process over such a part.
+        If the layer lists a prim or property that it does not contain.  Reading one would crash
+        usd-core.
     """
     found: list[dict[str, Any]] = []
 
