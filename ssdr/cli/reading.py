@@ -181,7 +181,7 @@ def join(shots: Sequence[MeshSequence]) -> MeshSequence:
 
 
 def _chosen(names: list[str] | None, known: list[str], path: Path) -> list[str]:
-    """Names of the clips to read from a file with several; `names` are the requested ones."""
+    """Names of the clips to read from a file with several clips; `names` are those requested."""
     listed = ", ".join(known)
     if names is None:
         Output.current.warn(

@@ -172,7 +172,7 @@ def shapes_within(truth: Array, model: Skinning, limit: float, names: Any = None
 
 
 def _displaced(model: Skinning, left: Array, amounts: Any, limit: float, names: Any) -> Skinning:
-    """Copy of a model with displacements where the tolerance `limit` requires them."""
+    """Copy of a model with shapes, which displace only vertices whose error exceeds `limit`."""
     far = np.linalg.norm(left, axis=2) > limit
     keep = (np.abs(amounts) > 0).T.astype(np.float64) @ far > 0
     start = np.zeros((1 + len(keep), model.n_vertices, 3))

@@ -80,7 +80,7 @@ def shaped_normals(model: Skinning) -> ShapedNormals:
 
 
 def _targets(model: Skinning, frames: NDArray[np.int64], holders: NormalHolders) -> Array:
-    """Normals ``(f, N, 3)`` of the model's own surface in some frames."""
+    """Normals ``(f, N, 3)`` of the model's deformed surface in some frames."""
     out = np.empty((len(frames), len(holders.vertex), 3))
     for k, frame in enumerate(frames):
         out[k] = surface_normals(model.skin([frame], dtype=np.float64), holders)[0]

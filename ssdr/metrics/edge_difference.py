@@ -231,7 +231,10 @@ def _temporal(
 
 
 def _edges_near(edges: NDArray[np.int32], n_vertices: int, neighbourhood: int) -> csr_array:
-    """Incidence matrix: a row for each vertex with edges, whose entries are the edges near it."""
+    """Incidence matrix with a column per edge, and a row per vertex that has edges.
+
+    The ones of a row are at the edges near the vertex.
+    """
     n_edges = len(edges)
     columns = np.repeat(np.arange(n_edges), 2)
     touch = csr_array((np.ones(2 * n_edges), (edges.ravel(), columns)), (n_vertices, n_edges))

@@ -207,9 +207,9 @@ def smallest(
 
 
 def _written(file: Any, problem: Problem) -> Written:
-    """Function that counts the bytes of a file with the options `file`, and decodes it.
+    """Function that returns the byte count of a model's file with options `file`, and its decoding.
 
-    It is first tried with bones that do not move, to check the options.
+    To check the options, it is called once here, with bones that do not move.
     """
     if not isinstance(file, Mapping) or file.get("compression", "none") == "none":
         raise InputError("file", "options of ssdr.save, among them a compression", repr(file))

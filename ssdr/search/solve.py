@@ -69,8 +69,9 @@ def solve(problem: Problem, schedule: Schedule | None = None) -> Decomposition:
 def _solve_streamed(problem: Problem) -> Decomposition:
     """Solve a problem whose frames do not fit into memory.
 
-    A model of representative frames is refined on as many frames as fit into memory, if these are
-    more, unless the run is stopped or out of time; passes over all frames follow.
+    First, a model of representative frames is solved.  If more frames fit into memory, and the run
+    is neither stopped nor out of time, the model is refined on these.  Passes over all frames
+    follow.
     """
     if problem.constraints.rotations.size:
         raise InputError("rig.locked_joints", "() for frames that are streamed", "some")
@@ -207,7 +208,7 @@ def _schedule_of(problem: Problem) -> Schedule:
 
 
 def _report(problem: Problem, d: Descent, sequences: list[MeshSequence]) -> Callable[[str], None]:
-    """Function that reports a step to the monitor and offers the best model, for `sequences`."""
+    """Function that reports a step to the monitor and offers it the best model of `sequences`."""
     monitor = problem.monitor
 
     def report(phase: str) -> None:
@@ -223,7 +224,7 @@ def _report(problem: Problem, d: Descent, sequences: list[MeshSequence]) -> Call
 def _carried(
     problem: Problem, first: Descent, few: Scan, more: Scan
 ) -> tuple[Descent, list[MeshSequence]]:
-    """Begin a descent on more frames from the model of the representative ones; release `first`.
+    """Begin a descent on more frames from the representative frames' model; release `first`.
 
     Representative frames are few and extreme; solved on these alone, the weights follow motion that
     other frames do not have.  Returns the descent and its frames.
