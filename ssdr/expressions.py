@@ -225,7 +225,7 @@ def _at_rest(model: Skinning, least: float) -> Skinning:
 
 
 def _as_clips(model: Skinning, names: tuple[str, ...]) -> Skinning:
-    """Copy of a model with a clip (neutral frame, expression) for each frame but the first.
+    """Copy of a model in which each frame but the first becomes a clip: neutral frame, expression.
 
     Shapes that move no vertex are left out.
     """

@@ -129,7 +129,7 @@ class Scene:
 
     @functools.cached_property
     def _first(self) -> NDArray[np.intp]:
-        """Index of the first displayed vertex that each vertex of the subject stands for."""
+        """Index of the first displayed vertex that was welded into each vertex of the subject."""
         if self.vertex_map is None:
             return np.arange(self.subject.n_vertices)
         return np.asarray(np.unique(self.vertex_map, return_index=True)[1])

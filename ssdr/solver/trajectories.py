@@ -194,9 +194,8 @@ class Trajectories(Alignment):
     def compressed(self, bones: int) -> Trajectories:
         """A copy with the fewest columns that lose next to nothing for a model of `bones` bones.
 
-        The squared error that compression adds is at most a ten-thousandth of the error of the best
-        matrix of rank 4B (Eckart–Young), which is a lower bound of the error of any model with B
-        bones.  If this needs nearly all columns, the trajectories stay uncompressed.
+        No model with B bones has less error than the best matrix of rank 4B (Eckart–Young).  The
+        squared error that compression adds is at most a ten-thousandth of that error.  If this needs nearly all columns, the trajectories stay uncompressed.
         """
         x = self.z
         if self.q is not None:

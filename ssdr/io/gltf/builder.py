@@ -231,9 +231,9 @@ class Builder:
         return write_bytes(path, b"".join([head, *blocks]))
 
     def _embed_pictures(self, path: Path) -> None:
-        """Copy pictures that are separate files into the buffer, unless `path` can refer to them.
+        """Copy pictures in separate files into the buffer, unless the output can refer to them.
 
-        It can if it is a ``.gltf`` file in the folder of the document from which they come.
+        It can if `path` is a ``.gltf`` file in the folder of the document that was copied.
         """
         if self.document is None:
             return

@@ -52,9 +52,9 @@ def unknown_extensions(json: dict[str, Any]) -> list[str]:
 
 
 def _slots(item: Any, keys: list[str]) -> Iterator[tuple[Any, Any]]:
-    """Yield where the indices are to which the path `keys` leads from `item`.
+    """Yield the places of the indices at the end of the path `keys`, which starts at `item`.
 
-    Each place is a list or object, and the position or key at which it holds an index.
+    A place is a list or object, and the position or key at which it holds the index.
     """
     found: Any = [keys[0]] if keys[0] in item else []
     if keys[0] == "*":
