@@ -236,8 +236,8 @@ def _opens_elsewhere(array: Any) -> bool:
 def executor_for(sequences: Sequence[MeshSequence]) -> Executor:
     """Executor for passes over the frames of some sequences.
 
-    It uses the workers of a Dask client if one is active and the workers can read all sequences;
-    otherwise this process.
+    It uses the workers of a Dask client if one is active and the workers can read all sequences.
+    Otherwise it uses this process.
     """
     distributed = sys.modules.get("distributed")  # without it there is no client
     if distributed is None:

@@ -83,9 +83,9 @@ def sted(
 
         dev(N) = √( Σ_N l (δ − δ̄)² / Σ_N l ),   δ̄ = Σ_N l δ / Σ_N l.
 
-    The spatial part is the mean over frames and vertices of dev over the edges
-    of the frame near the vertex.  The temporal part is the mean over frames and
-    vertices of dev over virtual edges in time, from p_i^t to p_i^{t+1}, of
+    The spatial part is the mean, over frames and vertices, of dev(edges near the
+    vertex in that frame).  The temporal part is the mean, over frames and vertices,
+    of dev(virtual edges in time), which lead from p_i^t to p_i^{t+1} and have the
     length √(‖p_i^{t+1} − p_i^t‖² / s² + dt²), within a window of frames around t.
 
     Parameters

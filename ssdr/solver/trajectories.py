@@ -194,8 +194,9 @@ class Trajectories(Alignment):
     def compressed(self, bones: int) -> Trajectories:
         """A copy with the fewest columns that lose next to nothing for a model of `bones` bones.
 
-        No model with B bones has less error than the best matrix of rank 4B (Eckart–Young).  The
-        squared error that compression adds is at most a ten-thousandth of that error.  If this needs nearly all columns, the trajectories stay uncompressed.
+        The best matrix of rank 4B (Eckart–Young) has at most the squared error of any model with B
+        bones.  Compression adds at most a ten-thousandth of that matrix's squared error.  If this
+        needs nearly all columns, the trajectories stay uncompressed.
         """
         x = self.z
         if self.q is not None:

@@ -162,8 +162,8 @@ def _check_nesting(file: Path) -> None:
 def system_errors(path: Path, source: Path | None = None) -> Iterator[None]:
     """Context that turns USD's errors about writing `path` into the OSErrors that caused them.
 
-    USD reads a file's arrays only when it copies them. So if the error states no reason of the
-    system, the `source` from which `path` is written, if any, is damaged.
+    USD reads a file's arrays only when it copies them. So if an error does not come from the
+    operating system, the file `source`, from which `path` is copied, is damaged.
 
     Raises
     ------
