@@ -244,7 +244,7 @@ def _carried(
 def _passes_over_all(
     problem: Problem, d: Descent, chosen: Scan, model: Model
 ) -> tuple[Model, list[Step]]:
-    """Make passes over all frames from a model of the chosen ones, until a pass gains little.
+    """Make passes over all frames, starting from `model`, until a pass gains little.
 
     Returns the model and a record of each pass.
     """

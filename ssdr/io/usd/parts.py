@@ -300,7 +300,7 @@ class MeshPrim:
         return points
 
     def _amounts(self, code: float) -> list[tuple[float, int, int]]:
-        """Weight, blend-shape index and subshape index of each active subshape at time `code`."""
+        """Amount, blend-shape index and subshape index of each active subshape at time `code`."""
         weights = self._shaper.ComputeBlendShapeWeights(code)
         mapper = self._query.GetBlendShapeMapper()
         if mapper:
