@@ -153,8 +153,8 @@ def _is_an_answer(problem: Problem, start: Skinning) -> bool:
     """Whether the call may return its start model unchanged.
 
     It may if the model has all frames of the problem, the call has neither importances nor
-    smoothness, the weights have the precision of the storage and, for a rigid rig, the given tree
-    is rigid.
+    smoothness, the weights are already rounded for the storage and, for a rigid rig, the given
+    tree is rigid.
     """
     plain = not problem.weighted
     rigid = problem.rig != "rigid" or (

@@ -246,7 +246,7 @@ def _passes_over_all(
 ) -> tuple[Model, list[Step]]:
     """Make passes over all frames, starting from `model`, until a pass gains little.
 
-    Returns the model and a record of each pass.
+    `model` was solved on the frames `chosen`.  Returns the last model and a record of each pass.
     """
     monitor, most, constraints = problem.monitor, PASSES[problem.effort], problem.constraints
     if d.smoothness is not None or problem.storage != "float32":
