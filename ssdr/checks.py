@@ -390,7 +390,7 @@ def check_transforms(
 def _off_by(gram: Array, off: float, bone_model: BoneModel) -> str:
     """Error text: how far 3×3 blocks R are from a bone model, and which bone model allows them.
 
-    `gram` holds RᵀR, and `off` is its largest deviation from that of the bone model.
+    `gram` holds RᵀR, and `off` is its largest deviation from what the bone model requires.
     """
     square = np.trace(gram, axis1=-2, axis2=-1)[..., None, None] / 3
     even = np.abs(gram - square * np.eye(3)).max() <= _OFF * square.max()

@@ -262,7 +262,7 @@ def n_roots(model: Skinning) -> int:
 
 
 def _moved(model: Skinning, indices: NDArray[np.integer], weights: NDArray[np.floating]) -> str:
-    """Text that says how far vertices move at most if their weights are replaced by others."""
+    """Text that states the largest distance by which other influences would move a vertex."""
     far, squares = 0.0, 0.0
     for frame in range(model.n_frames):
         rest = model.rest if model.shapes is None else model.rest + model.shapes.added(frame)

@@ -191,7 +191,7 @@ def _frames(
 
 
 def _start(rest: Array, model: Skinning | None = None) -> Start:
-    """Start that keeps the rest pose, and begins with the weights and bones of a model."""
+    """Start with the fixed rest pose `rest`, and a model's weights and bones as a first guess."""
     if model is None:
         return Start(rest=rest)
     return Start(
@@ -205,9 +205,10 @@ def _start(rest: Array, model: Skinning | None = None) -> Start:
 
 
 def _at_rest(model: Skinning, least: float) -> Skinning:
-    """Copy of a model whose bones are the identity in the neutral frame.
+    """Copy of a model in which every bone's transform is the identity in the neutral frame.
 
-    A bone is also the identity in each expression in which it moves no vertex by more than `least`.
+    It is also the identity in each expression in which the bone moves no vertex by more than
+    `least`.
     """
     rest = np.asarray(model.rest, dtype=np.float64)
     moves = np.array(model.transforms, dtype=np.float64)
@@ -224,7 +225,7 @@ def _at_rest(model: Skinning, least: float) -> Skinning:
 
 
 def _as_clips(model: Skinning, names: tuple[str, ...]) -> Skinning:
-    """Copy of a model with a clip (neutral frame, expression) for each frame but the first.
+    """Copy of a model in which each frame but the first becomes a clip: neutral frame, expression.
 
     Shapes that move no vertex are left out.
     """

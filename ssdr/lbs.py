@@ -210,7 +210,7 @@ def _checked(
 ) -> _Parts:
     """Check the arguments and return them in `dtype`, by default the widest type of all arrays.
 
-    The arrays in `further` count, too, but are not returned.
+    The types of the arrays in `further` are considered as well, but the arrays are not returned.
     """
     p, j = as_array(rest, "rest", "shape (V, 3)"), as_array(indices, "indices", "shape (V, K)")
     w = as_array(weights, "weights", "shape (V, K)")

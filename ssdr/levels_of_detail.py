@@ -136,7 +136,7 @@ def _nest(
     rng: np.random.Generator,
     monitor: Monitor,
 ) -> LevelsOfDetail:
-    """Levels made from the decompositions `alone`, the finest of which comes first."""
+    """Make nested levels of detail from the decompositions `alone`, with the finest first."""
     best = alone[0]
     counts = [one.skinning.n_bones for one in alone]
     merged, copies, kept, row = without_copies(sequences, labels_of(sequences))

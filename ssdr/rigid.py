@@ -127,7 +127,10 @@ def _check_broadcast(argument: str, *shapes: tuple[int, ...]) -> None:
 def _scaled(
     array: NDArray[np.float64], axes: tuple[int, ...]
 ) -> tuple[NDArray[np.float64], NDArray[np.intc]]:
-    """Array / 2^n with largest magnitude from 1/2 to 1 along `axes`, and n; zeros stay zero."""
+    """Array / 2^n and n, where n makes the largest magnitude along `axes` lie from 1/2 to 1.
+
+    If all entries are 0, n is 0.
+    """
     _, power = np.frexp(np.abs(array).max(axis=axes, keepdims=True, initial=0.0))
     return np.ldexp(array, -power), power
 

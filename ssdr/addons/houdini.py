@@ -17,7 +17,7 @@ import numpy as np
 
 
 def _variables():
-    """Environment in which another Python sees its own packages, not those of Houdini."""
+    """Environment variables with which another Python finds its own packages, not Houdini's."""
     left_out = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
     return {name: value for name, value in os.environ.items() if name not in left_out}
 

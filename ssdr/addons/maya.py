@@ -21,7 +21,7 @@ def _mesh(name):
 
 
 def _variables():
-    """Environment in which another Python sees its own packages, not those of Maya."""
+    """Environment variables with which another Python finds its own packages, not Maya's."""
     left_out = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
     return {name: value for name, value in os.environ.items() if name not in left_out}
 

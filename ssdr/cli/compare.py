@@ -127,9 +127,9 @@ def _write_page(
 
 
 def _other_units(a: MeshSequence, b: MeshSequence, scale: float) -> str:
-    """Hint for the user if the sizes of two meshes differ by about a power of ten, else "".
+    """Hint for the user that the sizes of two meshes differ by about a power of ten.
 
-    `scale` is the factor by which B was read.
+    It is empty if they do not.  `scale` is the factor by which B was scaled when it was read.
     """
     sizes = a.diagonal(), b.diagonal()
     if min(sizes) <= 0:
@@ -159,7 +159,7 @@ def _on_the_same_vertices(a: MeshSequence, b: MeshSequence) -> tuple[MeshSequenc
 
 
 def _spread(sequence: MeshSequence, like: MeshSequence) -> MeshSequence:
-    """Undo the welding of a sequence if it had as many vertices before it as `like` has.
+    """Undo the welding of a sequence if this yields the number of vertices of `like`.
 
     Otherwise the sequence is returned unchanged.
     """

@@ -139,7 +139,10 @@ def _levels_text(result: Any, shots: Any) -> str:
 
 
 def _extra_bones(text: str) -> int | dict[str, int]:
-    """Parse `--extra-bones`: a number of bones, or NAME=N,... below named bones of the rig."""
+    """Parse `--extra-bones`: a number of bones to add, or ``NAME=N,...``.
+
+    The latter adds N bones below the rig's bone NAME.
+    """
     try:
         if "=" not in text:
             return int(text)

@@ -134,7 +134,7 @@ def fit(
 
 
 def _check_files(options: FitOptions) -> None:
-    """Raise an InputError before the work if an output could not be written after it."""
+    """Raise an InputError at once if an output could not be written after solving."""
     check_outputs(options.outputs, options.write, sources=options.inputs)
     others = [*options.inputs, *options.outputs]
     for path in options.drawn:
@@ -148,7 +148,7 @@ def _check_files(options: FitOptions) -> None:
 
 
 def _read(options: FitOptions, output: Output) -> tuple[Shots, Any, dict[Path, dict[str, Any]]]:
-    """Read the inputs: their clips, the start of the solver, and options to save each output."""
+    """Read the inputs; return their clips, the solver's start, and options to save each output."""
     names = ", ".join(map(str, options.inputs))
     read = read_options(options.inputs, options)
     with output.waiting(f"loading {names}"):
@@ -191,7 +191,7 @@ def _start(text: str | None, space: Space) -> Any:
 
 
 def _place(own: dict[str, Any], space: Space) -> None:
-    """Convert the skeleton in `own`, and the rest pose that is kept of its mesh, to `space`."""
+    """Convert the skeleton in `own`, and the rest pose that `own` takes from it, to `space`."""
     import ssdr
 
     rig = own.get("rig")
@@ -252,7 +252,7 @@ def _print(
     about: dict[str, Any],
     said: list[tuple[str, str]],
 ) -> None:
-    """Print the result as a table, which includes the rows `said`, or as JSON, with `about`."""
+    """Print the result: as a table with the rows `said`, or as JSON with the entries `about`."""
     from .. import __version__
     from ..frames.error import largest_error, motion_rms, share_of
     from ..metrics.vertex_distances import distances

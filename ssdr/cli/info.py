@@ -155,7 +155,7 @@ def _about_tree(skinning: Skinning, parents: NDArray[np.int32]) -> dict[str, Any
 
 
 def _seams(skinning: Skinning, weights: NDArray[np.float64]) -> int:
-    """Number of vertices whose rest position and weights another vertex has as well."""
+    """Number of vertices that merging those of equal rest position and weights would remove."""
     size = rest_diagonal(skinning.rest) or 1.0
     columns = np.concatenate([skinning.rest, weights * size], axis=1)
     columns = np.pad(columns, ((0, 0), (0, -columns.shape[1] % 3)))

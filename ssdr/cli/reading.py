@@ -181,7 +181,7 @@ def join(shots: Sequence[MeshSequence]) -> MeshSequence:
 
 
 def _chosen(names: list[str] | None, known: list[str], path: Path) -> list[str]:
-    """Names of the clips to read from a file with several; `names` are the requested ones."""
+    """Names of the clips to read from a file with several clips; `names` are those requested."""
     listed = ", ".join(known)
     if names is None:
         Output.current.warn(
@@ -212,7 +212,11 @@ def _check_one_mesh(found: list[tuple[Path, MeshSequence]]) -> None:
 
 
 def _named(found: list[tuple[Path, MeshSequence]]) -> list[MeshSequence]:
-    """Copies with unique clip names: a shared name becomes the file's, or file and clip."""
+    """Copies of the sequences with unique clip names.
+
+    A name used more than once is replaced by the stem of its file's name, or by ``stem_name`` if
+    several clips come from that file.  A suffix distinguishes names that still agree.
+    """
     own = [shot.clip or shot.name for _, shot in found]
     files = [path for path, _ in found]
     names = [

@@ -151,7 +151,7 @@ def save_model(model: Skinning, outputs: Mapping[Path, Settings]) -> list[SaveRe
 def _save_beside(model: Skinning, path: Path) -> Path | None:
     """Save a model to the folder of an output that could not be written; return the new file.
 
-    If that fails, it is saved to the folder for temporary files; if that fails, too, returns None.
+    If that fails, the folder for temporary files is used.  If that fails, too, None is returned.
     """
     import ssdr
 

@@ -187,7 +187,7 @@ def _sweep_until_still(
 ) -> tuple[int, float]:
     """Sweep until no entry of a transform changes by more than `tolerance` (in place).
 
-    Returns the number of sweeps, which is at most `most`, and the largest change in the last ones.
+    Returns the number of sweeps, which is at most `most`, and the largest change in the last round.
     """
     sweeps, moved = 0, np.inf
     damping: float | None = None
@@ -205,10 +205,10 @@ def _sweep_until_still(
 
 
 def _from_neighbours(data: Trajectories, model: Model, constraints: Constraints, most: int) -> bool:
-    """Solve each frame again from the transforms of the next and of the previous frame (in place).
+    """Solve each frame again, starting from the next and the previous frame (in place).
 
-    A solution is kept if its error is far lower.  If bones overlap widely, a frame's own start may
-    end in a poor minimum.  Returns whether any frame was improved.
+    If bones overlap widely, a frame's own start may end in a poor minimum.  A new solution is taken
+    if its error is far lower.  Returns whether any frame was improved.
     """
     u, c = bone_sums(data, model)
     flat = stack_blocks(u)

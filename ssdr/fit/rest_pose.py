@@ -104,7 +104,11 @@ def fit_rest_pose(
 
 
 def _solve_rest_pose(data: Trajectories, model: Model, constraints: Constraints) -> None:
-    """Solve the rest pose (in place), once if it is free, else until the objective settles."""
+    """Solve the rest pose (in place).
+
+    Without a reference surface, one step solves it.  Otherwise steps follow until the objective
+    settles.
+    """
     vertex_step(
         data, model, constraints=dataclasses.replace(constraints, rest=True)
     )  # sets the errors

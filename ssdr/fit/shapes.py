@@ -72,16 +72,16 @@ def fit_shapes(
 ) -> ShapeFit:
     """Fit shapes to a model: displacements of its rest pose, added before bones move it.
 
-    If `amounts` are given, such as those of facial expressions, a shape displaces the vertices that
-    are farther than the tolerance from their place in a frame in which the shape has an amount.
+    If `amounts` are given, such as those of facial expressions, a shape may displace only those
+    vertices whose error exceeds the tolerance in some frame where the shape's amount is not 0.
     Otherwise amounts and displacements are solved in turns.  They start from the principal
     components of the residual that bones leave, mapped back to the rest pose.
 
-    A shape takes the bytes of many bones; if more bones would do as well, no shape is made.  Let s
-    be the fraction of the squared residual that k shapes remove, and g the fall of the logarithm of
-    the squared error per further bone.  A shape then replaces −ln(1 − s) / (k g) bones.  g is taken
-    from a quick search with half the bones or, if that is not decisive, with additional bones that
-    take as many bytes as the shapes.
+    A shape takes the bytes of many bones.  Without `amounts`, shapes are kept only if more bones
+    of the same bytes would lower the error less.  Let s be the fraction of the squared residual
+    that k shapes remove, and g the fall of the logarithm of the squared error per further bone.  A
+    shape then replaces −ln(1 − s) / (k g) bones.  g is taken from a quick search with half the
+    bones or, if that is not decisive, with additional bones that take as many bytes as the shapes.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def shapes_within(truth: Array, model: Skinning, limit: float, names: Any = None
 
 
 def _displaced(model: Skinning, left: Array, amounts: Any, limit: float, names: Any) -> Skinning:
-    """Copy of a model with displacements where the tolerance `limit` requires them."""
+    """Copy of a model with shapes, which displace only vertices whose error exceeds `limit`."""
     far = np.linalg.norm(left, axis=2) > limit
     keep = (np.abs(amounts) > 0).T.astype(np.float64) @ far > 0
     start = np.zeros((1 + len(keep), model.n_vertices, 3))

@@ -156,7 +156,10 @@ def motion_rms(sequences: Sequence[MeshSequence], *, executor: Executor | None =
 
 
 def _sums_of_span(frames: Frames, _: Array, first: Array) -> tuple[Array, float]:
-    """Sum over frames, and sum of the squares, of A_t v^t − v^0, which rounds less than A_t v^t."""
+    """Sum over frames of the difference A_t v^t − v^0, and the sum of its squares.
+
+    The difference has smaller rounding errors than A_t v^t.
+    """
     total, squares = np.zeros_like(first), 0.0
     for _start, block in frames.blocks():
         points = np.asarray(block, dtype=np.float64)

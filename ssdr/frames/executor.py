@@ -77,7 +77,7 @@ def spans_of(n_frames: int, most: int | None = None) -> list[tuple[int, int]]:
 def _cut(
     pieces: Iterable[tuple[Any, int, int]], start: int, stop: int
 ) -> Iterator[tuple[Any, int, int]]:
-    """Yield the parts of pieces that hold frames `start` to `stop` - 1, counted through all."""
+    """Yield the parts of pieces that hold frames `start` to `stop` - 1 of their concatenation."""
     offset = 0
     for array, first, last in pieces:
         i, k = max(start - offset, 0), min(stop - offset, last - first)
@@ -157,7 +157,7 @@ class Cluster:
         return self.client.submit(*call, pure=False, retries=2)
 
     def _calls(self, task: SpanTask) -> Iterator[Any]:
-        """Yield the futures of the calls of a task; each is submitted when iteration reaches it."""
+        """Submit the calls of a task one by one, as iteration proceeds, and yield their futures."""
         common = self.client.submit(_same, task.shared, pure=False)
         for k in range(len(task.spans)):
             pieces = [self._portable(*p) for p in task.pieces(k)]
@@ -216,7 +216,7 @@ def _remote(
 
 
 def _reopening(array: np.memmap[Any, Any]) -> functools.partial[np.memmap[Any, Any]]:
-    """Function that maps the same part of the file again, for use in another process."""
+    """Function by which another process maps the part of a file that `array` maps."""
     # A slice of a map keeps the offset of the whole map; its address tells where it begins.
     begin = int(array.offset) - int(array.offset) % mmap.ALLOCATIONGRANULARITY
     mapped = np.frombuffer(array._mmap, dtype=np.uint8)  # type: ignore[attr-defined]
@@ -236,8 +236,8 @@ def _opens_elsewhere(array: Any) -> bool:
 def executor_for(sequences: Sequence[MeshSequence]) -> Executor:
     """Executor for passes over the frames of some sequences.
 
-    It uses the workers of a Dask client if one is active and the workers can read all sequences;
-    otherwise this process.
+    It uses the workers of a Dask client if one is active and the workers can read all sequences.
+    Otherwise it uses this process.
     """
     distributed = sys.modules.get("distributed")  # without it there is no client
     if distributed is None:

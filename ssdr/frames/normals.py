@@ -240,7 +240,10 @@ class Angles:
 
     @classmethod
     def joined(cls, parts: Iterable[Angles]) -> Angles:
-        """Angles in the frames of all parts, one part after the other."""
+        """Combine statistics of consecutive parts: frames are concatenated, the rest is summed.
+
+        `largest` is the maximum over the parts.
+        """
         listed = list(parts)
 
         def of(name: str) -> list[Any]:

@@ -39,13 +39,13 @@ class ShapedNormals:
 
 
 def shaped_normals(model: Skinning) -> ShapedNormals:
-    """Normals of a model with shapes that, as engines draw them, fit those of its surface best.
+    """Fit rest normals n, and a vector d_s added by each shape, to the model's deformed surface.
 
-    With a_t the amounts in frame t, an engine draws the direction A_t (n + Σ_s a_ts d_s), where A_t
-    is the blended 3×3 matrix.  At triangles that shapes move, n and d are fitted by least squares
-    to the normals of the model's surface in all frames, or in 500 of them.  Elsewhere n is the
-    normal that the model has, and d is 0.  Where the frames do not determine it, d_s is the change
-    of the rest surface's normal by the shape.
+    With a_t the amounts in frame t, an engine shades with A_t (n + Σ_s a_ts d_s), normalised, where
+    A_t is the blended 3×3 matrix.  At triangles that shapes move, n and d are fitted by least
+    squares to the normals of the model's surface in at most 500 frames, evenly spaced.  Elsewhere n
+    is the model's own normal, and d is 0.  Where the frames leave d_s undetermined, it is the
+    change that shape s makes to the rest surface's normal.
     """
     assert model.shapes is not None
     shapes, faces = model.shapes, model.faces
@@ -80,7 +80,7 @@ def shaped_normals(model: Skinning) -> ShapedNormals:
 
 
 def _targets(model: Skinning, frames: NDArray[np.int64], holders: NormalHolders) -> Array:
-    """Normals ``(f, N, 3)`` of the model's own surface in some frames."""
+    """Normals ``(f, N, 3)`` of the model's deformed surface in some frames."""
     out = np.empty((len(frames), len(holders.vertex), 3))
     for k, frame in enumerate(frames):
         out[k] = surface_normals(model.skin([frame], dtype=np.float64), holders)[0]

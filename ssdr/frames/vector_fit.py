@@ -29,7 +29,7 @@ def fit_vectors(
     pull: float,
     known: NDArray[np.bool_] | None = None,
 ) -> Array:
-    """Vectors ``(1 + S, N, 3)``: x of the rest pose, and d_s of each of the S shapes of a model.
+    """Fit vectors ``(1 + S, N, 3)``: x in the rest pose, and d_s, which shape s adds to x.
 
     With a_t the amounts in frame t, and A_t the blended 3×3 matrix of a point, A_t (x + Σ_s a_ts
     d_s) comes as close to the goals as it can: Σ_t |A_t (x + Σ_s a_ts d_s) − g_t|² is least.

@@ -81,7 +81,10 @@ def limb_ends(
 
 
 def _reach(points: Array) -> Array:
-    """Vector from the origin along the points' mean, to the 98 % quantile of their extent."""
+    """Vector from the origin towards the mean of the points.
+
+    Its length is the 98 % quantile of the points' coordinates in that direction.
+    """
     if not len(points):
         return np.zeros(3)
     middle = points.mean(axis=0)

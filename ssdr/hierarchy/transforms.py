@@ -143,7 +143,7 @@ def rest_offsets(parents: NDArray[Any], positions: ArrayLike) -> Array:
 def translating(
     transforms: ArrayLike, parents: NDArray[Any], positions: ArrayLike, diagonal: float
 ) -> NDArray[np.bool_]:
-    """Mask (B,) of joints that come apart from the parent, and roots that move, in some frame.
+    """Mask (B,) of joints that leave their place on the parent, and roots that move, in some frame.
 
     Parameters
     ----------

@@ -152,6 +152,6 @@ def root_at_centroids(edges: NDArray[np.bool_], mass: Array) -> NDArray[np.int64
 
 
 def _rooted(edges: NDArray[np.bool_], roots: NDArray[np.intp]) -> NDArray[np.int64]:
-    """Parents (B,) of a forest, given a root of each tree."""
+    """Parents (B,) in a forest with the given edges, one of `roots` in each tree."""
     above = [breadth_first_order(edges, root, directed=False)[1] for root in roots]
     return np.asarray(np.max(above, axis=0, initial=-1), dtype=np.int64)

@@ -123,7 +123,7 @@ def free_name(target: Path) -> Path:
 
 
 def _remove_stale(folder: Path) -> None:
-    """Remove temporary files older than an hour from a folder: killed processes left them."""
+    """Remove the temporary files that killed processes left in a folder over an hour ago."""
     with contextlib.suppress(OSError):  # another process may remove them at the same time
         for left in folder.glob(f"{_PREFIX}*"):
             if left.is_file() and time.time() - left.stat().st_mtime > _STALE_SECONDS:

@@ -286,10 +286,10 @@ def build_rig(
 
 
 def _with_inner(rig: Rig, within: NDArray[np.float64]) -> Rig:
-    """Rig with a second joint below each, which rotates by `within` (F, B, 3, 3).
+    """Rig in which each joint has a second joint below it, which rotates by `within` (F, B, 3, 3).
 
-    The second joint moves the vertices.  The first is a child of the second joint of the bone's
-    parent.
+    The second joint moves the vertices.  The first joint of a bone is a child of the second joint
+    of its parent bone.
     """
     count, above = rig.n_bones, -1 if rig.parents is None else rig.parents
     own = np.arange(count, dtype=np.int32)

@@ -314,7 +314,7 @@ def make_skinning(
 
 
 def _bone_model_of(transforms: NDArray[np.float64]) -> BoneModel:
-    """Narrowest of rigid, similarity and affine that holds the transforms to about 1e-4."""
+    """Most restrictive bone model that represents the transforms to about 1e-4."""
     linear = transforms[..., :3]
     gram = np.swapaxes(linear, -1, -2) @ linear
     size = np.trace(gram, axis1=-2, axis2=-1) / 3

@@ -187,7 +187,11 @@ def _reflected(points: Array, normal: Array, offset: float) -> Array:
 def _fitted(
     points: Array, every: cKDTree, normal: Array, offset: float
 ) -> tuple[Array, float, float, float]:
-    """Refined plane x · `normal` = `offset`: normal, offset, median and 95 % quantile of gaps."""
+    """Refine the plane x · `normal` = `offset`; return normal, offset, and two quantiles of gaps.
+
+    The gaps are the distances of the mirrored points from the nearest point of `every`.  The
+    quantiles are their median and that of 95 %.
+    """
     best = (normal, offset, np.inf, np.inf)
     for _ in range(_ROUNDS):
         gap, near = map(np.asarray, every.query(_reflected(points, normal, offset)))
@@ -207,7 +211,7 @@ def _fitted(
 
 
 def _partners(dense: Array, near: NDArray[np.intp]) -> NDArray[np.int64]:
-    """Partners (B,) of the bones, -1 for none, by comparing weights with their mirror images.
+    """Index (B,) of each bone's partner, or -1, found by comparing weights with mirrored weights.
 
     `dense` (V, B) are the weights; `near` (V,) is the index of the vertex nearest to each image.
     """

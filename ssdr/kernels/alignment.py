@@ -1,4 +1,4 @@
-"""Kernel that takes frames into the solver's space."""
+"""Kernel that transforms frames to the solver's coordinates."""
 
 from __future__ import annotations
 

@@ -71,9 +71,10 @@ def form_of(pairs, indices, w, n, form):
 
 @inline
 def best_point(form, last, g, pull, p, a, b):
-    """Move p to the minimum of the polynomial `form` minus 2 p̃ᵀg, plus the error of the pull.
+    """Move p to the minimiser of form(p̃) − 2 p̃ᵀg + μ|p − m|².
 
-    p̃ is (p, last), and g is Σ_j w_j y_j.  The pull acts only if `last` is 1.
+    `form` holds the ten coefficients of :func:`form_of`, p̃ is (p, last), g is Σ_j w_j y_j, and
+    `pull` is (μ, m).  The last term counts only if `last` is 1.  p stays if the system is singular.
     """
     x, y, z, mu = p[0], p[1], p[2], last * pull[0]
     a[0, 0], a[1, 1], a[2, 2] = form[0] + mu, form[1] + mu, form[2] + mu

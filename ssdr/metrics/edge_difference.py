@@ -24,7 +24,7 @@ Normaliser = Literal["speed", "diagonal"]
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Sted:
-    """The spatio-temporal edge difference and its two parts, without unit.
+    """The spatio-temporal edge difference and its two parts, all dimensionless.
 
     Attributes
     ----------
@@ -83,9 +83,9 @@ def sted(
 
         dev(N) = √( Σ_N l (δ − δ̄)² / Σ_N l ),   δ̄ = Σ_N l δ / Σ_N l.
 
-    The spatial part is the mean over frames and vertices of dev over the edges
-    of the frame near the vertex.  The temporal part is the mean over frames and
-    vertices of dev over virtual edges in time, from p_i^t to p_i^{t+1}, of
+    The spatial part is the mean, over frames and vertices, of dev(edges near the
+    vertex in that frame).  The temporal part is the mean, over frames and vertices,
+    of dev(virtual edges in time), which lead from p_i^t to p_i^{t+1} and have the
     length √(‖p_i^{t+1} − p_i^t‖² / s² + dt²), within a window of frames around t.
 
     Parameters
@@ -231,7 +231,10 @@ def _temporal(
 
 
 def _edges_near(edges: NDArray[np.int32], n_vertices: int, neighbourhood: int) -> csr_array:
-    """Incidence matrix: a row for each vertex with edges, whose entries are the edges near it."""
+    """Incidence matrix with a column per edge, and a row per vertex that has edges.
+
+    The ones of a row are at the edges near the vertex.
+    """
     n_edges = len(edges)
     columns = np.repeat(np.arange(n_edges), 2)
     touch = csr_array((np.ones(2 * n_edges), (edges.ravel(), columns)), (n_vertices, n_edges))

@@ -1,4 +1,4 @@
-"""Angles between the normals of an animated surface and those that a program draws."""
+"""Angles between the normals of an animated surface and those that an engine shades with."""
 
 from __future__ import annotations
 
@@ -132,7 +132,10 @@ def normals(reference: Frames, model: Frames, faces: ArrayLike | None = None) ->
 
 
 def known_errors(reference: MeshSequence, model: Skinning | MeshSequence) -> NormalErrors | None:
-    """Errors of the normals of a model of the same frames, or None if no normal is known."""
+    """Angles as by :func:`normals`, for a model with the reference's frames and vertices.
+
+    The result is None if no angle can be measured.
+    """
     if not isinstance(model, Skinning):
         holders, parts = holders_of(reference, model), []
         for span in chunk_bounds(reference.n_frames, chunk_size(reference)):

@@ -105,7 +105,7 @@ def fewer_bytes(
 
 
 def _more_bones(models: ModelsByBones, most: int) -> Iterator[tuple[SolvedFrames, Model]]:
-    """Yield models of more rigid bones, up to `most`, as long as these hold the tolerance."""
+    """Yield models with more and more rigid bones, up to `most`, until one misses the tolerance."""
     bones = models.held_bones
     while bones < most:
         bones = min(most, max(bones + 1, math.ceil(_GROWTH * bones)))
@@ -121,7 +121,10 @@ def _more_bones(models: ModelsByBones, most: int) -> Iterator[tuple[SolvedFrames
 def _affine(
     models: ModelsByBones, bounds: Bounds, effort: Effort, spare: int
 ) -> Iterator[tuple[SolvedFrames, Model]]:
-    """Yield a model of about half as many affine bones, then one of the fewest that suffice."""
+    """Yield a model with about half as many affine bones as the fewest rigid bones found.
+
+    A model with the fewest affine bones that suffice follows.
+    """
     frames, problem = copy.copy(models.frames), models.frames.problem
     most = min(models.held_bones, (models.held_bones + spare) // 2)
     if problem.rig != "none" or problem.constraints.bone_model != "rigid" or most < bounds.least:
@@ -142,7 +145,7 @@ def _affine(
 def _with_shapes(
     models: ModelsByBones, tolerance: float, bone: float
 ) -> tuple[SolvedFrames, Model, Pruned] | None:
-    """Replace bones by shapes, where the keys of the bones take more bytes, and drop keys.
+    """Replace bones by shapes, if these take fewer bytes than the bones' keys, and drop keys.
 
     Returns the frames, the model before it gets shapes, and the result with its prunings; or None
     if shapes do not pay or the result misses the tolerance.

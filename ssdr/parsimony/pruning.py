@@ -203,7 +203,11 @@ def prune(
 
 
 def _schedules(frames: SolvedFrames) -> tuple[Schedule, list[Schedule]]:
-    """Schedule that follows the loss of influences, and alternatives to try in turn at the end."""
+    """Schedule to run after influences are removed, and other schedules to try at the end.
+
+    The latter are tried in turn with the price found, until one holds the tolerance with at most
+    slightly more bytes.
+    """
     polishes = frames.measure == "rmse"  # a polish may raise the largest error
 
     def usual(d: Descent) -> None:
@@ -231,10 +235,10 @@ def _with_normals(d: Descent) -> None:
 def _first_price(
     frames: SolvedFrames, fewer: FewerInfluences, tolerance: float, skinning: Skinning
 ) -> tuple[float, int]:
-    """First price to try, and the estimated bytes at that price.
+    """First price of a byte to try, and the estimated bytes at that price.
 
-    It is the highest price at which the estimated error holds the tolerance.  The estimate adds up
-    the squared errors of fewer influences and of fewer keys.
+    It is the highest price at which the estimated error holds the tolerance.  The estimate is the
+    sum of the squared errors that dropping influences and dropping keys would add.
     """
     data = frames.data
     left = tolerance**2 - frames.error_of_all(skinning, "rmse") ** 2

@@ -159,8 +159,8 @@ def curve(
 def _fill(models: ModelsByBones, counts: list[int], effort: Effort) -> None:
     """Find a model for every number of bones in `counts`.
 
-    Bones are merged from the largest number down.  Then, from the smallest number up, a model with
-    more error than the previous, smaller one is replaced by a copy of that one with bones added.
+    Bones are merged from the largest number down.  Then, from the smallest number up, if a model
+    has more error than the next smaller one, a copy of the smaller one with bones added is tried.
     """
     moves, steps = _STEPS[effort]
 

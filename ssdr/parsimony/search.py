@@ -149,7 +149,7 @@ def _usable_tolerance(frames: SolvedFrames, asked: float) -> float:
 
 
 def _least_bones(frames: SolvedFrames, tolerance: float) -> tuple[int, int]:
-    """Lower bound on the number of bones, and most bones that an exact skinning may have.
+    """Lower bound on the number of bones, and upper bound on that of an exact skinning.
 
     Both follow from the rank of the motion.  The second is 0 if the rank does not suggest that
     there is an exact skinning.

@@ -207,9 +207,9 @@ def smallest(
 
 
 def _written(file: Any, problem: Problem) -> Written:
-    """Function that counts the bytes of a file with the options `file`, and decodes it.
+    """Function that returns the byte count of a model's file with options `file`, and its decoding.
 
-    It is first tried with bones that do not move, to check the options.
+    To check the options, it is called once here, with bones that do not move.
     """
     if not isinstance(file, Mapping) or file.get("compression", "none") == "none":
         raise InputError("file", "options of ssdr.save, among them a compression", repr(file))
@@ -227,7 +227,10 @@ def _written(file: Any, problem: Problem) -> Written:
 
 
 def _check_normals_tolerance(angle: Any, problem: Problem) -> None:
-    """Raise InputError for a tolerance of normals that is not usable."""
+    """Raise InputError if the tolerance of normals is not None and no angle > 0, or cannot apply.
+
+    It cannot apply to a mesh without faces or to a search that does not solve normals.
+    """
     if angle is None:
         return
     if not (is_real(angle) and angle > 0):

@@ -153,7 +153,8 @@ def _is_an_answer(problem: Problem, start: Skinning) -> bool:
     """Whether the call may return its start model unchanged.
 
     It may if the model has all frames of the problem, the call has neither importances nor
-    smoothness, the weights are as stored, and, for a rigid rig, the given tree is rigid.
+    smoothness, the weights are already rounded for the storage and, for a rigid rig, the given
+    tree is rigid.
     """
     plain = not problem.weighted
     rigid = problem.rig != "rigid" or (
@@ -207,10 +208,10 @@ def _with_tree(
 
 
 def _history(steps: list[Step], errors: np.ndarray, rmse: float) -> tuple[Record, ...]:
-    """Records of the steps, scaled so that the last has the true error, measured on all frames.
+    """Records of the steps, with errors that never rise and end at `rmse`, the error on all frames.
 
-    Compression and importance change the objective, but not which model is better.  So all errors
-    are scaled by the same factor, unless the last objective is 0 or far too small.
+    The given `errors` belong to compressed trajectories and weighted frames.  All are multiplied by
+    the factor that makes the last one equal to `rmse`, unless the last is 0 or far too small.
     """
     last = errors[-1]
     proportional = last > 0 and rmse < _MOST_RATIO * last

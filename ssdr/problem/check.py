@@ -151,7 +151,11 @@ def _is_kind(rig: Any) -> bool:
 
 
 def _count_bones(bones: Any, n_vertices: int, rig: Any, start: Any) -> int:
-    """Check and return the number of bones: of the skeleton or model if any, otherwise `bones`."""
+    """Check the number of bones and return it.
+
+    It is that of the skeleton with its extra bones, or of the model to start from.  Without these
+    it is `bones`.
+    """
     known, what = None, "bones"
     if isinstance(rig, Skeleton):
         check_skeleton(rig)

@@ -236,9 +236,10 @@ def _draw_scale(
     bar: tuple[int, int, int],
     font: Any,
 ) -> None:
-    """Draw the colour bar of the error that a style shows, with values above.
+    """Draw the colour bar of the error that a style shows, with its values above the bar.
 
-    It says what is measured; below a distance are percentages of the bounding box's diagonal.
+    A label says what is measured.  If it is a distance, percentages of the bounding box's diagonal
+    are written below the bar.
     """
     draw, scene, scale = ImageDraw.Draw(page), panels.scene, page.width / 1600
     shown, of_normals = panels.scales[style], style == "normals"

@@ -153,7 +153,7 @@ class Film:
 
     @property
     def _paper(self) -> tuple[int, int, int]:
-        """Heights of the white space above and below the panels, and its width between panels."""
+        """Heights of the margins above and below the panels, and width of the gaps between them."""
         height = self.panels.view.size[1]
         head, gap = (round(0.1 * height), 2 * round(0.008 * height)) if self.titles else (0, 0)
         if self.captions is None:

@@ -129,7 +129,7 @@ class Scene:
 
     @functools.cached_property
     def _first(self) -> NDArray[np.intp]:
-        """Index of the first vertex shown for each vertex of the subject."""
+        """Index of the first displayed vertex that was welded into each vertex of the subject."""
         if self.vertex_map is None:
             return np.arange(self.subject.n_vertices)
         return np.asarray(np.unique(self.vertex_map, return_index=True)[1])
@@ -144,12 +144,12 @@ class Scene:
 
     @functools.cached_property
     def _shaped(self) -> ShapedNormals | None:
-        """Normals of a model with shapes."""
+        """Rest normals and added vectors of a model with shapes; None for other subjects."""
         shaped = self.has_bones and self.model.shapes is not None and len(self.faces)
         return shaped_normals(self.model) if shaped else None
 
     def _rest_normals(self, frame: int) -> NDArray[np.floating]:
-        """Normals of the vertices of `split` in the rest pose of a frame."""
+        """Rest normals at the vertices of `split`, with the vectors that a frame's shapes add."""
         assert self.split.normals is not None
         if self._shaped is None or self.model.shapes is None:
             return self.split.normals
@@ -211,15 +211,15 @@ class Scene:
 
     @functools.cached_property
     def _holders(self) -> NormalHolders:
-        """Normals of the reference's surface, with the hard edges of the subject."""
+        """Which corners share a normal of the reference's surface, by the subject's hard edges."""
         assert self.reference is not None
         vertices, surface = self.reference.vertices, self.subject.surface
         return holders_of(MeshSequence(vertices, self.faces, surface=surface, validate=False))
 
     def _angles(self, frame: int, truth: Float) -> Float:
-        """Angles ``(V,)``, in degrees, of the normals drawn to those of the reference's surface.
+        """Angles ``(V,)``, in degrees, between the drawn normals and the reference's.
 
-        Each is the mean over the triangles at a vertex, or 0 if there are none.
+        The angle of a vertex is the mean over its triangles, or 0 if it has none.
         """
         holders, drawn = self._holders, self.drawn_normals(frame)
         own, b = surface_normals(np.stack([self.positions(frame), truth]), holders)

@@ -254,7 +254,7 @@ def drop_influence(data: Trajectories, model: Model, constraints: Constraints) -
 
 
 def _draw_influences(model: Model, rng: np.random.Generator) -> tuple[int, int, int]:
-    """Influences per vertex, a random number of influences to add, and one of polish steps."""
+    """Influences per vertex, and random numbers of influences to add and of polish steps."""
     k, n_bones = model.n_influences, model.n_bones
     extra = min(int(rng.integers(1, _MOST_WIDER + 1)), max(0, n_bones - k))
     return k, extra, int(rng.integers(_FEWEST_STEPS, 2 * _FEWEST_STEPS + 1))
@@ -263,7 +263,10 @@ def _draw_influences(model: Model, rng: np.random.Generator) -> tuple[int, int, 
 def _with_fewer_influences(
     data: Trajectories, model: Model, constraints: Constraints, *, influences: int, steps: int
 ) -> Model:
-    """Polish (in place) and drop an influence per vertex, repeatedly, down to `influences`."""
+    """Polish (in place) and drop one influence per vertex, in turns, until `influences` are left.
+
+    Returns the model with fewer influence slots.
+    """
     while model.n_influences > influences:
         polish_steps(data, model, steps, constraints)
         drop_influence(data, model, constraints)
@@ -361,7 +364,7 @@ def _with_patch(
 
 
 def _removal_costs(data: Trajectories, model: Model, constraints: Constraints) -> Array:
-    """Rise (B,) of the squared error by the removal of each bone alone; inf if it has to stay."""
+    """Rise (B,) of the squared error if one bone alone is removed; inf if the bone has to stay."""
     cost = bone_costs(data, model)
     # all bones up to the last locked one stay, since locked bones are known by their index
     cost[: len(constraints.bones)] = np.inf

@@ -213,7 +213,7 @@ def nested_models(
 
 
 def _removed(search: Nested, finest: Model, counts: Sequence[int]) -> list[Model]:
-    """Levels made by removing bones one by one, always the one whose loss costs least error."""
+    """Make levels by removing bones one by one, always the bone that raises the error least."""
     data, model = search.data, finest.with_restarted_support()
     optimise_vertices(data, model)
     left, gone, kept = list(range(counts[0])), [], {counts[0]: model}

@@ -235,7 +235,7 @@ def _pass_span(
     leaps: int,
     length: float,
 ) -> tuple[Array, tuple[Array, Array, Array]]:
-    """Solve the bones of a span; return their transforms and the span's parts of Y, G and Σ|x|²."""
+    """Solve the bones of a span; return their transforms and the span's terms of Y, G and Σ|x|²."""
     n, n_bones, n_points = len(model.rest), transforms.shape[1], 1 + model.normals.shape[1]
     transforms = transforms.copy()
     y, x2 = np.zeros((n, n_points, 4, n_bones)), np.zeros((n, n_points))

@@ -69,8 +69,9 @@ def solve(problem: Problem, schedule: Schedule | None = None) -> Decomposition:
 def _solve_streamed(problem: Problem) -> Decomposition:
     """Solve a problem whose frames do not fit into memory.
 
-    A model of representative frames is refined on as many frames as fit into memory, if these are
-    more, unless the run is stopped or out of time; passes over all frames follow.
+    First, a model of representative frames is solved.  If more frames fit into memory, and the run
+    is neither stopped nor out of time, the model is refined on these.  Passes over all frames
+    follow.
     """
     if problem.constraints.rotations.size:
         raise InputError("rig.locked_joints", "() for frames that are streamed", "some")
@@ -162,7 +163,7 @@ def rounded(
 def _rounded_best(problem: Problem, d: Descent, *, done: float) -> tuple[Model, list[Step]]:
     """Round the weights of the best model for storage; return it and the records of all steps.
 
-    `done` is the fraction of the work that is done before.
+    `done` is the fraction of the work already done.
     """
 
     def report(model: Model) -> None:
@@ -207,7 +208,7 @@ def _schedule_of(problem: Problem) -> Schedule:
 
 
 def _report(problem: Problem, d: Descent, sequences: list[MeshSequence]) -> Callable[[str], None]:
-    """Function that reports a step to the monitor and offers the best model, for `sequences`."""
+    """Function that reports a step to the monitor and offers it the best model of `sequences`."""
     monitor = problem.monitor
 
     def report(phase: str) -> None:
@@ -223,7 +224,7 @@ def _report(problem: Problem, d: Descent, sequences: list[MeshSequence]) -> Call
 def _carried(
     problem: Problem, first: Descent, few: Scan, more: Scan
 ) -> tuple[Descent, list[MeshSequence]]:
-    """Begin a descent on more frames from the model of the representative ones; release `first`.
+    """Begin a descent on more frames from the representative frames' model; release `first`.
 
     Representative frames are few and extreme; solved on these alone, the weights follow motion that
     other frames do not have.  Returns the descent and its frames.
@@ -243,9 +244,9 @@ def _carried(
 def _passes_over_all(
     problem: Problem, d: Descent, chosen: Scan, model: Model
 ) -> tuple[Model, list[Step]]:
-    """Make passes over all frames from a model of the chosen ones, until a pass gains little.
+    """Make passes over all frames, starting from `model`, until a pass gains little.
 
-    Returns the model and a record of each pass.
+    `model` was solved on the frames `chosen`.  Returns the last model and a record of each pass.
     """
     monitor, most, constraints = problem.monitor, PASSES[problem.effort], problem.constraints
     if d.smoothness is not None or problem.storage != "float32":

@@ -140,7 +140,7 @@ def _initial_model(d: Descent, bones: Array | None) -> Model:
 
 
 def _patches_of_weights(d: Descent, rest: Array, skin: Skin) -> Array:
-    """Transforms (F, B, 3, 4) of bones that are each fitted to the vertices that they move most."""
+    """Transforms (F, B, 3, 4) of bones, each fitted to the vertices where its weight is largest."""
     label, kind = skin.indices[:, 0].astype(np.intp), d.constraints.bone_model
     return fit_patches(d.data, rest, label, d.bones, kind)
 

@@ -179,7 +179,10 @@ def on_sample(
 
 @step("all vertices", cost=8)
 def all_vertices(d: Descent) -> Iterator[None]:
-    """Leave the sample for all vertices; each begins with the nearest sampled vertex's weights."""
+    """Return from the sample to all vertices: each takes the weights of the nearest sampled vertex.
+
+    Alternations of all vertices follow.
+    """
     assert d.few is not None
     d.model, d.few = d.of_all(d.few.best.model), None
     d.iteration += ALTERNATIONS_OF_ALL

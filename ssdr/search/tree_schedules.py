@@ -153,7 +153,7 @@ def loose_from_model(d: Descent, effort: Effort) -> None:
 
 
 def relax_tree(d: Descent) -> None:
-    """Relax and polish bones that are attached at joints."""
+    """Widen and reduce influences (:func:`relax`), then polish, for bones attached at joints."""
     relax(d, polish_steps=6)
     polish(d, steps=24, gain=0.01)
 

@@ -181,17 +181,18 @@ class Objective:
 class JointPenalty:
     """Quadratic approximation of the joint penalty around a model.
 
-    If joints move by δ_j, the objective is to second order, up to a constant,
+    If joints move by δ_j, the objective is approximated, up to a constant, by
     factor · (Q + Σ_j stiffness_j |offset_j + δ_j|²), where Q is the squared error with the terms of
-    rest pose and normals.
-    The points where skin meets are treated as constant.
+    rest pose and normals.  The gradients agree; the curvature of the penalty is made positive and
+    isotropic.  The points where the skin of a bone meets that of its parent
+    (:func:`meeting_points`) are held constant.
 
     Attributes
     ----------
     factor : float
     stiffness : (J, 1) array
     offsets : (J, 3) array
-        Vectors to the joints from where the skin of their bones meets.
+        Vectors to the joints from these points.
     """
 
     factor: float

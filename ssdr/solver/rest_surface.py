@@ -212,7 +212,7 @@ def _nearest(data: Trajectories, frames: NDArray[np.intp]) -> NDArray[np.intp]:
 
 
 def _turned(points: Array, faces: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Mask (T,) of the flipped triangles: their normals point against those of their vertices."""
+    """Mask (T,) of flipped triangles, whose normals oppose the normals of their vertices."""
     around = np.empty((1, *points.shape))
     normals_range(points[None], faces, faces, around, 0, 1)
     a, b, c = points[faces].transpose(1, 0, 2)

@@ -97,7 +97,11 @@ def rounded_models(
 def _rounded(
     data: Trajectories, model: Model, storage: WeightStorage, constraints: Constraints
 ) -> Model:
-    """A copy with rounded weights; unless locked, units then move between bones to lower errors."""
+    """A copy with rounded weights.
+
+    At vertices that are not locked, units of weight are then moved between bones to lower the
+    error.
+    """
     indices, stored = quantise(model.indices, model.weights, storage)
     out = dataclasses.replace(model.copy(), indices=indices, weights=weight_values(stored))
     _, gram, _, reduced = transform_sums(data, out.transforms)

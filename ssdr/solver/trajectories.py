@@ -108,9 +108,9 @@ class Trajectories(Alignment):
         return 1 if self.normals is None else 2
 
     def squares(self, rows: Any, length: float) -> Array:
-        """Squared norms (n, P) of the trajectories of the points of the vertices `rows`.
+        """Squared norms (n, P), over all frames, of the P points of each vertex in `rows`.
 
-        `length` is that of a normal treated as a point.
+        The points are its position and, where normals are solved, its normal scaled to `length`.
         """
         if self.n2 is None:
             return self.x2[rows, None]
@@ -194,9 +194,9 @@ class Trajectories(Alignment):
     def compressed(self, bones: int) -> Trajectories:
         """A copy with the fewest columns that lose next to nothing for a model of `bones` bones.
 
-        The squared error that compression adds is at most a ten-thousandth of the error of the best
-        matrix of rank 4B (Eckart–Young), which is a lower bound of the error of any model with B
-        bones.  If this needs nearly all columns, the trajectories stay uncompressed.
+        The best matrix of rank 4B (Eckart–Young) has at most the squared error of any model with B
+        bones.  Compression adds at most a ten-thousandth of that matrix's squared error.  If this
+        needs nearly all columns, the trajectories stay uncompressed.
         """
         x = self.z
         if self.q is not None:

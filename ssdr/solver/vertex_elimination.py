@@ -141,7 +141,7 @@ class ReducedSystem:
         step : (V, D) array
             H_vv⁻¹ (H_vm δM + share · gradient), in the order of the groups.
         answer : (4B, 4B) array
-            The stacked transforms times `answer` are H_mv times the step.
+            Matrix whose product with the stacked transforms is H_mv times the step.
         """
         n_bones, groups = self.n_bones, self._groups
         step = np.empty_like(groups.gradient)

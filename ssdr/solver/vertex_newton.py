@@ -128,7 +128,7 @@ def optimise_some(
 def _recentre(
     gradient: Array, old: Array, new: Array, model: Model, constraints: Constraints
 ) -> None:
-    """Change the gradients (in place) from the pulls `old` to `new`, of the same stiffness."""
+    """Update the gradients (in place) when pulls `old` become `new`, of the same stiffness."""
     free = ~constraints.vertex_mask(len(gradient))
     first = np.where(free, np.count_nonzero(model.weights, axis=1) - 1, 0)
     columns = first[:, None] + np.arange(3)

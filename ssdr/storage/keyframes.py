@@ -178,7 +178,7 @@ class Tracks:
     def _moments(self) -> Array:
         """Weighted second moments (F, B, 4, 4) of the vertices that move with each bone.
 
-        They include the vertices of its descendants, and are in the bone's own coordinates.
+        Vertices of a bone's descendants move with it, too.  The coordinates are the bone's own.
         """
         s = self.skinning
         w = s.sparse_weights().astype(np.float64).tocoo()

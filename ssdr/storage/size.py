@@ -108,9 +108,9 @@ def size(skinning: Skinning, *, storage: WeightStorage = "uint16") -> Size:
 
 
 def _shape_bytes(shapes: Shapes) -> int:
-    """Number of bytes of the displacements of shapes and of their amounts per frame.
+    """Number of bytes that the shapes' displacements and their amounts in all frames take.
 
-    Each is dense or sparse, whichever takes fewer.
+    The values of a shape are stored dense or sparse, whichever takes fewer bytes.
     """
     total = 0
     for values, each in ((shapes.moved.T, 12), (shapes.amounts != 0, 4)):
@@ -126,12 +126,12 @@ def influence_bytes(bones: int, storage: WeightStorage) -> int:
 
 
 def index_bytes(bones: int) -> int:
-    """Number of bytes of the index of a bone."""
+    """Number of bytes of a bone index."""
     return 1 if bones <= 256 else 2
 
 
 def key_bytes(skinning: Skinning) -> NDArray[np.int64]:
-    """Number of bytes (B,) of one key of each bone."""
+    """Number of bytes (B,) that one key of each bone takes."""
     each = np.full(skinning.n_bones, _KEY_BYTES[skinning.bone_model])
     if skinning.parents is None:
         return each

@@ -74,10 +74,10 @@ class Motion:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Truth:
-    """Reference, of which the vertices of the model are read.
+    """A reference sequence, read at the vertices of the model.
 
-    If the model was welded and the reference was not, `rows` (V,) holds the index in the reference
-    of each vertex of the model.
+    `rows` (V,) holds the reference's indices of these vertices if the model was welded and the
+    reference was not.  Otherwise it is None.
     """
 
     sequence: MeshSequence

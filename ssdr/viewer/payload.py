@@ -166,13 +166,13 @@ def payload(
 
 
 def _standing(sequence: MeshSequence) -> Skinning:
-    """Model with one bone at rest, relative to which a sequence is stored as differences."""
+    """Model with one bone that never moves; the sequence is stored as differences from it."""
     still = np.tile(np.eye(3, 4), (sequence.n_frames, 1, 1, 1))
     return _bones_of(sequence, np.zeros(sequence.n_vertices, dtype=np.int32), still)
 
 
 def _of_vertices(sequence: MeshSequence) -> Skinning:
-    """Model of a bone for each vertex, which moves exactly as a sequence does."""
+    """Model with one translating bone per vertex, which reproduces a sequence exactly."""
     vertices = sequence.frames(slice(None))
     moves = np.zeros((*vertices.shape, 4), dtype=vertices.dtype)
     moves[..., :3] = np.eye(3)
@@ -261,7 +261,7 @@ def _from_grey(colors: Float) -> Float:
 
 
 def _thinning(model: Skinning, fixed: int, max_bytes: int, held: bool) -> int:
-    """Step between the frames that fit a page of `max_bytes` even if nothing can be compressed.
+    """Smallest frame step at which a page fits `max_bytes` even if nothing can be compressed.
 
     Raises
     ------
@@ -322,7 +322,7 @@ def _input(
     scale: float,
     blocks: Blocks,
 ) -> dict[str, Any]:
-    """Append the differences of the input from the model; return their document entry."""
+    """Append the differences from the model to the input; return their document entry."""
 
     def difference(k: int) -> Float:
         one = slice(int(frames[k]), int(frames[k]) + 1)

@@ -73,7 +73,7 @@ def surface_entries(
 
 
 def _directions(normals: Any, blocks: Blocks) -> dict[str, Any]:
-    """Append unit vectors in steps of 2⁻¹⁵, and return their document entry."""
+    """Append unit vectors, rounded to steps of 2⁻¹⁵, and return their document entry."""
     return {**blocks.array(np.rint(32767 * normals).astype(np.int16)), "step": 1 / 32767}
 
 

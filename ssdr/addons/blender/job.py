@@ -170,7 +170,7 @@ class Decompose(Job):
 
 
 class ShowPage(Job):
-    """Job that writes a web page of an object's bones beside the animation that they replaced."""
+    """Job that writes a web page with an object's bones next to the original animation."""
 
     def __init__(self, source: Any, python: Path) -> None:
         folder = folders.get(source.name) if source else None

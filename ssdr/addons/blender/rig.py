@@ -122,7 +122,7 @@ def build(
 
 
 def _color(mesh: Any, errors: Any) -> None:
-    """Add the errors as a colour attribute, from blue (none) over green to red (the largest)."""
+    """Add the errors as a colour attribute, from blue (0) through green to red (the largest)."""
     old = mesh.color_attributes.get(ERROR)
     if old is not None:
         mesh.color_attributes.remove(old)
@@ -158,10 +158,12 @@ def _armature(context: Any, source: Any, model: dict[str, Any], place: Any) -> A
 
 
 def _heads_and_tails(model: dict[str, Any]) -> tuple[Any, Any]:
-    """Heads and tails (B, 3) of the bones: the joint, and the mean of its child joints, if any.
+    """Heads and tails of the bones, each (B, 3).
 
-    Near the direction opposite to the parent's, Blender computes rest matrices that are off from
-    rotations by 4e-5; a bone that would point there points exactly the opposite way.
+    A bone points from its joint to the mean of its child joints, if there are any.  Without joints,
+    its head is the centroid of the vertices that it moves.  Blender's rest matrices deviate from
+    rotations by 4e-5 if a bone points almost opposite to its parent, so such a bone is made to
+    point exactly opposite.
     """
     rest, count = model["rest"], len(model["names"])
     length = 0.05 * np.linalg.norm(np.ptp(rest, axis=0))
@@ -189,7 +191,7 @@ def _heads_and_tails(model: dict[str, Any]) -> tuple[Any, Any]:
 
 
 def _from_roots(parents: Any) -> list[int]:
-    """Indices of the bones, each after its parent."""
+    """Indices of the bones, parents before their children."""
     order: list[int] = []
     level = np.flatnonzero(parents < 0)
     while len(level):
@@ -213,8 +215,8 @@ def _vertex_groups(target: Any, model: dict[str, Any]) -> None:
 def _actions(rig: Any, name: str, sample: SampledObject, model: dict[str, Any]) -> None:
     """Give the armature an action of all frames, or one for each clip.
 
-    The action of a clip starts at frame 0.  A strip plays it where the clip was, on a track of its
-    own, as exporters expect.
+    The action of a clip starts at frame 0.  A strip plays it at the frames where the clip was.
+    Every strip has its own track, as exporters expect.
     """
     motion = rig.animation_data_create()
     if not sample.clips:

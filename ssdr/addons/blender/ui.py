@@ -24,7 +24,7 @@ def _environment() -> Path:
 
 
 def _python(context: Any) -> Path:
-    """Python named in the preferences or, if none is, that of the environment made there."""
+    """Python named in the preferences or, if none is named, that of the environment made there."""
     named = context.preferences.addons[__package__].preferences.python
     python = Path(bpy.path.abspath(named)) if named else python_in(_environment())
     if not python.is_file():
@@ -129,8 +129,10 @@ class SSDR_options(bpy.types.PropertyGroup):
 
 
 class _Stepwise:
-    """Operator that runs a job: in one go from a script; from the interface, in steps that show the
-    progress and that Esc cancels.
+    """Operator that runs a job.
+
+    Called from a script, it runs the job in one go.  From the interface, it runs the job in steps,
+    which show the progress and which Esc cancels.
     """
 
     _job: Job

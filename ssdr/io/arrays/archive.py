@@ -151,7 +151,7 @@ _Header = tuple[np.dtype[Any], tuple[int, ...], Literal["C", "F"]]
 
 @contextlib.contextmanager
 def _open(path: Path) -> Iterator[tuple[IO[bytes], zipfile.ZipFile, _Members]]:
-    """Open an archive, and yield its file, the archive, and its members by name of array."""
+    """Open an archive; yield its file, the archive, and a dict from array names to members."""
     with reading(path), path.open("rb") as stream:
         head = stream.read(64)
         check(head.startswith(b"PK\x03\x04"), f"not an .npz archive: {describe(head)}")

@@ -104,7 +104,7 @@ def _number(data: Any, start: int, width: int) -> int:
 
 
 def _zstd_size(data: Any) -> int:
-    """Size to which zstd data (RFC 8878) inflate, from the headers of its frames and blocks."""
+    """Decompressed size of zstd data (RFC 8878), from the headers of its frames and blocks."""
     size = at = 0
     while at < len(data):
         flags = _number(data, at + 4, 1)

@@ -221,7 +221,7 @@ def _clips(arrays: dict[str, NDArray[Any]], path: Path) -> tuple[Clip, ...]:
 def _tell_missed(
     arrays: dict[str, NDArray[Any]], clips: Sequence[Clip], path: Path, fps: float | None
 ) -> None:
-    """Warn of keys between the frames of clips."""
+    """Warn of keys that lie between the sampled frames of clips."""
     for clip, (count, distance, diagonal) in zip(clips, arrays["missed"], strict=False):
         tell(path, clip, int(count), distance, diagonal, own=fps is None)
 

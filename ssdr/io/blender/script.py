@@ -187,7 +187,10 @@ def read(job: dict[str, Any]) -> None:
 
 
 def vertex_numbers(items: list[Any]) -> Any:
-    """Model vertex index of each vertex of the meshes, from this package's ``_VERTEX``."""
+    """Model vertex index (n,) of each vertex of all meshes, one mesh after the other.
+
+    It is read from the mesh attribute ``_VERTEX``, which ssdr writes to its glTF files.
+    """
     attributes = [item.data.attributes["_VERTEX"].data for item in items]
     found = [surfaces.values(data, "value", np.float32) for data in attributes]
     return np.concatenate(found).astype(np.int64)

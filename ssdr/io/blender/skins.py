@@ -197,7 +197,10 @@ class SkinnedMeshes:
             skin.sample(graph, places)
 
     def _relative_motion(self, skin: SkinnedObject) -> Any:
-        """A⁻¹ O O₀⁻¹ (F, 4, 4) of a mesh, or A₀⁻¹ (1, 4, 4) if the mesh follows its armature."""
+        """A⁻¹ O O₀⁻¹ (F, 4, 4) of a mesh, or A₀⁻¹ (1, 4, 4) if the mesh follows its armature.
+
+        The symbols are those of :class:`SkinnedMeshes`.
+        """
         still = np.linalg.inv(self._rest_places[skin.armature.name])[None]
         moved = np.array(skin.relative)
         size = np.abs(skin.rest).max() + 1e-30

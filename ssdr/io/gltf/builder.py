@@ -231,9 +231,9 @@ class Builder:
         return write_bytes(path, b"".join([head, *blocks]))
 
     def _embed_pictures(self, path: Path) -> None:
-        """Put pictures that are separate files into the buffer.
+        """Copy pictures in separate files into the buffer, unless the output can refer to them.
 
-        This is done if `path` is a ``.glb``, or if it is not in the folder of the copied document.
+        It can if `path` is a ``.gltf`` file in the folder of the document that was copied.
         """
         if self.document is None:
             return

@@ -52,9 +52,9 @@ def unknown_extensions(json: dict[str, Any]) -> list[str]:
 
 
 def _slots(item: Any, keys: list[str]) -> Iterator[tuple[Any, Any]]:
-    """Yield each list or object that holds an index at the end of a path, and the position or key.
+    """Yield the places of the indices at the end of the path `keys`, which starts at `item`.
 
-    The path starts at `item`, and its parts are `keys`.
+    A place is a list or object, and the position or key at which it holds the index.
     """
     found: Any = [keys[0]] if keys[0] in item else []
     if keys[0] == "*":

@@ -151,10 +151,10 @@ class PrimitiveGroup:
     def _close_seams(
         self, compared: list[NDArray[Any]]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Indices that merge the copies of a vertex that this package's writer has made at seams.
+        """Indices that merge the vertices which this package's writer has split at seams.
 
-        Its attribute ``_VERTEX`` gives copies of a vertex the same index. If copies differ in one
-        of the arrays `compared`, the file has been edited since, and no vertices are merged.
+        The writer's attribute ``_VERTEX`` has the same value at all copies of a vertex. If copies
+        differ in one of the arrays `compared`, the file has been edited, and none are merged.
 
         Returns
         -------
@@ -364,7 +364,7 @@ def triangles(document: Document, primitive: dict[str, Any], count: int) -> NDAr
 
 
 def _uv_name(document: Document, group: list[dict[str, Any]]) -> str:
-    """Name of the UV attribute that the first material of `group` states for its texture."""
+    """Name of the UV attribute that the texture of `group`'s first material uses."""
     for number in [primitive["material"] for primitive in group if "material" in primitive]:
         look = document.items("materials")[number].get("pbrMetallicRoughness", {})
         if "texCoord" in look.get("baseColorTexture", {}):

@@ -111,7 +111,7 @@ def _of_material(material: dict[str, Any]) -> list[str]:
 
 
 def _has_extras(value: Any) -> bool:
-    """Whether JSON holds extras that are not those of this package."""
+    """Whether JSON holds extras that this package did not write."""
     if isinstance(value, dict):
         extras = value.get("extras", {})
         if not (isinstance(extras, dict) and extras.keys() <= {"ssdr"}):

@@ -69,7 +69,7 @@ def add_skin(builder: Builder, rig: Rig, title: str, first: int) -> dict[str, An
 
 
 def _moved(rig: Rig, clip: Clip) -> list[int]:
-    """Indices of the bones that leave the rest transform of their node in a clip; at least one."""
+    """Indices of the bones that leave their rest transforms in a clip; bone 0 if none do."""
     if rig.axes is not None:
         return list(range(rig.n_bones))
     some = clip.frames

@@ -131,7 +131,7 @@ class Template:
     ) -> dict[str, int]:
         """Add accessors of a part's attributes in the pose `rest`, with the model's normals.
 
-        Tangents are carried to that pose; skin weights are left out.
+        Tangents are deformed along with the mesh. Skin weights are left out.
         """
         document, builder = self.document, self.builder
         old = next(iter(part.primitives.values()))["attributes"]
@@ -152,9 +152,9 @@ class Template:
         return kept
 
     def _remove_morphs(self, node: int, mesh: dict[str, Any]) -> None:
-        """Remove what is left of morph targets in a mesh and its node, and the lines of the mesh.
+        """Remove the morph weights and target names of a mesh and its node, and the mesh's lines.
 
-        Lines are removed because the new skin does not move them, and reported as lost.
+        The new skin would not move the lines. They are reported as lost.
         """
         solid = [p for p in mesh["primitives"] if p.get("mode", 4) not in _LINES]
         if len(solid) < len(mesh["primitives"]):
@@ -209,7 +209,7 @@ class Template:
     def _put_clips(self, rig: Rig, title: str, first: int) -> None:
         """Add the keys of each clip to the file's animation of its name, or to a new animation.
 
-        A clip begins at 0 s, unless the animation has other tracks left: then it keeps its start.
+        A clip begins at 0 s or, if other tracks of its animation remain, where it began before.
         """
         animations = self.json.setdefault("animations", [])
         for clip in rig.clips:
@@ -249,7 +249,7 @@ class Template:
         remove_unused(json, original)
 
     def _unneeded_nodes(self, skins: set[int]) -> set[int]:
-        """Indices of nodes to remove: joints of `skins` alone, and nodes above nothing but these.
+        """Indices of nodes to remove: joints that only `skins` use, and parents of only such nodes.
 
         A note says how many joints must stay because other nodes are below them.
         """
@@ -272,10 +272,11 @@ class Template:
         return going
 
     def _remove_channels(self, joints: set[int]) -> None:
-        """Remove channels of morph targets and nodes that moved nothing but the replaced meshes.
+        """Remove the animation channels that moved nothing but the replaced meshes.
 
-        These nodes include the removed `joints`. A clip that loses channels and is not in the model
-        is reported as lost, unless it is left out on purpose.
+        They are channels of morph weights and of nodes, among these the removed `joints`. A clip
+        that loses channels and is not in the model is reported as lost, unless it is left out on
+        purpose.
         """
         idle = joints | self._idle_nodes()
 

@@ -125,7 +125,7 @@ def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> Sav
 
 
 def _matching(path: Path) -> list[Path]:
-    """Files whose names result from a printf pattern and some number."""
+    """Files whose names a printf pattern gives for some number."""
     name = _PRINTF.sub(lambda m: f"[0-9]{{{int(m[1] or 1)},}}", re.escape(path.name))
     return [f for f in path.parent.glob("*") if re.fullmatch(name, f.name)]
 

@@ -127,9 +127,9 @@ def _header(data: bytes) -> tuple[_Elements, bool, int]:
 def _even(
     length: int, properties: list[_Property], body: memoryview
 ) -> tuple[_Columns, int] | None:
-    """Read an element whose rows all have the same layout: its columns, and their size in bytes.
+    """Read an element whose rows all have the same layout; return its columns and size in bytes.
 
-    None if the lengths of lists differ or the file is too short.
+    Returns None if the lengths of lists differ or the file is too short.
     """
     fields: list[Any] = []
     at = 0
@@ -152,7 +152,7 @@ def _even(
 
 
 def _uneven(length: int, properties: list[_Property], body: memoryview) -> tuple[_Columns, int]:
-    """Read an element whose rows hold lists of any lengths: its columns, and its size in bytes."""
+    """Read an element whose rows hold lists of any lengths; return its columns and size."""
     problem = f"states {length} rows, but the file ends before"
     least = sum(np.dtype(count or kind).itemsize for _, kind, count in properties)
     check(length * least <= len(body), problem)

@@ -77,7 +77,10 @@ class MeshPrim:
             self.corners, self.faces = self.corners[:, ::-1], self.faces[:, ::-1]
 
     def _is_mirrored(self) -> bool:
-        """Whether the mesh's own transform mirrors it at most times; sets `seen`."""
+        """Whether the mesh's own transform mirrors it in the majority of samples.
+
+        Sets `seen` to the time code of the first sample that agrees with the majority.
+        """
         codes = np.unique(self._moves())
         chosen = np.linspace(0, len(codes) - 1, min(len(codes), _MOST_LOOKS)).astype(int)
         times = codes[chosen].tolist() or [_FIRST]
@@ -179,8 +182,7 @@ class MeshPrim:
     def _frames(self, transforms: Any) -> NDArray[np.float64]:
         """Matrices (B, 4, 4) of this mesh's joints, for column vectors.
 
-        They are taken from `transforms`, USD's matrices of all joints of the skeleton, which are
-        for row vectors.
+        `transforms` holds USD's matrices of all the skeleton's joints, which are for row vectors.
         """
         usable = transforms and len(transforms) == len(self.joints.GetJointOrder())
         self._check(usable, "its skeleton has no usable bind or rest transforms")
@@ -224,7 +226,10 @@ class MeshPrim:
         return np.array(found + self._moves(), dtype=np.float64)
 
     def _moves(self) -> list[float]:
-        """Time codes of all samples of the transforms of the mesh or its skeleton."""
+        """Time codes at which the transform of the mesh has samples, or that of a prim above it.
+
+        With a skin, these are the transforms of the skeleton and of the prims above it.
+        """
         found: list[float] = []
         prim = self.prim if self.joints is None else self.joints.GetPrim()
         while prim and not prim.IsPseudoRoot():
@@ -295,7 +300,7 @@ class MeshPrim:
         return points
 
     def _amounts(self, code: float) -> list[tuple[float, int, int]]:
-        """Amount, blend shape and subshape of each subshape in use at the time `code`."""
+        """Amount, blend-shape index and subshape index of each active subshape at time `code`."""
         weights = self._shaper.ComputeBlendShapeWeights(code)
         mapper = self._query.GetBlendShapeMapper()
         if mapper:

@@ -200,9 +200,10 @@ class StageReader:
         return [prim for prim in prims if prim.IsA(UsdGeom.Mesh) and self._is_shown(prim)]
 
     def _spend(self, prims: Sequence[Any]) -> None:
-        """Charge the budget for the arrays of meshes in advance, since many may share few points.
+        """Charge the budget for the arrays of meshes before they are read.
 
-        Each mesh is counted once, for all clips.
+        A small file may hold many meshes that share their points. Each mesh is counted once, for
+        all clips.
         """
         first = Usd.TimeCode.EarliestTime()
         new = [p for p in prims if p.GetPath() not in self._counted]
@@ -224,7 +225,7 @@ class StageReader:
     def _clock(
         self, meshes: list[MeshPrim], clip: StageClip, fps: float | None
     ) -> tuple[float, NDArray[np.float64], Missed]:
-        """Frames per second of a clip, time code (F,) of each frame, and samples between frames."""
+        """Frames per second of a clip, its time codes (F,), and the samples between its frames."""
         stage = self.stage
         tempo = float(stage.GetTimeCodesPerSecond())
         check(0 < tempo < math.inf, f"timeCodesPerSecond is {tempo}")

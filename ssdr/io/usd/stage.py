@@ -36,7 +36,7 @@ _STEPS[list(b"([{")], _STEPS[list(b")]}")] = 1, -1
 
 
 def open_stage(path: Path) -> Any:
-    """Open a stage from the present contents of its file, not from those that USD has in memory.
+    """Open a stage from the current contents of its file, not from those that USD has in memory.
 
     To be called inside :func:`~ssdr.io.registry.reading`.
 
@@ -100,12 +100,15 @@ def _check_layers(path: Path) -> None:
 
 
 def _templates(layer: Any) -> list[dict[str, Any]]:
-    """Times that each set of value clips in a layer states for its pattern of files.
+    """Template start time, end time and stride of each set of value clips in a layer.
+
+    There is one dict per set that states any of them, without the keys that it does not state.
 
     Raises
     ------
     FormatError
-        If the layer names a part that it does not hold: usd-core ends the process over such a part.
+        If the layer lists a prim or property that it does not contain.  Reading one would crash
+        usd-core.
     """
     found: list[dict[str, Any]] = []
 
@@ -159,8 +162,8 @@ def _check_nesting(file: Path) -> None:
 def system_errors(path: Path, source: Path | None = None) -> Iterator[None]:
     """Context that turns USD's errors about writing `path` into the OSErrors that caused them.
 
-    USD reads a file's arrays only when it copies them. So if the error states no reason of the
-    system, the `source` from which `path` is written, if any, is damaged.
+    USD reads a file's arrays only when it copies them. So if an error does not come from the
+    operating system, the file `source`, from which `path` is copied, is damaged.
 
     Raises
     ------

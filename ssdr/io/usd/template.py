@@ -125,7 +125,7 @@ def put(
 
 
 def _scope(prims: list[Any]) -> Any:
-    """Prim above all `prims` that is or can become their SkelRoot; None if there is no such prim.
+    """Common ancestor of the prims that is or can become their SkelRoot; None if there is none.
 
     It is the lowest common ancestor that is a SkelRoot or, if there is none, the lowest that can
     become one.

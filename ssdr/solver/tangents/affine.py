@@ -31,7 +31,10 @@ class AffineTangent(Tangent):
         return np.ascontiguousarray(out).reshape(*out.shape[:2], 12)
 
     def move(self, model: Model, x: Array) -> None:
-        """Replace M by M + x for the bones for which this is admissible (in place)."""
+        """Replace M by M + x (in place), except for locked bones and where it is not admissible.
+
+        A matrix is not admissible if it is reflected, too flat or too large.
+        """
         m = model.transforms
         moved = m + x.reshape(m.shape)
         good = admissible(m, moved) & ~self.locked_bones
