@@ -229,7 +229,8 @@ def test_one_command_fetches_and_one_scores_the_example(server: Server, tmp_path
     words = ("--solver", str(EXAMPLE), "--only", "aura", "--out", str(out))
     done = run(BOARD / "score.py", *words, data=data)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[-1].startswith("| aura-40 K8 affine given, example_solver |")
+    for case in ("aura-40 K8 rigid", "aura-40 K8 affine", "aura-200 K32 rigid"):
+        assert f"\n| {case} given, example_solver |" in done.stdout
     row = common.read_rows(out)["aura-40 K8 rigid given, example_solver"]
     assert (row["defects"], row["rest from"], row["influences found"]) == ("", "neutral face", 1)
 
