@@ -76,7 +76,7 @@ def blocks(step: Callable[[int], Any], frames: int) -> list[float]:
 def measure(preset: str, hidden: int, rank: int) -> common.Row:
     import torch
 
-    from garmentnet.collision.push_out import PushOut
+    from garmentnet.collision.outward import OutwardPush
     from garmentnet.configs.config import load_config, override
     from garmentnet.data.parameters import SimulationParameters
     from garmentnet.networks.checkpoint import Checkpoint, save_checkpoint
@@ -102,7 +102,8 @@ def measure(preset: str, hidden: int, rank: int) -> common.Row:
     def network(condition: bool) -> Any:
         reads = f"data.condition={str(condition).lower()}"
         sizes = [f"high.hidden={hidden}", f"high.rank={rank}"]
-        config = override(load_config("rooted"), [reads, *sizes])
+        fixed = "low.relative_to=frame"
+        config = override(load_config("rooted"), [reads, fixed, *sizes])
         features = PoseFeatures(body.skeleton, config.features, data_set.fps)(poses)[0]
         fitted = Normaliser.fit([features], floor=0.01, clamp=5.0)
         torch.manual_seed(0)
@@ -147,11 +148,11 @@ def measure(preset: str, hidden: int, rank: int) -> common.Row:
         row[name] = float(np.median(found))
         row[f"{name}_quickest"] = min(found)
     count = garment.n_vertices
-    push = PushOut(body.skinning, garment.faces, pinned=garment.pinned, n_vertices=count)
+    push = OutwardPush(body.skinning, garment.faces, garment.rest, pinned=garment.pinned)
     worn = np.stack([skinning(f) for f in range(4 * BLOCK)])
 
     def out(frame: int) -> None:
-        push(worn[frame : frame + 1], poses[frame : frame + 1])
+        push.frame(worn[frame], poses[frame])
 
     row["push_out"] = float(np.median(blocks(out, len(worn))))
     memory: Any = None

@@ -144,7 +144,8 @@ def push_outward(
 ) -> int:
     """Move one frame of cloth, in place, until it crosses the body nowhere or nothing is gained.
 
-    It ends as it was after the round that left the fewest crossings.
+    It ends as it was after the round that left the fewest crossings.  The frame as it came does not
+    count: if crossings only increase, it is moved all the same.
 
     points   (V, 3)  float64  in and out
     garment          tuple    of these arrays:

@@ -108,10 +108,7 @@ def retarget(bvh: Bvh, skeleton: Skeleton, *, fps: float = 30.0) -> Motion:
             theirs = ours @ (zero[source[b]] - zero[source[a]])
             align = _arc(rest[b] - rest[a], theirs)
         rotations[:, j] = turned[:, source[joint]] @ align
-    local = rotations.copy()
-    for j, parent in enumerate(skeleton.parents):
-        if parent >= 0:
-            local[:, j] = rotations[:, parent].swapaxes(-1, -2) @ rotations[:, j]
+    _, local = skeleton.pose(np.pad(rotations, [(0, 0), (0, 0), (0, 0), (0, 1)]))
     path: Float = bvh.root[first:] @ ours.T * (_leg_length(rest) / legs)
     path -= [path[0, 0], 0.0, path[0, 2]]
     joints = skeleton.transforms(path, local)

@@ -39,6 +39,8 @@ __all__ = ["VirtualBones", "parameter_roles", "virtual_bones"]
 # Refitting ends when a sweep lowers the error by less than this fraction: about 1 µm of 10 mm.
 _TOLERANCE = 1e-4
 _SWEEPS = 30  # most sweeps of a fit
+# Of the search for vertices bound to the body; what an earlier version found is not read.
+_BOUND_VERSION = 2
 
 _logger = logging.getLogger(__name__)
 Progress = Callable[[str, float], None]
@@ -207,7 +209,7 @@ def _body_bound(bones: VirtualBones, names: Sequence[str]) -> BodyBound | None:
         found = find_body_bound(bones.store, names, bones.smoother)
         return {k: np.zeros(0) if found is None else getattr(found, k) for k in fields}
 
-    found = kept(bones.folder / "bound.npz", make)
+    found = kept(bones.folder / f"bound-{_BOUND_VERSION}.npz", make)
     return BodyBound(**found) if len(found["index"]) else None
 
 

@@ -21,7 +21,7 @@ from ..data.virtual_bones import VirtualBones
 from ..networks.features import PoseFeatures, transforms_in_frame
 from ..networks.low_frequency import BoneCode
 from ..networks.skinning import TorchSkinning, apply_frame, remove_frame
-from ..training.following import LinearFit
+from ..training.linear import LinearFit
 from .methods import Method
 
 __all__ = ["BodySkinned", "MeanShape", "Ridge", "body_skinning"]

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import ssdr
@@ -29,7 +28,7 @@ from ..data.store import ClipStore
 from ..io.files import writing
 from .scene_files import Say
 
-__all__ = ["import_published", "smplh_joints", "smplh_skeleton"]
+__all__ = ["import_published", "smplh_skeleton"]
 
 _FINGERS = ("index", "middle", "pinky", "ring", "thumb")
 # Name, parent and place (m, T-pose, y up, the pelvis near the origin) of the body's joints.  The
@@ -83,35 +82,6 @@ def smplh_skeleton() -> Skeleton:
                 names.append(f"{finger}{n + 1}_{'l' if side > 0 else 'r'}")
                 rest.append((x + side * reach, y, z + 0.02 * (2 - k)))
     return Skeleton(tuple(names), np.array(parents, np.int32), np.array(rest))
-
-
-def smplh_joints(
-    pose: NDArray[np.floating], trans: NDArray[np.floating], skeleton: Skeleton
-) -> NDArray[np.float64]:
-    """World transforms ``(F, 52, 3, 4)`` from the rest pose.
-
-    Parameters
-    ----------
-    pose : (F, 52, 3) array
-        Rotation vectors relative to the parents.
-    trans : (F, 3) array
-        Translation of the body, metres.
-    skeleton : Skeleton
-    """
-    frames, count = pose.shape[:2]
-    turn = Rotation.from_rotvec(np.asarray(pose, float).reshape(-1, 3)).as_matrix()
-    turn = turn.reshape(frames, count, 3, 3)
-    out = np.empty((frames, count, 3, 4))
-    for j, (parent, rest) in enumerate(zip(skeleton.parents, skeleton.rest, strict=True)):
-        if parent < 0:
-            rotation, place = turn[:, j], rest + trans
-        else:
-            above = out[:, parent]
-            rotation = above[..., :3] @ turn[:, j]
-            place = above[..., :3] @ rest + above[..., 3]
-        out[:, j, :, :3] = rotation
-        out[:, j, :, 3] = place - rotation @ rest
-    return out
 
 
 def import_published(
@@ -201,7 +171,10 @@ def _add(store: ClipStore, file: Path, split: Split) -> None:
         if found[key].shape != shape or frames < _SHORTEST:
             raise InputError(f"{key} of {file.name}", f"shape {shape}", found[key].shape)
     v = found["sim_res"].astype(np.float32)
-    m = smplh_joints(found["pose"], found["trans"], store.skeleton)
+    turn = Rotation.from_rotvec(found["pose"].reshape(-1, 3)).as_matrix()
+    m = store.skeleton.transforms(
+        store.skeleton.rest[0] + found["trans"], turn.reshape(frames, joints, 3, 3)
+    )
     store.add(
         file.stem,
         vertices=v,

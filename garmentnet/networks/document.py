@@ -92,14 +92,17 @@ def read_document(arrays: dict[str, Any], documents: dict[str, Any]) -> tuple[Do
     count = len(d.networks)
     check(count == 1 or (d.kernel and count), f"{count} networks, kernel {d.kernel}")
     check(d.power in (1, 2), f"power {d.power} of the kernel")
+    chosen = all(r.config.low.relative_to != "auto" for r in d.networks)
+    check(chosen, "low.relative_to: not chosen")
     known = all(r.parameters is not None for r in d.networks)
     check(known or not d.kernel, "pivots without parameters")
     skeleton = Skeleton(d.joint_names, arrays["skeleton.parents"], arrays["skeleton.rest"])
     bones = len(arrays["network.0.low.code.centres"])
     for key, followed in arrays.items():
         if key.endswith(".code.followed"):
-            there = ((followed >= -1) & (followed < skeleton.n_joints)).all()
-            check(there, "bones that follow a joint which does not exist")
+            whole = followed.dtype.kind == "i" and followed.shape == (bones,)
+            there = whole and ((followed >= -1) & (followed < skeleton.n_joints)).all()
+            check(there, f"{key}: expected a joint's index, or -1, for each of {bones} bones")
     subject = Subject(
         _skinning(arrays, "garment", bones, None),
         _skinning(arrays, "body", skeleton.n_joints, d.joint_names),

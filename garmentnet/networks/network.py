@@ -11,6 +11,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from ssdr.errors import InputError
+
 from ..configs.config import Config
 from ..data.subject import Subject
 from .detail_basis import DetailBasis, SurfaceTurns
@@ -145,6 +147,8 @@ class MotionNetwork(nn.Module, PoseReader, Predictor):
 
     def __init__(self, config: Config, subject: Subject, normaliser: Normaliser) -> None:
         nn.Module.__init__(self)
+        if config.low.relative_to == "auto":
+            raise InputError("low.relative_to", "frame or joints", "auto, which training replaces")
         features = PoseFeatures(subject.skeleton, config.features, subject.fps)
         PoseReader.__init__(self, features, normaliser, 3 if config.data.condition else 0)
         self.config, self.subject = config, subject

@@ -95,12 +95,15 @@ class LowFrequencyObjective(Objective):
         self._bending = _SkinnedNorm(laplacian @ skinned, bent).to(network.device)
 
         self._width = basis.rank + 2
-        self._followed = followed = network.low.code.followed is not None
+        followed = network.low.code.followed
+        self._followed = None if followed is None else followed[followed >= 0].unique()
 
         def prepared(track: Track) -> Track:
             rows = torch.from_numpy(targets.rows(track.name))
-            if followed:
-                rows = torch.cat([rows.float(), track.joints().flatten(1)], dim=1)
+            if self._followed is not None:
+                # Bits of single precision in columns of half precision: all frames are in memory.
+                joints = track.joints()[:, self._followed.cpu()].flatten(1)
+                rows = torch.cat([rows, joints.view(torch.float16)], dim=1)
             return dataclasses.replace(track, extra=rows)
 
         self.tracks = [prepared(t) for t in tracks]
@@ -108,9 +111,13 @@ class LowFrequencyObjective(Objective):
 
     def _squares(self, z: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
         """Mean squared distance of the vertices, and of their Laplacians, in each frame."""
-        rows = rows.to(self.network.device).float()
-        rows, behind = rows[:, : self._width], rows[:, self._width :]
-        joints = behind.unflatten(1, (-1, 3, 4)) if self._followed else None
+        rows = rows.to(self.network.device)
+        rows, behind = rows[:, : self._width].float(), rows[:, self._width :].contiguous()
+        joints = None
+        if self._followed is not None:
+            joints = rows.new_zeros(len(rows), self.network.subject.skeleton.n_joints, 3, 4)
+            some = (len(rows), len(self._followed), 3, 4)
+            joints[:, self._followed] = behind.view(torch.float32).view(some)
         transforms = self.network.low.code(z, joints)
         shape = torch.cat([torch.ones_like(rows[:, :1]), rows[:, :-2]], dim=1)
         position, bending = (t(transforms, shape) for t in (self._position, self._bending))

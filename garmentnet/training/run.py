@@ -30,8 +30,8 @@ from ..networks.detail_basis import DetailBasis
 from ..networks.features import Normaliser, PoseFeatures, PoseReader, transforms_in_frame
 from ..networks.network import MotionNetwork
 from .batches import Track, load_tracks
-from .following import with_followed
 from .high_frequency import DetailObjective, HighFrequencyObjective
+from .linear import resolve_relative_to
 from .loop import Objective, Progress, fit
 from .low_frequency import LowFrequencyObjective
 from .targets import LowTargets
@@ -203,7 +203,7 @@ def train(
         progress=progress,
     )
     if start is None:
-        config = with_followed(config, bones, names, held)
+        config = resolve_relative_to(config, bones, names, held)
     elif config.low.relative_to == "auto":
         used = start.networks[0].config.low.relative_to
         config = dataclasses.replace(config, low=dataclasses.replace(config.low, relative_to=used))

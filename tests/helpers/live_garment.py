@@ -76,7 +76,7 @@ def network(*, vertices=150, bones=9, bound=True, condition=False, detail=True, 
     config = load_config("rooted")
     changes = {
         "features": {"joints": ()},
-        "low": {"hidden": 24},
+        "low": {"hidden": 24, "relative_to": "frame"},
         "high": {"hidden": 16, "rank": 5},
         "data": {"condition": condition},
     }

@@ -12,7 +12,7 @@ from garmentnet.configs.config import load_config, override
 from garmentnet.data.store import ClipStore
 from garmentnet.data.virtual_bones import virtual_bones
 from garmentnet.networks.checkpoint import load_checkpoint
-from garmentnet.training.following import LinearFit, with_followed
+from garmentnet.training.linear import LinearFit, resolve_relative_to
 from garmentnet.training.run import train
 from helpers import live_garment as made
 from ssdr import Skinning, skin
@@ -73,12 +73,12 @@ def test_validation_chooses_the_joints_of_a_sleeve(sleeve, caplog):
     store, config, bones = sleeve
     train_names, held = store.names("train"), store.names("validation")
     with caplog.at_level(logging.INFO, "garmentnet"):
-        found = with_followed(config, bones, train_names, held)
+        found = resolve_relative_to(config, bones, train_names, held)
     assert found.low.relative_to == "joints"
     assert "bones move relative to the joints of the body" in caplog.text
-    assert with_followed(config, bones, train_names, []).low.relative_to == "frame"
+    assert resolve_relative_to(config, bones, train_names, []).low.relative_to == "frame"
     fixed = override(config, ["low.relative_to=frame"])
-    assert with_followed(fixed, bones, train_names, held) == fixed
+    assert resolve_relative_to(fixed, bones, train_names, held) == fixed
 
 
 def test_the_error_of_training_is_that_of_the_vertices(sleeve, tmp_path):

@@ -1,4 +1,4 @@
-"""Whether virtual bones move relative to the joints of the body, as suits what lies close.
+"""A linear fit, and what it decides: whether virtual bones move relative to the body's joints.
 
 What skinning by the body leaves of a sleeve is small, though the arm moves far; of a hem that hangs
 it is not smaller than the motion itself.  A linear map of the pose tells the two apart in seconds.
@@ -21,7 +21,7 @@ from ..data.virtual_bones import VirtualBones
 from ..networks.features import PoseFeatures, transforms_in_frame
 from ..networks.low_frequency import REACH, BoneCode
 
-__all__ = ["LinearFit", "with_followed"]
+__all__ = ["LinearFit", "resolve_relative_to"]
 
 _logger = logging.getLogger(__name__)
 _FRAMES = 6000  # about as many training frames are tried, in evenly spread clips
@@ -93,7 +93,7 @@ class LinearFit:
         return np.asarray(self._scaled(x) @ self.matrix + self.mean)
 
 
-def with_followed(
+def resolve_relative_to(
     config: Config, bones: VirtualBones, names: Sequence[str], held: Sequence[str]
 ) -> Config:
     """The configuration with a choice in place of ``low.relative_to = "auto"``.
