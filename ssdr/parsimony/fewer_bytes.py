@@ -24,10 +24,10 @@ from ..search.steps import polish
 from ..skinning import Skinning
 from ..solver.model import Model
 from ..storage.keyframes import Tracks
-from ..storage.size import key_bytes
+from ..storage.size import influence_bytes, key_bytes
 from .fewest_bones import Bounds, fewest_bones, merge_and_polish, polish_fewest, start_and_polish
-from .models_by_bones import ModelsByBones
-from .pruning import estimated_bytes, prune
+from .models_by_bones import PRUNING, ModelsByBones
+from .pruning import estimated_bytes, prune, record
 from .report import Pruning
 from .solved_frames import SolvedFrames
 
@@ -41,8 +41,9 @@ _LESS = 0.97  # estimated bytes, relative to the fewest so far, up to which a se
 _POLISH = 12  # steps before bytes are estimated
 _SPARE = 0.05  # share of the bytes that affine bones may take beyond those of the rigid ones
 _SHAPED = 0.97  # share of the tolerance that shapes hold: keys that are dropped use the rest
+_MATRICES = 1 << 29  # most bytes of a matrix for each vertex and frame, of which shapes take some
 
-Pruned = tuple[Skinning, list[Pruning]]
+Changed = tuple[Skinning, list[Pruning]]
 
 
 def fewer_bytes(
@@ -50,30 +51,32 @@ def fewer_bytes(
     bounds: Bounds,
     effort: Effort,
     tolerance: float,
-    rigid: Pruned,
+    rigid: Skinning,
     skinning_of_all: Callable[..., Skinning],
-) -> Pruned:
-    """Find the model of fewest bytes that holds the tolerance; return it and its prunings.
+) -> Iterator[Changed]:
+    """Yield models that hold the tolerance in ever fewer bytes, with their prunings.
 
     Parameters
     ----------
     models : ModelsByBones
         Models of a search that found the fewest bones.
     bounds : Bounds
+        Its `least` is proven.
     effort : {"fast", "balanced", "best"}
     tolerance : float
-    rigid : Skinning and list of Pruning
-        The pruned model of the fewest bones, which is the result if no other takes fewer bytes.
+    rigid : Skinning
+        The pruned model of the fewest bones, whose bytes are to be fewer.
     skinning_of_all : callable
         As in :func:`~ssdr.parsimony.pruning.prune`; also takes the `frames` of a model.
     """
-    frames, held = models.frames, models.best[models.held_bones].model
-    fewest, kept, best = estimated_bytes(frames, held, tolerance), None, rigid
-    bone = float(key_bytes(frames.skinning(held)).mean()) * frames.problem.n_frames
-    spare, size = int(_SPARE * fewest / bone), frames.size(rigid[0])
-    smooth = size.keys < _SMOOTH * bone * held.n_bones
-    saved = _SAVED * (size.weights - 4 * rigid[0].n_vertices + smooth * size.keys)
-    most = min(bounds.most, held.n_bones + int(max(saved, 0) / size.keys * held.n_bones))
+    frames, model = models.frames, models.best[models.held_bones].model
+    fewest, kept = estimated_bytes(frames, model, tolerance), None
+    bone = float(key_bytes(frames.skinning(model)).mean()) * frames.problem.n_frames
+    spare, size = int(_SPARE * fewest / bone), frames.size(rigid)
+    smooth = size.keys < _SMOOTH * bone * model.n_bones
+    needed = rigid.n_vertices * (1 + influence_bytes(rigid.n_bones, frames.problem.storage))
+    saved = _SAVED * (size.weights - needed + smooth * size.keys)
+    most = min(bounds.most, model.n_bones + int(max(saved, 0) / size.keys * model.n_bones))
     found = {
         "more bones": _more_bones(models, most),
         "affine bones": _affine(models, bounds, effort, spare),
@@ -85,23 +88,32 @@ def fewer_bytes(
                 break
             fewest, kept = estimated, (what, *one)
 
-    def stored(pruned: Pruned) -> float:
-        size, error = frames.kept(pruned[0], frames.error_of_all(pruned[0]), tolerance)
+    def stored(skinning: Skinning) -> float:
+        size, error = frames.kept(skinning, frames.error_of_all(skinning), tolerance)
         return size if error <= tolerance else math.inf
 
-    def changed(what: str, others: SolvedFrames, model: Model, pruned: Pruned) -> Pruned:
-        counts, sizes = (held.n_bones, model.n_bones), (frames.bytes(held), others.bytes(model))
-        errors = frames.error(held), others.error(model)
-        return pruned[0], [Pruning(what, *counts, *sizes, *errors), *pruned[1]]
+    def changed(what: str, bones: int, size: int, error: float) -> Pruning:
+        before = frames.bytes(model), frames.error(model)
+        return Pruning(what, model.n_bones, bones, before[0], size, before[1], error)
 
-    if kept is not None:
-        of_all = partial(skinning_of_all, frames=kept[1])
-        pruned = prune(*kept[1:], tolerance, of_all(kept[2]), of_all)
-        best = min(best, changed(*kept, pruned), key=stored)
-    shaped = _with_shapes(models, tolerance, bone)
-    if shaped is not None:
-        best = min(best, changed("shapes", *shaped), key=stored)
-    return best
+    def solved() -> Iterator[Changed]:
+        models.fraction = PRUNING
+        if kept is not None:
+            what, others, one = kept
+            of_all = partial(skinning_of_all, frames=others)
+            pruned, prunings = prune(others, one, tolerance, of_all(one), of_all)
+            change = changed(what, one.n_bones, others.bytes(one), others.error(one))
+            yield pruned, [change, *prunings]
+        for shaped, keyed in _with_shapes(models, tolerance, bone, skinning_of_all):
+            size, error = frames.size(shaped).total, frames.error_of_all(shaped)
+            last = record(frames, "keyframes", shaped, keyed, error, frames.error_of_all(keyed))
+            yield keyed, [changed("shapes", shaped.n_bones, size, error), last]
+
+    least = stored(rigid)
+    for skinning, prunings in solved():
+        if (taken := stored(skinning)) < least:
+            least = taken
+            yield skinning, prunings
 
 
 def _more_bones(models: ModelsByBones, most: int) -> Iterator[tuple[SolvedFrames, Model]]:
@@ -121,60 +133,72 @@ def _more_bones(models: ModelsByBones, most: int) -> Iterator[tuple[SolvedFrames
 def _affine(
     models: ModelsByBones, bounds: Bounds, effort: Effort, spare: int
 ) -> Iterator[tuple[SolvedFrames, Model]]:
-    """Yield a model with about half as many affine bones as the fewest rigid bones found.
-
-    A model with the fewest affine bones that suffice follows.
-    """
+    """Yield a model of the fewest affine bones, if about half as many as rigid ones suffice."""
     frames, problem = copy.copy(models.frames), models.frames.problem
     most = min(models.held_bones, (models.held_bones + spare) // 2)
     if problem.rig != "none" or problem.constraints.bone_model != "rigid" or most < bounds.least:
         return
     constraints = dataclasses.replace(problem.constraints, bone_model="affine")
     frames.problem = dataclasses.replace(problem, bones=most, constraints=constraints)
-    found = ModelsByBones(frames, models.report, tolerance=models.tolerance)
+
+    def report(phase: str, ready: bool) -> None:
+        models.iteration, models.fraction = found.iteration, found.fraction
+        models.report(f"affine, {phase}", ready)
+
+    found = ModelsByBones(frames, report, tolerance=models.tolerance)
+    found.attempts, found.iteration = models.attempts, models.iteration
+    found.fraction = models.fraction
     start = models.best[models.held_bones].model.with_restarted_support()
     schedule = partial(merge_and_polish, steps=_POLISH)
     found.attempt(most, schedule, "affine", start=start, until=0.0)
     if found.fewest is not None:
-        yield frames, found.best[most].model
         fewest_bones(found, Bounds(bounds.least, most, 0), effort)
         polish_fewest(found, effort)
         yield frames, found.best[found.held_bones].model
 
 
 def _with_shapes(
-    models: ModelsByBones, tolerance: float, bone: float
-) -> tuple[SolvedFrames, Model, Pruned] | None:
-    """Replace bones by shapes, if these take fewer bytes than the bones' keys, and drop keys.
+    models: ModelsByBones,
+    tolerance: float,
+    bone: float,
+    skinning_of_all: Callable[..., Skinning],
+) -> Iterator[tuple[Skinning, Skinning]]:
+    """Yield a model with shapes in the place of bones whose keys take more bytes.
 
-    Returns the frames, the model before it gets shapes, and the result with its prunings; or None
-    if shapes do not pay or the result misses the tolerance.
+    Yields it with all keys and with fewer; nothing if shapes do not pay or it misses the tolerance.
     """
-    frames, problem, held = models.frames, models.frames.problem, models.held_bones
+    frames, problem, rigid = models.frames, models.frames.problem, models.held_bones
+    n_vertices = problem.inputs[0].n_vertices
     # bones, each of so many bytes, that a shape has to replace; one alone is not worth the trial
-    each = (12 * problem.inputs[0].n_vertices + 4 * problem.n_frames) / bone
+    each = (12 * n_vertices + 4 * problem.n_frames) / bone
     if (
-        held - 1 < 2 * each
+        rigid - 1 < 2 * each
         or frames.measure == "max"
         or problem.rig != "none"
         or problem.constraints.rest
+        or 72 * n_vertices * problem.n_frames > _MATRICES
     ):
-        return None
+        return
+
+    def holds(skinning: Skinning) -> bool:
+        models.report("shapes", True)
+        return frames.kept(skinning, frames.error_of_all(skinning), tolerance)[1] <= tolerance
+
     if 1 not in models.best:
         models.attempt(1, start_and_polish, "a bone for shapes")
-    fewer = sorted(b for b in models.best if held - b >= each)
+    fewer = sorted(b for b in models.best if rigid - b >= each)
     truth = np.concatenate([s.frames(slice(None)) for s in problem.inputs]).astype(np.float64)
-    limit, needed = _SHAPED * tolerance, {}
+    # the search's own tolerance, which leaves room for what a file rounds
+    limit, needed = _SHAPED * models.tolerance, {}
     for bones in (1, fewer[len(fewer) // 2], fewer[-1]):
+        models.report("shapes", True)
         skinning = frames.skinning(models.best[bones].model)
         errors = components(skinning, truth - skinning.skin(dtype=np.float64))[1]
         needed[bones] = bones + each * (1 + int((errors > limit).sum()))
     bones = min(needed, key=lambda b: needed[b])
-    if needed[bones] > held:
-        return None
-    found = shapes_within(truth, frames.skinning(models.best[bones].model), limit)
-    if frames.error_of_all(found.skinning) > tolerance:
-        return None
-    tracks = Tracks(found.skinning, problem.offsets)
-    fewer_keys = tracks.sparsest(tolerance, lambda s: frames.error_of_all(s) <= tolerance)
-    return frames, models.best[bones].model, (fewer_keys or found.skinning, [])
+    if needed[bones] > rigid:
+        return
+    shaped = shapes_within(truth, skinning_of_all(models.best[bones].model), limit).skinning
+    if holds(shaped):
+        tracks = Tracks(shaped, problem.offsets)
+        yield shaped, tracks.sparsest(tolerance, holds) or shaped

@@ -28,7 +28,7 @@ from ..storage.size import influence_bytes
 from .report import Pruning
 from .solved_frames import SolvedFrames
 
-__all__ = ["FewerInfluences", "estimated_bytes", "prune"]
+__all__ = ["FewerInfluences", "estimated_bytes", "prune", "record"]
 
 # Number of prices to try: enough to come within a fifth of the best price.  For streamed frames,
 # where each trial is a pass over all frames, it is just enough to find one at which it holds.
@@ -197,8 +197,8 @@ def prune(
             best = trial
             break
     return best.keyed, [
-        _record(frames, "influences", skinning, best.fewer, before, best.error),
-        _record(frames, "keyframes", best.fewer, best.keyed, best.error, best.keyed_error),
+        record(frames, "influences", skinning, best.fewer, before, best.error),
+        record(frames, "keyframes", best.fewer, best.keyed, best.error, best.keyed_error),
     ]
 
 
@@ -293,7 +293,7 @@ def _pruned(
     return Pruned(skinning, keyed, error, keyed_error, *kept)
 
 
-def _record(
+def record(
     frames: SolvedFrames,
     what: Literal["influences", "keyframes"],
     a: Skinning,
@@ -301,6 +301,8 @@ def _record(
     before: float,
     after: float,
 ) -> Pruning:
+    """Record of a pruning from `a` to `b`, whose errors are `before` and `after`."""
+
     def count(s: Skinning) -> int:
         if what == "influences":
             return int(np.count_nonzero(s.weights))

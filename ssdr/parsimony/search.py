@@ -32,6 +32,7 @@ __all__ = ["find_smallest"]
 
 _ROUNDING = 1e-13  # error that counts as zero, relative to the largest coordinate
 _LOOSE = 10.0  # largest tolerance in use, relative to the scale of the frames
+_RIGID = 0.5  # share of the work before fewer bytes are looked for
 _RETRIES = 4  # most searches on representative frames, each with a stricter tolerance
 
 
@@ -72,6 +73,8 @@ def find_smallest(
     if angle is not None:
         frames.degree, frames.slack = tolerance / angle, allowed
 
+    part = (0.0, _RIGID if bytes_first else 1.0)  # of the work, that `models.fraction` is about
+
     def report(phase: str, ready: bool = True) -> None:
         held = models.fewest
         if held is not None:
@@ -80,7 +83,7 @@ def find_smallest(
             phase,
             iteration=models.iteration,
             rmse=math.inf if held is None else models.best[held].value,
-            fraction=models.fraction,
+            fraction=part[0] + part[1] * models.fraction,
             ready=ready,
         )
 
@@ -95,7 +98,7 @@ def find_smallest(
 
     models = ModelsByBones(frames, report, tolerance=tolerance)
     models.fraction = 0.0 if frames.scan is None else SCANNED
-    bounds = Bounds(min(least, problem.bones), problem.bones, exact)
+    bounds = proven = Bounds(min(least, problem.bones), problem.bones, exact)
     skinning, reason, prunings = None, "tolerance held", list[Pruning]()
     try:
         if problem.start is not None:
@@ -126,9 +129,10 @@ def find_smallest(
                 skinning, more = prune(frames, model, tolerance, skinning, pruned)
                 prunings += more
                 if bytes_first:
-                    skinning, prunings[1:] = fewer_bytes(
-                        models, bounds, problem.effort, tolerance, (skinning, more), pruned
-                    )
+                    models.fraction, part = 0.0, (_RIGID, 1 - _RIGID)
+                    options = problem.effort, tolerance, skinning, pruned
+                    for smaller, more in fewer_bytes(models, proven, *options):
+                        skinning, prunings[1:] = smaller, more
     except Stop as stop:
         reason = str(stop)
     if skinning is None:

@@ -57,6 +57,19 @@ def test_what_a_format_refuses_is_refused_before_the_work(refused, never, clip, 
     assert [p.name for p in tmp_path.iterdir()] == ["clip.npz"]
 
 
+def test_fewest_bytes_is_refused_where_a_format_lacks_what_it_may_find(
+    refused, never, clip, wave, tmp_path, monkeypatch
+):
+    pytest.importorskip("pxr")
+    monkeypatch.setattr("ssdr.io.blender.finder.command", lambda *_: [])
+    ssdr.save(wave, tmp_path / "in.usda")
+    line = ("--tolerance", "1%", "--fewest", "bytes", "-o")
+    for source, out in ((clip, "a.fbx"), (tmp_path / "in.usda", "a.usda")):
+        err = refused("smallest", source, *line, tmp_path / out)
+        assert "--fewest: expected bones for" in err
+        assert out in err
+
+
 def test_a_missing_package_is_named_before_the_work(refused, clip, tmp_path, monkeypatch):
     no_blender(monkeypatch, tmp_path)
     err = refused("decompose", clip, "-b", 2, "-o", tmp_path / "a.fbx", code=4)

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
+
 import numpy as np
 import pytest
 
 import ssdr
 from helpers import naive
+from helpers.measures import wavy
 from helpers.motions import rotation
+from ssdr.parsimony import search
+from ssdr.parsimony.report import Pruning
 from ssdr.problem import scan
+from ssdr.progress import Stop
+from ssdr.quantisation import is_stored
 
 SEED = np.random.default_rng(3)
-POINTS = SEED.uniform(-1, 1, (60, 3))
-TIMES = np.linspace(0, 2 * np.pi, 80)
+POINTS = SEED.uniform(-1, 1, (40, 3))
+TIMES = np.linspace(0, 2 * np.pi, 40)
 
 
 def error(frames, model):
@@ -36,19 +44,25 @@ def stretched():
 
 def dented():
     """A body that jumps about, with two displacements that differ from vertex to vertex."""
-    amounts, turns = SEED.standard_normal((2, 80, 2))
-    bent = POINTS + np.tensordot(amounts, 0.3 * SEED.standard_normal((2, 60, 3)), 1)
+    amounts, turns = SEED.standard_normal((2, 40, 2))
+    bent = POINTS + np.tensordot(amounts, 0.3 * SEED.standard_normal((2, 40, 3)), 1)
     return np.stack([p @ rotation(*a, 0).T for p, a in zip(bent, turns, strict=True)])
 
 
 @pytest.mark.parametrize(
-    ("frames", "what", "kind"),
-    [(stretched(), "affine bones", "affine"), (dented(), "shapes", "rigid")],
+    ("frames", "what", "kind", "storage"),
+    [
+        (stretched(), "affine bones", "affine", "float32"),
+        (dented(), "shapes", "rigid", "uint8"),
+    ],
 )
-def test_what_takes_fewer_bytes_is_taken_and_named(frames, what, kind):
-    options = {"tolerance": "1%", "effort": "fast", "bones": 20}
+def test_what_takes_fewer_bytes_is_taken_and_named(frames, what, kind, storage):
+    fractions = []
+    options = {"tolerance": "2%", "effort": "fast", "bones": 20, "influences": (4, storage)}
     usual = ssdr.smallest(frames, **options)
-    found = ssdr.smallest(frames, **options, fewest="bytes")
+    found = ssdr.smallest(
+        frames, **options, fewest="bytes", callback=lambda p: fractions.append(p.fraction)
+    )
     report, change = found.parsimony, found.parsimony.prunings[1]
     assert report.held
     assert error(frames, found.skinning) <= report.tolerance
@@ -58,6 +72,37 @@ def test_what_takes_fewer_bytes_is_taken_and_named(frames, what, kind):
     assert (found.skinning.n_shapes > 0) == (what == "shapes")
     assert (change.what, change.before) == (what, usual.skinning.n_bones)
     assert change.after == found.skinning.n_bones < usual.skinning.n_bones
+    assert is_stored(found.skinning.weights, storage)
+    assert fractions == sorted(fractions)
+    assert max(fractions) <= 1
+    for one, following in itertools.pairwise(report.prunings[1:]):
+        assert one.bytes_after == following.bytes_before
+        assert one.error_after <= report.tolerance
+    last = report.prunings[-1]
+    assert (last.what, last.bytes_after) == ("keyframes", report.size.total)
+    assert last.error_after == pytest.approx(report.error)
+    assert len(report.attempts) > len(usual.parsimony.attempts)
+
+
+def test_a_smaller_model_found_before_a_stop_is_the_result(monkeypatch):
+    """And a bound that retries for a coarse file have raised is not taken for a proven one."""
+    given = []
+
+    def found(models, bounds, effort, tolerance, rigid, skinning_of_all):
+        given.append((bounds, models.tolerance / tolerance))
+        yield dataclasses.replace(rigid, name="smaller"), [Pruning("more bones", *[0] * 6)]
+        raise Stop("time limit")
+
+    monkeypatch.setattr(search, "fewer_bytes", found)
+    monkeypatch.setattr(search, "_least_bones", lambda *_: (1, 0))
+    file = {"compression": "quantized", "name": "wavy", "tolerance": "1.5%"}
+    options = {"tolerance": "0.8%", "effort": "fast", "file": file, "fewest": "bytes"}
+    result = ssdr.smallest(wavy(), **options)
+    assert (result.skinning.name, result.stop_reason) == ("smaller", "time limit")
+    assert [one.what for one in result.parsimony.prunings] == ["bones", "more bones"]
+    ((bounds, stricter),) = given
+    assert stricter < 1
+    assert bounds.least == 1 < result.skinning.n_bones
 
 
 def test_rigid_bones_stay_where_nothing_takes_fewer():
