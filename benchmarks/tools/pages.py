@@ -192,6 +192,11 @@ def rest_rows() -> list[Row]:
     return pivot(found, SEQUENCE, "{pose}", shown)
 
 
+def lit_rows() -> list[Row]:
+    """Rows of lit.py with keys that a format string can name."""
+    return [{key.replace(".js", ""): v for key, v in r.items()} for r in rows("lit")]
+
+
 def named(rows: Iterable[Row]) -> list[Row]:
     return [r | {"name": STYLE[r["solver"]][0]} for r in rows]
 
@@ -370,6 +375,18 @@ BLOCKS: dict[str, list[str | Callable[[], str]]] = {
         "size: seconds (E)": "{points}",
     }), lambda: rates("scaling")],
     "rest_poses": [Table(rest_rows, {"sequence, bones": "{line}", **same(*REST_POSES.values())})],
+    "lit": [Table(lit_rows, {
+        "sequence": "{case}", **{
+            head: f"{{{key}:.1f}}"
+            for program, name in (("three", "three.js"), ("Godot", "Godot"))
+            for head, key in (
+                (name, program), (f"{name}, before", f"{program} before"),
+                (f"{name}, Dem Bones", f"{program} Dem Bones"),
+            )
+        },
+        "Blender": "{Blender:.1f}", "Blender, own normals": "{Blender own normals:.1f}",
+        "Blender, Dem Bones": "{Blender Dem Bones:.1f}",
+    })],
     "smoothness": [Table(smooth_rows, {
         "sequence, bones": SEQUENCE, "smoothness / diagonal": "{share}",
         "E, fitted frames": "{E:.3f}", "E, frames kept out": "{E kept out:.3f}",
