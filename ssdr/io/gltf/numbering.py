@@ -52,7 +52,7 @@ def unknown_extensions(json: dict[str, Any]) -> list[str]:
 
 
 def _slots(item: Any, keys: list[str]) -> Iterator[tuple[Any, Any]]:
-    """Yield the places of the indices at the end of the path `keys`, which starts at `item`.
+    """Yield where indices stand: at the ends of all paths `keys` from `item`, "*" being any key.
 
     A place is a list or object, and the position or key at which it holds the index.
     """

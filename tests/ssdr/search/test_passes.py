@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,11 @@ from ssdr.solver.model import Constraints, Model
 from ssdr.solver.rest_normals import with_rest_normals
 from ssdr.solver.rest_surface import RestSurface
 from ssdr.solver.trajectories import gather
+
+
+def of_free_model(*args: Any, importance: np.ndarray | None) -> AllFrames:
+    """Passes from a model in which nothing is locked or given."""
+    return AllFrames(*args, constraints=Constraints(), initial=Initial(), importance=importance)
 
 
 @pytest.mark.usefixtures("tiny_memory")
@@ -57,15 +63,7 @@ def test_a_pass_knows_the_strain_of_the_rest_pose_and_the_error_of_normals() -> 
     model = start_model(data, data.frame(3), 4, 4, np.random.default_rng(0))
     vertex_step(data, model)
     model = with_rest_normals(data, model)
-    passes = AllFrames(
-        sequences,
-        found,
-        data,
-        model,
-        constraints=Constraints(),
-        initial=Initial(),
-        importance=counts,
-    )
+    passes = of_free_model(sequences, found, data, model, importance=counts)
     values = [passes.pass_over(entering=3) for _ in range(4)]
     assert values[1:] == sorted(values[1:], reverse=True)
     space = passes.space
@@ -98,15 +96,7 @@ def test_passes_end_when_one_gains_little_and_one_that_raises_the_objective_is_t
         ([9.0, 8.999, 1.0, 1.0], 2),
         ([9.0, 8.0, 7.0, 6.0], 4),
     ):
-        passes = AllFrames(
-            sequences,
-            found,
-            data,
-            model,
-            constraints=Constraints(),
-            initial=Initial(),
-            importance=None,
-        )
+        passes = of_free_model(sequences, found, data, model, importance=None)
         assert list(passes.improve(4, entering=3)) == values[:kept]
         assert (passes.model.rest == kept).all()
 
