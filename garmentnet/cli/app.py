@@ -23,8 +23,6 @@ from .models import models
 from .simulating import simulate
 from .viewing import view
 
-__all__ = ["app", "main"]
-
 _CODES: tuple[tuple[Any, int], ...] = (
     ((KeyboardInterrupt, typer.Abort), 130),
     (MissingDependencyError, 4),

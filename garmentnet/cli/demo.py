@@ -14,8 +14,6 @@ from ..scenes.body import default_body
 from ..scenes.dance.choreography import dance
 from .progress import Show
 
-__all__ = ["made_dance", "run_demo", "run_pipeline"]
-
 _DANCE = ("sway", "spin", "kick", "walk")
 _SEED, _SECONDS = 7, 4.0
 

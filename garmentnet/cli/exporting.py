@@ -11,8 +11,6 @@ from ssdr.errors import InputError
 
 from .learning import entered_parameters
 
-__all__ = ["export"]
-
 
 def export(
     model: Annotated[Path, typer.Argument(metavar="MODEL", help="Checkpoint, or dress.")],

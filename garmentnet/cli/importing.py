@@ -11,8 +11,6 @@ import typer
 from ssdr.errors import InputError
 from ssdr.space import Up
 
-__all__ = ["import_clips"]
-
 
 def import_clips(
     output: Annotated[Path, typer.Option("--output", "-o", help="Store of clips, new or not.")],

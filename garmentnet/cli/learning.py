@@ -12,15 +12,6 @@ from ssdr.errors import InputError
 
 from .progress import logged, progress_bar
 
-__all__ = [
-    "demo",
-    "entered_parameters",
-    "evaluate",
-    "output_folder",
-    "predict",
-    "train",
-]
-
 Folder = Annotated[Path | None, typer.Option("--output", "-o", help="Folder; else one in ./out.")]
 Settings = Annotated[
     list[str] | None,

@@ -11,8 +11,6 @@ from ssdr.errors import FormatError, InputError
 
 from .progress import aligned
 
-__all__ = ["models"]
-
 _HEAD = ("name", "vertices", "bones", "reads", "MB", "error")
 
 

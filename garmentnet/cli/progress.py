@@ -10,8 +10,6 @@ from collections.abc import Callable, Iterator, Sequence
 
 from ssdr.cli import progress
 
-__all__ = ["Show", "aligned", "logged", "progress_bar"]
-
 # Function called with a text that says what is being done, and the fraction that is done.
 Show = Callable[[str, float], None]
 _EVERY = 5.0  # seconds between lines

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from ..data.clip import Clip
     from ..data.store import ClipStore
 
-__all__ = ["quality_rows", "simulate"]
-
 _HEAD = (
     *("set", "clips", "rejected", "frames"),
     *("stretch p50", "p99", "max", "inside %", "worst frame %", "depth mm"),

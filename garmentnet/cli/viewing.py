@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from ..data.subject import Subject
     from ..viewer import Take
 
-__all__ = ["view"]
-
 # Name, seed and classes of motion of the dances that a page shows by default, and their length.
 _DANCES = (
     ("dance", 1, None),

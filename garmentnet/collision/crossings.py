@@ -15,8 +15,6 @@ from ssdr.parallel import chunk_bounds, run_chunks
 
 from .crossing_kernels import count_crossings, fit_triangles
 
-__all__ = ["DEEP", "Crossings", "find_crossings"]
-
 # Metres from which a crossing can be seen: edges of a coarse mesh graze a body without harm.
 DEEP = 5e-3
 _FRAMES = 8

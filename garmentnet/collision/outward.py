@@ -16,8 +16,6 @@ from ssdr.kernels.closest import tree_order
 from .outward_kernels import push_outward
 from .push_out import MARGIN, PushOut
 
-__all__ = ["OutwardPush"]
-
 # The farthest skin to which a vertex is moved, metres: more than half a thigh.
 _REACH = 0.12
 

@@ -31,8 +31,6 @@ from ..data.clip_files import check_finite
 from .crossing_kernels import fit_triangles
 from .kernels import push_frame, signed_distances
 
-__all__ = ["INSIDE", "MARGIN", "PushOut", "PushedOut", "is_closed"]
-
 # Metres below the skin from which a vertex counts as inside, as for simulated clips.
 INSIDE = 5e-4
 # Distance from the skin, metres, which the simulated cloth of the data sets keeps, too.

@@ -16,21 +16,6 @@ from ssdr.errors import FormatError, InputError
 
 from ..io.tables import from_table, parse_toml, read_toml
 
-__all__ = [
-    "BoneOptions",
-    "Config",
-    "DataOptions",
-    "EnsembleOptions",
-    "FeatureOptions",
-    "HighOptions",
-    "LowOptions",
-    "TrainOptions",
-    "load_config",
-    "override",
-    "preset_names",
-]
-
-
 _PRESETS = Path(__file__).parent
 
 

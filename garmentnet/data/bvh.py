@@ -15,8 +15,6 @@ from scipy.spatial.transform import Rotation
 from ssdr.errors import FormatError, InputError
 from ssdr.io.registry import check, reading
 
-__all__ = ["Bvh", "find_bvh", "read_bvh"]
-
 Float = NDArray[np.float64]
 # Limits against hostile files, far above what a motion of a body needs.
 _MAX_BYTES = 1 << 28

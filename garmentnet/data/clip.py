@@ -22,8 +22,6 @@ from .outfit import Outfit
 from .parameters import SimulationParameters
 from .skeleton import mirror_transforms
 
-__all__ = ["MIRRORED", "Clip", "spread"]
-
 # Suffix of a mirrored clip's name; no name on disk may hold it.
 MIRRORED = "~mirrored"
 

@@ -23,18 +23,6 @@ from ssdr.io.atomic import atomic_path
 from ssdr.io.optional import import_optional as require
 from ssdr.io.registry import reading
 
-__all__ = [
-    "Frames",
-    "Split",
-    "check_finite",
-    "compressors",
-    "decode_steps",
-    "encode_steps",
-    "open_array",
-    "write_clip",
-    "zarr",
-]
-
 Split = Literal["train", "validation", "test"]
 # Number of frames whose vertices are compressed together: about 1 s, 100 KiB for 2,000 vertices.
 _CHUNK_FRAMES = 32

@@ -17,8 +17,6 @@ from ssdr.errors import InputError
 
 from .skeleton import Skeleton, check_joints
 
-__all__ = ["CLASSES", "Motion", "interpolate", "lead_in"]
-
 # Classes of motion; "recorded" is motion capture, the others are made by the generator.  New ones
 # are added at the end: stores hold indices into this list.
 CLASSES = (

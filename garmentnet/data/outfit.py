@@ -11,8 +11,6 @@ from ssdr.skinning import Skinning
 
 from .skeleton import Skeleton
 
-__all__ = ["Outfit"]
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Outfit:

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from ssdr.errors import InputError, SsdrWarning, is_real
 
-__all__ = ["RANGES", "SimulationParameters", "warn_beyond"]
-
 # Ranges that the data sets cover, which normalisation maps to [-1, 1]; units as in
 # SimulationParameters.
 RANGES: Mapping[str, tuple[float, float]] = {

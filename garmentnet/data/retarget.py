@@ -17,9 +17,6 @@ from .skeleton import Skeleton
 
 Float = NDArray[np.float64]
 
-__all__ = ["retarget"]
-
-
 # Names of the body's joints in other skeletons, in lower case (Daz, CMU, Mixamo and others);
 # right joints follow from the left ones.
 _NAMES = {

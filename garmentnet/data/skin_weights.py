@@ -20,8 +20,6 @@ from ssdr.laplacian import LaplacianSmoother
 
 from .store import ClipStore
 
-__all__ = ["BodyBound", "find_body_bound", "strongest"]
-
 # Largest error, metres, of skinning by the body at which a vertex counts as bound, in all frames.
 _CLOSE = 1e-4
 # Largest error, metres, of a vertex whose place at rest is solved for, and how often it is.  The

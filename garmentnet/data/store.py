@@ -34,8 +34,6 @@ from .outfit import Outfit
 from .parameters import SimulationParameters
 from .skeleton import Skeleton
 
-__all__ = ["ClipStore"]
-
 _FORMAT, _VERSION = "garmentnet clips", 1
 _ARRAYS = ("rest", "faces", "pinned", "mirror_vertices")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.\-]*\Z")

@@ -14,8 +14,6 @@ from ssdr import Skinning
 from .skeleton import Skeleton
 from .skin_weights import BodyBound
 
-__all__ = ["Subject", "mesh_identity"]
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Subject:

@@ -34,8 +34,6 @@ from .skin_weights import BodyBound, find_body_bound
 from .store import ClipStore
 from .subject import Subject, mesh_identity
 
-__all__ = ["VirtualBones", "parameter_roles", "virtual_bones"]
-
 # Refitting ends when a sweep lowers the error by less than this fraction: about 1 µm of 10 mm.
 _TOLERANCE = 1e-4
 _SWEEPS = 30  # most sweeps of a fit

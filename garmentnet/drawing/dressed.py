@@ -19,19 +19,6 @@ from ..data.clip import Clip
 from ..data.motion import CLASSES
 from ..data.outfit import Outfit
 
-__all__ = [
-    "MILLIMETRES",
-    "camera_track",
-    "caption",
-    "draw_clip",
-    "dressed",
-    "facing_the_camera",
-    "outfit_parts",
-    "outfit_regions",
-    "outfit_sheet",
-    "spread_frames",
-]
-
 MILLIMETRES = ("mm", 1000.0)
 # Azimuth of the camera from the front, degrees: shows both the front and the depth of a skirt.
 _AZIMUTH = 32.0

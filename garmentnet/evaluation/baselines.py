@@ -24,8 +24,6 @@ from ..networks.skinning import TorchSkinning, apply_frame, remove_frame
 from ..training.linear import LinearFit
 from .methods import Method
 
-__all__ = ["BodySkinned", "MeanShape", "Ridge", "body_skinning"]
-
 _INFLUENCES = 8  # joints per vertex, as many as engines support
 _NEIGHBOURS = 8  # body vertices from which a weight is interpolated
 # Least distance, metres, of a body vertex in its weight, so that no weight is infinite.

@@ -16,8 +16,6 @@ from ..data.virtual_bones import VirtualBones
 from .methods import Method
 from .tables import markdown
 
-__all__ = ["Limbs", "count_limbs", "limbs_table"]
-
 
 @dataclasses.dataclass(frozen=True)
 class Limbs:

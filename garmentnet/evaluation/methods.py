@@ -16,8 +16,6 @@ from ..networks.checkpoint import Checkpoint
 from ..networks.detail_basis import SurfaceTurns
 from ..networks.network import Motion
 
-__all__ = ["BonesThemselves", "MeanDetail", "Method", "Network"]
-
 # Number of training frames, evenly spread, of which the mean detail is taken.
 _MEAN_FRAMES = 1000
 

@@ -28,8 +28,6 @@ from .methods import BonesThemselves, MeanDetail, Method, Network
 from .scores import PARTS, VERTICES, Scores, chaos_floor, evaluate
 from .tables import class_table, markdown, score_table
 
-__all__ = ["fit_baselines", "group_of", "report"]
-
 _NUMBER = re.compile(r"[-_]\d+\Z")
 RECORDED = "recorded"
 _MOTIONS = "unseen motions, "  # beginning of the titles of sections; their groups follow

@@ -29,18 +29,6 @@ from ..data.motion import CLASSES
 from ..data.virtual_bones import VirtualBones
 from .methods import Method
 
-__all__ = [
-    "PARTS",
-    "VERTICES",
-    "ClassError",
-    "Parts",
-    "Score",
-    "Scores",
-    "chaos_floor",
-    "evaluate",
-    "pool",
-]
-
 _MM = 1e3  # from metres to millimetres
 PARTS = ("low", "high", "overall")
 VERTICES = ("all", "free")

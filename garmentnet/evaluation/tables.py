@@ -6,8 +6,6 @@ from collections.abc import Sequence
 
 from .scores import PARTS, Scores
 
-__all__ = ["class_table", "markdown", "score_table"]
-
 
 def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A table whose first column is text and whose others are numbers."""

@@ -13,8 +13,6 @@ from .baselines import BodySkinned, MeanShape, Ridge
 from .methods import Method, Network
 from .scores import evaluate
 
-__all__ = ["ADVICE", "validation_errors", "verdict"]
-
 _CLIPS = 8  # validation clips that are scored
 # What to do where a plain method errs less than the network.
 ADVICE = {

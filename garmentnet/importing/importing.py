@@ -27,8 +27,6 @@ from ..io.files import writing
 from .rig import Rig, rig_of
 from .scene_files import Say, Source, read_cloth, read_rig
 
-__all__ = ["ImportOptions", "import_clips"]
-
 _SHORTEST = 20  # fewest frames of a clip that is cut
 _BIND_POSE = 2e-3  # radians, mean over joints, up to which a pose is the bind pose
 PathLike = str | os.PathLike[str]

@@ -28,8 +28,6 @@ from ..data.store import ClipStore
 from ..io.files import writing
 from .scene_files import Say
 
-__all__ = ["import_published", "smplh_skeleton"]
-
 _FINGERS = ("index", "middle", "pinky", "ring", "thumb")
 # Name, parent and place (m, T-pose, y up, the pelvis near the origin) of the body's joints.  The
 # data set does not state places.  These are an adult's, to about a centimetre; a network reads the

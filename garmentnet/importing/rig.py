@@ -16,8 +16,6 @@ from ssdr.rigid import nearest_rotation
 
 from ..data.skeleton import Skeleton
 
-__all__ = ["Rig", "rig_of"]
-
 # Largest difference of an entry from the nearest rotation's that counts as rounding.
 _ROUNDING = 0.02
 # Distance, relative to the skeleton's size, below which two joints at rest coincide.

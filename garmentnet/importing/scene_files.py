@@ -14,8 +14,6 @@ from ssdr.errors import InputError
 from ssdr.io.spaces import in_space, transformed
 from ssdr.space import METRES_Y_UP, Up
 
-__all__ = ["Say", "Source", "read_cloth", "read_rig"]
-
 Say = Callable[[str], None]
 Model = TypeVar("Model", MeshSequence, Skinning)
 _USD = (".usd", ".usda", ".usdc")

@@ -15,8 +15,6 @@ from ssdr.errors import SsdrError
 from ssdr.io.arrays.archive import read_arrays, write_arrays
 from ssdr.io.atomic import write_bytes
 
-__all__ = ["kept", "write_file", "writing"]
-
 
 @contextlib.contextmanager
 def writing(path: Path) -> Iterator[None]:

@@ -14,8 +14,6 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 from ssdr.checks import LARGEST
 from ssdr.errors import FormatError, InputError, is_real, is_whole
 
-__all__ = ["check_numbers", "from_table", "parse_toml", "read_toml"]
-
 T = TypeVar("T")
 _KINDS = {bool: "true or false", int: "an integer", float: "a number", str: "a string"}
 

@@ -15,8 +15,6 @@ from ssdr.errors import FormatError, InputError
 from ssdr.io.optional import import_optional as require
 from ssdr.io.registry import reading
 
-__all__ = ["SHIPPED", "digest", "load_arrays"]
-
 # Checkpoints that ship with the package.
 SHIPPED = Path(__file__).parents[1] / "models"
 

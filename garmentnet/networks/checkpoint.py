@@ -29,13 +29,6 @@ from .features import Normaliser, transforms_in_frame
 from .network import Motion, MotionNetwork, Predictor
 from .tensor_files import load_tensors, part_of, save_tensors
 
-__all__ = [
-    "Checkpoint",
-    "load_checkpoint",
-    "load_weights",
-    "save_checkpoint",
-]
-
 # Tensors with fewer numbers stay in single precision, since halving them saves almost nothing.
 _MANY = 10_000
 

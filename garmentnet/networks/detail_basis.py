@@ -19,8 +19,6 @@ from torch import Tensor, nn
 from .gru import GRULinear
 from .skinning import matrix_from_sixd
 
-__all__ = ["DetailBasis", "SurfaceTurns"]
-
 
 class SurfaceTurns(nn.Module):
     """Rotations of the skinned surface at some vertices: blended rotations, made orthonormal.

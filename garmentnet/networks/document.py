@@ -19,8 +19,6 @@ from ..data.skin_weights import BodyBound
 from ..data.subject import Subject
 from ..io.tables import from_table
 
-__all__ = ["BOUND", "HIDDEN", "LATENT", "MESH", "Document", "NetworkRecord", "read_document"]
-
 FORMAT, VERSION = "garmentnet checkpoint", 5
 # Widths of the MLP g of an ensemble's kernel, as published.
 HIDDEN, LATENT = 16, 4

@@ -11,8 +11,6 @@ from torch import Tensor, nn
 
 from .document import HIDDEN, LATENT
 
-__all__ = ["Kernel"]
-
 Array = NDArray[np.float64]
 # Added to a squared distance whose root must have a gradient at 0.
 _SQUARE = 1e-12

@@ -19,8 +19,6 @@ from ..configs.config import FeatureOptions
 from ..data.skeleton import Skeleton, check_joints
 from .pose_kernels import pose_features
 
-__all__ = ["FRAMES", "Normaliser", "PoseFeatures", "PoseReader", "transforms_in_frame"]
-
 Array = NDArray[np.float64]
 # Moving frames of the output, in the order of their numbers in the kernels.
 FRAMES = ("world", "root", "heading")

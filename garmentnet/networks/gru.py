@@ -11,8 +11,6 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-__all__ = ["GRU", "GRULinear", "dropout_mask"]
-
 
 class GRU(nn.GRU):
     """A layer of ``torch.nn.GRU`` with its own backward pass for gradients on a CPU.

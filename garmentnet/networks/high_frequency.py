@@ -13,8 +13,6 @@ from torch import Tensor, nn
 
 from .gru import GRU
 
-__all__ = ["EdgeConv", "HighFrequency", "neighbour_table"]
-
 
 def neighbour_table(faces: Any, n_vertices: int) -> Tensor:
     """Neighbours ``(V, D)`` of every vertex by the mesh's edges.

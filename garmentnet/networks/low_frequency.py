@@ -17,8 +17,6 @@ from ssdr.rigid import sixd_from_matrix
 from .gru import GRULinear
 from .skinning import matrix_from_euler, matrix_from_sixd
 
-__all__ = ["REACH", "BoneCode", "LowFrequency"]
-
 # For each encoding of rotations its width, its decoder, and the smallest deviation that bone motion
 # is divided by, in degrees or none: a bone that hardly moves in training must not move wildly for
 # a small output.

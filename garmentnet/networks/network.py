@@ -21,8 +21,6 @@ from .high_frequency import HighFrequency
 from .low_frequency import BoneCode, LowFrequency
 from .skinning import TorchSkinning, apply_frame
 
-__all__ = ["FRAMES_AT_ONCE", "Motion", "MotionNetwork", "NetworkState", "Predictor"]
-
 # Frames that are predicted at once, which bounds the memory; results do not depend on it.
 FRAMES_AT_ONCE = 128
 

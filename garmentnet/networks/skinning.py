@@ -11,14 +11,6 @@ from torch import Tensor, nn
 from ssdr import Skinning
 from ssdr.errors import InputError
 
-__all__ = [
-    "TorchSkinning",
-    "apply_frame",
-    "matrix_from_euler",
-    "matrix_from_sixd",
-    "remove_frame",
-]
-
 # Columns shorter than this are divided by it instead of their length: no division by 0.
 _SHORT = 1e-8
 

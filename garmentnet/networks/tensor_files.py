@@ -16,8 +16,6 @@ from ssdr.io.optional import import_optional as require
 from ..io.files import writing
 from ..io.tensors import digest, load_arrays
 
-__all__ = ["load_tensors", "part_of", "save_tensors"]
-
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], documents: dict[str, Any]) -> Path:
     """Write tensors, JSON documents and their checksum to one file, complete or not at all."""

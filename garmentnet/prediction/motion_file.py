@@ -18,8 +18,6 @@ from ..data.skeleton import check_joints
 from ..data.store import ClipStore
 from ..networks.checkpoint import Checkpoint
 
-__all__ = ["read_motion"]
-
 
 def read_motion(
     path: Path | str, checkpoint: Checkpoint

@@ -33,8 +33,6 @@ from ..drawing.dressed import (
 from ..io.files import writing
 from .prediction import Prediction
 
-__all__ = ["check_output", "rigid", "save_prediction"]
-
 _ELEVATION = 12.0  # degrees of the camera above the horizon
 _FILMS = (".mp4", ".gif", ".webp")
 _PICTURES = (".png", ".jpg", ".jpeg")

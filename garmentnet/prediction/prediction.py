@@ -18,8 +18,6 @@ from ..collision.push_out import is_closed
 from ..data.parameters import SimulationParameters, warn_beyond
 from ..networks.checkpoint import Checkpoint
 
-__all__ = ["Prediction", "chosen_parameters", "predict"]
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Prediction:

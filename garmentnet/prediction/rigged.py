@@ -17,8 +17,6 @@ from ..io.files import writing
 from .output import rigid
 from .prediction import Prediction
 
-__all__ = ["Rigged", "rigged", "save_rigged"]
-
 # Singular values of a blended transform below this fraction of the largest are not inverted, so
 # that morph targets do not move vertices far whose bones turn against each other.
 _FLAT = 0.1

@@ -31,8 +31,6 @@ from ..networks.pose_kernels import all_rigid, moving_frame
 from .kernels import add_bones, place, skin
 from .pivot import Mixture, Pivot, read_pivot
 
-__all__ = ["LiveGarment", "LiveState", "load_live", "push_of"]
-
 Single = NDArray[np.float32]
 # Pivots of less weight are not run: where predictions differ by 0.1 m, that is an error of 0.01 mm.
 _NO_WEIGHT = 1e-4

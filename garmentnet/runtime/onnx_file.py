@@ -22,8 +22,6 @@ from ..io.files import write_file
 from .garment import LiveGarment
 from .pivot import Recurrent
 
-__all__ = ["export_onnx"]
-
 _OPSET, _IR = 17, 8  # versions of 2021, which the engines' importers know
 _FEW = 4096  # arrays with fewer numbers keep 32 bits
 _SHORT = 1e-8

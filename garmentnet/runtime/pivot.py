@@ -13,8 +13,6 @@ from ssdr.errors import FormatError
 from ..data.subject import Subject
 from ..networks.document import HIDDEN, LATENT, Document, NetworkRecord
 
-__all__ = ["Mixture", "Pivot", "Recurrent", "read_pivot"]
-
 Single = NDArray[np.float32]
 _SQUARE = 1e-12  # as the torch side adds to a squared distance
 

@@ -14,8 +14,6 @@ from ssdr.errors import InputError
 from ..data.parameters import SimulationParameters
 from .garment import LiveGarment, LiveState
 
-__all__ = ["Player"]
-
 # Fraction of a network's frame; times that differ by less count as equal.
 _SAME = 1e-6
 

@@ -17,8 +17,6 @@ from ssdr.skinning import Skinning
 
 from ..data.skeleton import Skeleton
 
-__all__ = ["Body", "default_body", "load_body", "save_body"]
-
 _DEFAULT = Path(__file__).with_name("body.npz")
 
 

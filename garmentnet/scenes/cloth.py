@@ -24,8 +24,6 @@ from .xpbd.contact import CLUSTER
 from .xpbd.loop import BodyArrays, ClothArrays, Step, simulate_frames
 from .xpbd.policy import INDEX, REAL
 
-__all__ = ["Cloth", "Solver"]
-
 # Density at which `drag` is stated, kg/m².
 _DENSITY = 0.2
 # Approximate number of triangles in a leaf of the body's tree.

@@ -21,8 +21,6 @@ from .garments import Garment, arm_weight, follow
 from .outline import LEVEL, Outline, find_outline, section
 from .rings import ROW, Half, divide, evenly, some_of
 
-__all__ = ["Cut", "cut_garment"]
-
 Floats = NDArray[np.float64]
 Faces = NDArray[np.int32]
 

@@ -23,8 +23,6 @@ from .motion_sources import MotionSource
 from .scene_file import DataSet, Scene
 from .simulator import simulate
 
-__all__ = ["STEP", "make_data_set", "recorded_motions"]
-
 # Step of stored coordinates, metres: rounding to its multiples moves no vertex by more than 0.2 mm.
 STEP = 2.3e-4
 _LOCK = "writing.lock"

@@ -18,8 +18,6 @@ from ssdr.errors import InputError
 from ..data.skin_weights import strongest
 from .body import Body
 
-__all__ = ["Garment", "arm_weight", "follow", "garment_from_mesh", "mirror_permutation"]
-
 _ARMS = ("collar_l", "collar_r", "arm_l", "arm_r", "forearm_l", "forearm_r", "hand_l", "hand_r")
 # Most joints that a pinned vertex follows.
 _INFLUENCES = 6

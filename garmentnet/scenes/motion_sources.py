@@ -16,8 +16,6 @@ from ..io.tables import check_numbers
 from .body import Body
 from .dance.choreography import DANCE_CLASSES, dance
 
-__all__ = ["SPLITS", "Dances", "DancesOfSplits", "MotionSource"]
-
 SPLITS: tuple[Split, ...] = get_args(Split)
 _SEEDS_OF_A_SPLIT = 1000
 _FROM_1 = (1, LARGEST)

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import ConvexHull
 
-__all__ = ["LEVEL", "Outline", "find_outline", "section"]
-
 Floats = NDArray[np.float64]
 
 # Distance between the sections of an outline, metres.

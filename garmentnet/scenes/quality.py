@@ -12,9 +12,6 @@ from ..data.motion import Motion
 from .body import Body
 from .garments import Garment
 
-__all__ = ["Gate", "Quality", "judge", "outside"]
-
-
 # Height above the skin, metres, to which a vertex is pushed out of the body.
 _MARGIN = 1e-3
 

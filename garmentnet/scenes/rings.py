@@ -11,8 +11,6 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ROW", "Half", "divide", "evenly", "some_of"]
-
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 

@@ -24,8 +24,6 @@ from .motion_sources import SPLITS, Dances, DancesOfSplits, MotionSource
 from .quality import Gate
 from .simulator import VERSION
 
-__all__ = ["DataSet", "MeshGarment", "ParameterSet", "Scene", "load_data_set", "presets"]
-
 _PRESETS = Path(__file__).with_name("presets")
 # Suffix of the name of a perturbed clip.
 _PERTURBED = "-moved"

@@ -19,8 +19,6 @@ from .cloth import Cloth
 from .garments import Garment
 from .quality import Gate, Quality, judge, outside
 
-__all__ = ["VERSION", "Simulated", "perturbation_field", "simulate"]
-
 # Version of the simulator, raised when a scene gives another clip; part of a clip's provenance.
 VERSION = 2
 # Number of averages with the neighbours that make a perturbation smooth over a few edges.

@@ -16,8 +16,6 @@ from ..data.virtual_bones import VirtualBones
 from ..networks.features import PoseReader, transforms_in_frame
 from ..networks.skinning import remove_frame
 
-__all__ = ["Batch", "Track", "Window", "batches", "load_tracks"]
-
 # Number of frames whose vertices are in memory at once.
 _FRAMES_AT_ONCE = 64
 

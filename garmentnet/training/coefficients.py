@@ -19,8 +19,6 @@ from .batches import Batch, Track
 from .loop import Objective, mixed_precision
 from .losses import EXACT
 
-__all__ = ["CoefficientObjective"]
-
 
 class CoefficientObjective(Objective):
     """Mean over frames of ‖Ĝ − G‖ / √V, computed from coefficients.

@@ -24,8 +24,6 @@ from .loop import Progress
 from .pivots import fit_kernel, gram, left_out, select_pivots
 from .run import train
 
-__all__ = ["compare_networks", "train_ensemble"]
-
 Array = NDArray[np.float64]
 # Most clips of a parameter set on which networks are compared, since prediction takes long.
 _CLIPS = 4

@@ -26,8 +26,6 @@ from .coefficients import CoefficientObjective
 from .loop import Objective, mixed_precision
 from .losses import BodyShape, collision_depth, frame_norm
 
-__all__ = ["LEAST_DEVIATION", "DetailObjective", "HighFrequencyObjective"]
-
 # Smallest deviation, metres, by which the output of a module is scaled.
 LEAST_DEVIATION = 1e-4
 # Number of frames from which mean and components are found: enough for a hundred components, and

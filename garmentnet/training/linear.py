@@ -21,8 +21,6 @@ from ..data.virtual_bones import VirtualBones
 from ..networks.features import PoseFeatures, transforms_in_frame
 from ..networks.low_frequency import REACH, BoneCode
 
-__all__ = ["LinearFit", "resolve_relative_to"]
-
 _logger = logging.getLogger(__name__)
 _FRAMES = 6000  # about as many training frames are tried, in evenly spread clips
 _CLIPS = 8  # clips for validation

@@ -23,8 +23,6 @@ from ..configs.config import TrainOptions
 from ..networks.tensor_files import load_tensors, part_of, save_tensors
 from .batches import Batch, Track, batches
 
-__all__ = ["Objective", "Progress", "fit", "mixed_precision"]
-
 _logger = logging.getLogger(__name__)
 # What makes bfloat16 products of a processor faster than those of float32, not slower.
 _INSTRUCTIONS = ("avx512_bf16", "amx_bf16")

@@ -15,15 +15,6 @@ from ssdr.laplacian import uniform_laplacian
 
 from ..networks.skinning import TorchSkinning
 
-__all__ = [
-    "EXACT",
-    "BodyShape",
-    "closest_vertices",
-    "collision_depth",
-    "frame_norm",
-    "mesh_laplacian",
-]
-
 # Square of 1 µm: a fit that is exact has no direction, and its gradient must stay finite.
 EXACT = 1e-12
 

@@ -22,8 +22,6 @@ from .loop import Objective, mixed_precision
 from .losses import EXACT
 from .targets import LowTargets
 
-__all__ = ["LowFrequencyObjective"]
-
 # The loss is computed on every third frame, which takes a third of the time.
 _EVERY = 3
 

@@ -27,16 +27,6 @@ _EXACT = 1e-16
 # Metres²; only against a division by 0 where all residuals vanish.
 _TINY = 1e-30
 
-__all__ = [
-    "Mixed",
-    "convex_fit",
-    "extremes",
-    "fit_kernel",
-    "gram",
-    "left_out",
-    "select_pivots",
-]
-
 
 def gram(predictions: Sequence[Any], truth: Any) -> Array:
     """Gram matrix Q ``(S, S)`` of residuals: means of ⟨r_i, r_j⟩ over frames and vertices, metres².

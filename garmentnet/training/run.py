@@ -36,8 +36,6 @@ from .loop import Objective, Progress, fit
 from .low_frequency import LowFrequencyObjective
 from .targets import LowTargets
 
-__all__ = ["build_network", "choose_clips", "pose_reader", "train", "with_mirrored"]
-
 _logger = logging.getLogger(__name__)
 # Number of frames from which the statistics of the bones' motion are found.
 _STATISTICS = 400

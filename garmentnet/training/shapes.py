@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ShapeBasis"]
-
 # Variances below this part of the largest are rounding.
 _NOTHING = 1e-12
 

@@ -19,8 +19,6 @@ from ..networks.skinning import remove_frame
 from .losses import mesh_laplacian
 from .shapes import ShapeBasis
 
-__all__ = ["LowTargets"]
-
 # Number of components: 192 leave an error of 1 to 2 mm on a loose dress; networks have 15 to 20 mm.
 _RANK = 192
 # Number of training frames, evenly spread, from which the components are found.

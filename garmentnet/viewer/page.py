@@ -36,8 +36,6 @@ from ..io.files import write_file
 from ..runtime.garment import LiveGarment, push_of
 from ..runtime.pivot import Recurrent
 
-__all__ = ["Take", "write_page"]
-
 _WEB = files(__package__) / "web"
 _SCRIPTS = tuple(_WEB / f"{name}.js" for name in ("network", "garment", "dress", "main"))
 _STYLES = (WEB / "page.css", _WEB / "page.css")

@@ -20,8 +20,6 @@ from ...data.skeleton import Skeleton
 from .moves import MOVES, TEMPI, Controls, Float, smooth
 from .puppet import CHANNELS, RATE, pose_joints
 
-__all__ = ["DANCE_CLASSES", "dance"]
-
 DANCE_CLASSES = tuple(MOVES)
 _FAST = ("spin", "kick", "squat", "jump", "turn")
 _SLOW = ("stand", "walk", "sway", "shift")

@@ -13,8 +13,6 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MOVES", "TEMPI", "Controls", "Float", "bump", "smooth"]
-
 Float = NDArray[np.float64]
 Controls = dict[str, Float]
 _GRAVITY = 9.81  # m/s²

@@ -16,8 +16,6 @@ from scipy.spatial.transform import Rotation
 
 from ...data.skeleton import Skeleton
 
-__all__ = ["CHANNELS", "RATE", "pose_joints"]
-
 Float = NDArray[np.float64]
 # Samples of the channels per second; steps and jumps need more than the frame rate.
 RATE = 120

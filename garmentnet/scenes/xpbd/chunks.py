@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from .policy import INDEX, LANES, REAL
 
-__all__ = ["Chunks", "colour", "pack"]
-
 
 class Chunks(NamedTuple):
     """Packed constraints, as the kernels of :mod:`~garmentnet.scenes.xpbd.constraints` read them.

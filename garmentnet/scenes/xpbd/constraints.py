@@ -20,8 +20,6 @@ from typing import Any
 
 from .policy import LANES, ONE, REAL, TINY, TWO, kernel
 
-__all__ = ["BUFFER_ROWS", "bend", "stretch"]
-
 BUFFER_ROWS = 18
 _ZERO, _UNIT, _DOUBLE = REAL(0), REAL(1), REAL(2)
 _A, _HALF_PI = REAL(0.28), REAL(math.pi / 2)

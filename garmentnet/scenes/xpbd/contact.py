@@ -12,8 +12,6 @@ import numpy as np
 
 from .policy import ONE, REAL, THREE, TINY, TWO, kernel, ordered_kernel
 
-__all__ = ["CLUSTER", "find_contacts", "push_out", "skin_points"]
-
 # Vertices that search the tree together; a multiple of every SIMD width.
 CLUSTER = 16
 _ZERO, _UNIT, _FAR = REAL(0), REAL(1), REAL(1e9)

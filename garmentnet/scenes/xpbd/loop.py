@@ -14,8 +14,6 @@ from .constraints import BUFFER_ROWS, bend, stretch
 from .contact import find_contacts, push_out, skin_points
 from .policy import INDEX, LANES, ONE, REAL, THREE, TWO, kernel
 
-__all__ = ["BodyArrays", "ClothArrays", "Step", "simulate_frames"]
-
 _GRAVITY = REAL(9.81)  # m/s², along -y
 
 

@@ -12,8 +12,6 @@ from typing import Any, TypeVar
 import numba
 import numpy as np
 
-__all__ = ["INDEX", "LANES", "ONE", "REAL", "THREE", "TINY", "TWO", "kernel", "ordered_kernel"]
-
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 REAL = np.float32
