@@ -4,14 +4,13 @@
     python benchmarks/accuracy/ablation.py --only "balanced, relaxing" "balanced, nothing"
 
 A case is a sequence, an effort and the step that is left out, which is replaced by one that does
-nothing.  "few frames" are ten or so of a sequence: a problem so small that it has further starts.
-Ratios are to the case in which nothing is left out, of the same seed.
+nothing.  "a search beside it" adds four trials where "balanced" has relaxed.  Ratios are to the
+case in which nothing is left out, of the same seed.
 """
 
 from __future__ import annotations
 
 import contextlib
-import math
 import sys
 import time
 from collections.abc import Iterator
@@ -35,7 +34,6 @@ SEQUENCES = {  # bones
     },
     "best": {"ea_bone": 10, "morph_stress": 9, "dancer_small": 8},
 }  # fmt: skip
-FEW_FRAMES = {"dancer_small": (8, 2), "ea_bone": (10, 40), "morph_stress": (9, 20)}  # bones, every
 
 
 def nothing(*_: Any, **__: Any) -> None:
@@ -52,6 +50,11 @@ def only_normals(d: Any, **_: Any) -> None:
     solve_normals(d)
 
 
+def then_search(d: Any, relaxed: Any = schedules.place_and_relax) -> None:
+    relaxed(d)
+    bone_steps.search(d, steps=4)
+
+
 def without(change: Any) -> dict[str, Any]:
     return {"CHANGES": tuple(kept for kept in bone_steps.CHANGES if kept is not change)}
 
@@ -63,11 +66,11 @@ LEFT_OUT: dict[str, dict[str, Any]] = {
     "moves of bones": {"move_bones": nothing},
     "merged start and moves": {"merged_start": nothing, "move_bones": nothing},
     "relaxing": {"relax": nothing},
-    "search": {"search": nothing},
     "last polish": {"last_polish": only_normals},
 }
-ONLY_BALANCED = {"further starts": {"START_SECONDS": math.inf}}
+ONLY_BALANCED = {"(a search beside it)": {"place_and_relax": then_search}}
 ONLY_BEST = {
+    "search": {"search": nothing},
     "rebuilds": {"rebuild": nothing},
     "trees": {"start_from_tree": nothing},
     "merged start": {"search_merged": nothing},
@@ -84,17 +87,12 @@ def cases() -> Iterator[tuple[str, Row]]:
 
     for effort, sequences in SEQUENCES.items():
         for seed in range(SEEDS[effort]):
-            for step in {**LEFT_OUT, **ONLY_BEST} if effort == "best" else LEFT_OUT:
+            for step in {**LEFT_OUT, **(ONLY_BEST if effort == "best" else ONLY_BALANCED)}:
                 for sequence, bones in sequences.items():
                     yield case(effort, step, sequence, bones, seed)
-    for seed in range(SEEDS["balanced"]):
-        for step in ("nothing", *ONLY_BALANCED):
-            for sequence, (bones, every) in FEW_FRAMES.items():
-                name, row = case("balanced", step, sequence, bones, seed)
-                yield f"{name}, few frames", row | {"every": every}
 
 
-def measure(effort: Any, step: str, sequence: str, bones: int, seed: int, every: int = 1) -> Row:
+def measure(effort: Any, step: str, sequence: str, bones: int, seed: int) -> Row:
     frames, faces = common.load(sequence)
     replaced = {**LEFT_OUT, **ONLY_BALANCED, **(ONLY_BEST if effort == "best" else {})}[step]
     common.compile_kernels()
@@ -104,9 +102,9 @@ def measure(effort: Any, step: str, sequence: str, bones: int, seed: int, every:
             for home in homes:
                 stack.enter_context(mock.patch.object(home, name, value))
         start = time.process_time()
-        made = ssdr.decompose(frames[::every], faces, bones=bones, effort=effort, rng=seed)
+        made = ssdr.decompose(frames, faces, bones=bones, effort=effort, rng=seed)
         seconds = time.process_time() - start
-    error, normals = common.e_of(frames[::every], made.skinning), made.normals
+    error, normals = common.e_of(frames, made.skinning), made.normals
     degrees = None if normals is None else normals.mean
     return {"E": error, "degrees": degrees, "cpu seconds": seconds}
 

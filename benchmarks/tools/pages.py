@@ -162,9 +162,9 @@ def part_rows(step: str) -> list[Row]:
     return pivot(found, "{part}", "{case}", "{shown}")
 
 
-def ablation_rows(effort: str, **wanted: Any) -> list[Row]:
+def ablation_rows(effort: str) -> list[Row]:
     """E and CPU seconds without a step, relative to those of the whole search, by sequence."""
-    found = [r for r in rows("ablation", effort=effort) if ("every" in r) == bool(wanted)]
+    found = rows("ablation", effort=effort)
     whole = {(r["sequence"], r["seed"]): r for r in found if r["step"] == "nothing"}
     ratios: dict[tuple[str, str], list[tuple[float, float]]] = {}
     for r in found:
@@ -247,8 +247,8 @@ def stability_words() -> str:
     )
 
 
-def ablation_table(effort: str, sequences: Iterable[str], **wanted: Any) -> Table:
-    return Table(lambda: ablation_rows(effort, **wanted), {"without": "{step}", **same(*sequences)})
+def ablation_table(effort: str, sequences: Iterable[str]) -> Table:
+    return Table(lambda: ablation_rows(effort), {"without": "{step}", **same(*sequences)})
 
 
 CASES = ("horse_gallop-20", "samba-60", "paper_size-80")
@@ -283,8 +283,6 @@ BLOCKS: dict[str, list[str | Callable[[], str]]] = {
     "ablation": [
         "`balanced`:",
         ablation_table("balanced", ablation.SEQUENCES["balanced"]),
-        "`balanced` on every second to fortieth frame, a problem so small that it has more starts:",
-        ablation_table("balanced", ablation.FEW_FRAMES, few=True),
     ],
     "choose_bones": [Table(lambda: choice_rows("bones"), {
         "bones": "{bones}", "RMSE, mm": "{mm:.2f}", "s": "{seconds:.1f}",

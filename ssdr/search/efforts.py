@@ -11,13 +11,10 @@ import math
 from ..problem.problem import Effort
 
 __all__ = [
-    "LARGE",
     "MANY_BONES",
     "NUMBERS",
     "RELAXED_VERTICES",
-    "SECONDS_OF_A_NUMBER",
     "STARTS_OF_MANY_BONES",
-    "START_SECONDS",
     "TREE_ROUNDS",
     "TRIALS_OF_A_REBUILD",
     "TRIALS_OF_A_START",
@@ -106,7 +103,6 @@ REBUILDS = (  # size below which the numbers hold, and the numbers
     (math.inf, Rebuilds(trials=6, before=0, after=3, trees=1, tree_searches=3)),
 )
 TRIALS_OF_A_REBUILD = 6
-LARGE = 2e8  # size from which on "balanced" makes no trials: each would take many seconds
 # Fewest vertices per bone in a sample on which influences are relaxed; 60 are overfitted.
 RELAXED_VERTICES = 128
 # From this number of bones on there are several starts with few trials each, because alternations
@@ -116,8 +112,6 @@ MANY_BONES, STARTS_OF_MANY_BONES, TRIALS_OF_A_START = 24, 3, 4
 # change.  The error E of cow_elastic with 24 bones is then 7.14, against 7.36 after one search with
 # 24 to 48 trials.
 TREE_ROUNDS, TRIALS_OF_A_TREE = 6, 12
-# Seconds of a start: a constant part, and a part for each vertex × frame × bone.
-START_SECONDS, SECONDS_OF_A_NUMBER = 0.02, 1e-6
 
 
 def rebuilds(size: float) -> Rebuilds:

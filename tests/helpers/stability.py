@@ -134,7 +134,8 @@ def taken_up(problem: Problem) -> str:
             return f"did not stop: {part.stop_reason}"
         start = {"start": ssdr.load_skinning(path)}
         again = dataclasses.replace(problem, options=problem.options | start).solve()
-    return "" if again.rmse <= rmse_of(start["start"], problem.positions()) else "a higher error"
+    before = rmse_of(start["start"], problem.positions())
+    return "" if again.rmse <= (1 + 1e-12) * before else "a higher error"
 
 
 def goes_on(problem: Problem) -> str:
