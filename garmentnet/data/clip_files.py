@@ -24,8 +24,8 @@ from ssdr.io.optional import import_optional as require
 from ssdr.io.registry import reading
 
 __all__ = [
-    "Frames",
     "Split",
+    "StoredFrames",
     "check_finite",
     "compressors",
     "decode_steps",
@@ -139,7 +139,7 @@ def open_array(path: Path, name: str, shape: tuple[int, ...]) -> Any:
         return array
 
 
-class Frames:
+class StoredFrames:
     """Vertices on disk, which are read, checked and possibly reflected when they are indexed.
 
     Parameters

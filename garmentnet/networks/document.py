@@ -19,7 +19,15 @@ from ..data.skin_weights import BodyBound
 from ..data.subject import Subject
 from ..io.tables import from_table
 
-__all__ = ["BOUND", "HIDDEN", "LATENT", "MESH", "Document", "NetworkRecord", "read_document"]
+__all__ = [
+    "BOUND",
+    "HIDDEN",
+    "LATENT",
+    "MESH",
+    "CheckpointDocument",
+    "NetworkRecord",
+    "read_document",
+]
 
 FORMAT, VERSION = "garmentnet checkpoint", 5
 # Widths of the MLP g of an ensemble's kernel, as published.
@@ -43,7 +51,7 @@ class NetworkRecord:
 
 
 @dataclasses.dataclass(frozen=True)
-class Document:
+class CheckpointDocument:
     """The JSON document of a checkpoint.
 
     `power` is that of the kernel; earlier versions, whose kernels have 1, do not state it.
@@ -66,7 +74,9 @@ class Document:
         return self.kernel or self.networks[0].config.data.condition
 
 
-def read_document(arrays: dict[str, Any], documents: dict[str, Any]) -> tuple[Document, Subject]:
+def read_document(
+    arrays: dict[str, Any], documents: dict[str, Any]
+) -> tuple[CheckpointDocument, Subject]:
     """JSON document of a checkpoint, and the garment and body that its networks are for.
 
     Parameters
@@ -86,7 +96,7 @@ def read_document(arrays: dict[str, Any], documents: dict[str, Any]) -> tuple[Do
     check(ours, "not a checkpoint of garmentnet")
     version = table.get("version")
     check(version == VERSION, f"version {version}, this reads {VERSION}")
-    d = from_table(Document, table, file="document")
+    d = from_table(CheckpointDocument, table, file="document")
     numbers = (d.fps, *(r.clamp for r in d.networks))
     check(d.fps > 0 and all(map(math.isfinite, numbers)), f"frame rate or clamp {numbers}")
     count = len(d.networks)
