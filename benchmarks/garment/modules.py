@@ -44,7 +44,7 @@ from garmentnet.networks.high_frequency import HighFrequency
 from garmentnet.networks.skinning import TorchSkinning
 from garmentnet.training.batches import Batch, Track
 from garmentnet.training.coefficients import CoefficientObjective
-from garmentnet.training.loop import Objective, fit, mixed_precision
+from garmentnet.training.loop import TrainingObjective, fit, mixed_precision
 from garmentnet.training.losses import frame_norm
 
 RANK = 64
@@ -85,7 +85,7 @@ class FrameDetail(DetailBasis):
         return out * self.deviation, state
 
 
-class VertexObjective(Objective):
+class VertexObjective(TrainingObjective):
     """Loss ‖Ĝ_HF − G_HF‖ of the paper's module; a track's extra is (F, 2, n, 3): mesh, detail."""
 
     def __init__(
@@ -224,7 +224,7 @@ class Comparison:
                 found.append((turn.mT @ got[..., None])[..., 0].numpy())
         return found, module
 
-    def fit(self, objective: Objective, name: str, rate: float) -> None:
+    def fit(self, objective: TrainingObjective, name: str, rate: float) -> None:
         folder = self.work / name
         folder.mkdir(parents=True, exist_ok=True)
         o = self.config.train

@@ -19,7 +19,7 @@ from garmentnet.networks.checkpoint import Checkpoint
 from garmentnet.networks.detail_basis import DetailBasis
 from garmentnet.training.batches import Track
 from garmentnet.training.high_frequency import DetailObjective
-from garmentnet.training.loop import Progress, fit
+from garmentnet.training.loop import TrainingProgress, fit
 
 __all__ = ["BASELINES", "SANTESTEBAN", "TransformerDetail", "train_chen"]
 
@@ -93,7 +93,7 @@ def train_chen(
     folder: Path,
     *,
     hidden: int = 256,
-    callback: Callable[[Progress], bool | None] | None = None,
+    callback: Callable[[TrainingProgress], bool | None] | None = None,
 ) -> Network:
     """Trained copy of a network in which a transformer predicts the detail.
 

@@ -29,7 +29,7 @@ from garmentnet.networks.gru import GRULinear
 from garmentnet.networks.skinning import apply_frame, remove_frame
 from garmentnet.training.batches import Track, load_tracks
 from garmentnet.training.coefficients import CoefficientObjective
-from garmentnet.training.loop import Progress, fit
+from garmentnet.training.loop import TrainingProgress, fit
 from garmentnet.training.run import pose_reader
 from garmentnet.training.shapes import ShapeBasis
 
@@ -206,7 +206,7 @@ def train_regression(
     validation: Sequence[str],
     folder: Path,
     *,
-    callback: Callable[[Progress], bool | None] | None = None,
+    callback: Callable[[TrainingProgress], bool | None] | None = None,
 ) -> Regression:
     """Train a baseline with the training options and layer width of a configuration.
 
@@ -221,7 +221,7 @@ def train_regression(
         Folder of the training's state, from which an interrupted training continues and a finished
         one is read.
     callback : callable, optional
-        Called with a :class:`~garmentnet.training.loop.Progress` after every epoch.
+        Called with a :class:`~garmentnet.training.loop.TrainingProgress` after every epoch.
     """
     folder.mkdir(parents=True, exist_ok=True)
     features = config.features

@@ -16,7 +16,7 @@ from ssdr.io.registry import reading
 from ssdr.sequence import MeshSequence
 from ssdr.skinning import skin
 
-from .clip_files import Frames, Split, check_finite, open_array
+from .clip_files import Split, StoredFrames, check_finite, open_array
 from .motion import CLASSES
 from .outfit import Outfit
 from .parameters import SimulationParameters
@@ -79,7 +79,7 @@ class Clip:
     @functools.cached_property
     def sequence(self) -> MeshSequence:
         """Animation of the garment; frames are read from disk when they are used."""
-        vertices = Frames(
+        vertices = StoredFrames(
             self.path,
             (self.n_frames, self.outfit.n_vertices, 3),
             self.step,

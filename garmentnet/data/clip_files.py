@@ -127,7 +127,7 @@ def open_array(path: Path, name: str, shape: tuple[int, ...]) -> Any:
         return array
 
 
-class Frames:
+class StoredFrames:
     """Vertices on disk, which are read, checked and possibly reflected when they are indexed.
 
     Parameters

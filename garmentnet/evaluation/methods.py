@@ -14,7 +14,7 @@ from ..data.clip import Clip
 from ..data.virtual_bones import VirtualBones
 from ..networks.checkpoint import Checkpoint
 from ..networks.detail_basis import SurfaceTurns
-from ..networks.network import Motion
+from ..networks.network import NetworkOutput
 
 # Number of training frames, evenly spread, of which the mean detail is taken.
 _MEAN_FRAMES = 1000
@@ -127,7 +127,7 @@ class MeanDetail(BonesThemselves):
         return np.asarray(self.turns(torch.from_numpy(transforms)).numpy())
 
 
-def _detail(motion: Motion) -> Array:
+def _detail(motion: NetworkOutput) -> Array:
     if motion.high is None:
         return np.zeros(motion.low.shape, np.float32)
     turned = motion.high.double().cpu().numpy() @ motion.frame[..., :3].transpose(0, 2, 1)

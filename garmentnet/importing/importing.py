@@ -24,7 +24,7 @@ from ..data.motion import CLASSES
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
 from ..io.files import writing
-from .rig import Rig, rig_of
+from .rig import MovingBody, rig_of
 from .scene_files import Say, Source, read_cloth, read_rig
 
 _SHORTEST = 20  # fewest frames of a clip that is cut
@@ -135,7 +135,7 @@ def import_clips(
 
 def _read(
     cloth_file: Path, rig_file: Path, o: ImportOptions, rate: float | None, name: str, say: Say
-) -> tuple[MeshSequence, Rig]:
+) -> tuple[MeshSequence, MovingBody]:
     """Cloth and rig at one rate, cut to the frames that both have."""
     model = read_rig(rig_file, o.rig, rate, name, say)
     cloth = read_cloth(cloth_file, o.cloth, rate, say)
@@ -160,7 +160,7 @@ def _check_faces(cloth: MeshSequence, faces: NDArray[np.int32]) -> None:
 
 
 def _create(
-    path: Path, cloth: MeshSequence, rig: Rig, o: ImportOptions, rest_file: Any, say: Say
+    path: Path, cloth: MeshSequence, rig: MovingBody, o: ImportOptions, rest_file: Any, say: Say
 ) -> ClipStore:
     if rest_file is not None:
         mesh = read_cloth(Path(rest_file), o.cloth, None, say)

@@ -31,7 +31,7 @@ _HUGE = 20.0  # size from which a skeleton's unit cannot be the metre
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Rig:
+class MovingBody:
     """A moving skeleton, and the body that it moves.
 
     Attributes
@@ -122,7 +122,7 @@ class Rig:
             )
         return None
 
-    def matched(self, skeleton: Skeleton, body: Skinning) -> Rig:
+    def matched(self, skeleton: Skeleton, body: Skinning) -> MovingBody:
         """Rig with this motion for a skeleton with the same joints in any order, and its body.
 
         The rest poses may differ by a rigid motion.
@@ -149,10 +149,10 @@ class Rig:
         m = self.joints[:, order]
         shift = m[..., :3] @ turn[:, 3] + m[..., 3]
         moved = np.concatenate([m[..., :3] @ turn[:, :3], shift[..., None]], axis=-1)
-        return Rig(skeleton, body, moved)
+        return MovingBody(skeleton, body, moved)
 
 
-def rig_of(model: Skinning) -> Rig:
+def rig_of(model: Skinning) -> MovingBody:
     """Skeleton, body and motion of a skinning.
 
     The skeleton is the largest tree of bones; roots of other trees become children of its root.
@@ -184,7 +184,7 @@ def rig_of(model: Skinning) -> Rig:
     names = tuple(np.array(model.names(), dtype=object)[order])
     above = np.where(parents[order] >= 0, place[parents[order]], -1)
     transforms = np.asarray(model.transforms, np.float64)[:, order]
-    return Rig(
+    return MovingBody(
         Skeleton(names, above, rest),
         _body(model, np.flatnonzero(moves[:, alone].any(axis=1)), place, rest, names),
         _rigid(transforms, rest, names),

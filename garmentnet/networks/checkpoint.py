@@ -23,10 +23,10 @@ from ssdr.io.registry import reading
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
 from ..data.subject import Subject, mesh_identity
-from .document import BOUND, MESH, Document, NetworkRecord, read_document
+from .document import BOUND, MESH, CheckpointDocument, NetworkRecord, read_document
 from .ensemble import Kernel
 from .features import Normaliser, transforms_in_frame
-from .network import Motion, MotionNetwork, Predictor
+from .network import MotionNetwork, NetworkOutput, Predictor
 from .tensor_files import load_tensors, part_of, save_tensors
 
 # Tensors with fewer numbers stay in single precision, since halving them saves almost nothing.
@@ -94,7 +94,7 @@ class Checkpoint(Predictor):
         parameters: SimulationParameters | None = None,
         detail: bool = True,
         frames: Any = None,
-    ) -> tuple[Motion, Any]:
+    ) -> tuple[NetworkOutput, Any]:
         """As :meth:`MotionNetwork.run`; equation 3 of the paper for an ensemble.
 
         Parameters
@@ -133,7 +133,7 @@ class Checkpoint(Predictor):
         body = torch.from_numpy(transforms_in_frame(chosen, frame)).float().to(first.device)
         # LBS is linear in the transforms, so Σ Ψ̄ LBS(M_i) = LBS(Σ Ψ̄ M_i) is skinned once.
         low = first.carry(first.lbs(transforms), body)
-        return Motion(transforms, low, high, frame), tuple(states)
+        return NetworkOutput(transforms, low, high, frame), tuple(states)
 
     def check_fits(self, store: ClipStore) -> None:
         """Raise InputError unless the store has this garment, body and frame rate."""
@@ -180,7 +180,7 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path | str, *, half: bool = Fa
     if kernel is not None:
         tensors |= {f"kernel.{k}": v for k, v in kernel.state_dict().items()}
     tensors |= {k: torch.from_numpy(np.array(v)) for k, v in arrays.items()}
-    document = Document(
+    document = CheckpointDocument(
         fps=subject.fps,
         garment_id=subject.garment_id,
         body_id=subject.body_id,

@@ -41,7 +41,7 @@ class NetworkRecord:
 
 
 @dataclasses.dataclass(frozen=True)
-class Document:
+class CheckpointDocument:
     """The JSON document of a checkpoint.
 
     `power` is that of the kernel; earlier versions, whose kernels have 1, do not state it.
@@ -64,7 +64,9 @@ class Document:
         return self.kernel or self.networks[0].config.data.condition
 
 
-def read_document(arrays: dict[str, Any], documents: dict[str, Any]) -> tuple[Document, Subject]:
+def read_document(
+    arrays: dict[str, Any], documents: dict[str, Any]
+) -> tuple[CheckpointDocument, Subject]:
     """JSON document of a checkpoint, and the garment and body that its networks are for.
 
     Parameters
@@ -84,7 +86,7 @@ def read_document(arrays: dict[str, Any], documents: dict[str, Any]) -> tuple[Do
     check(ours, "not a checkpoint of garmentnet")
     version = table.get("version")
     check(version == VERSION, f"version {version}, this reads {VERSION}")
-    d = from_table(Document, table, file="document")
+    d = from_table(CheckpointDocument, table, file="document")
     numbers = (d.fps, *(r.clamp for r in d.networks))
     check(d.fps > 0 and all(map(math.isfinite, numbers)), f"frame rate or clamp {numbers}")
     count = len(d.networks)

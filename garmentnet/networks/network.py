@@ -35,7 +35,7 @@ class NetworkState:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Motion:
+class NetworkOutput:
     """A network's prediction for F frames, in the moving frame.
 
     Attributes
@@ -77,11 +77,11 @@ class Predictor:
     """What a network and a checkpoint share: whole motions and single frames from :meth:`run`."""
 
     # Prediction of consecutive frames that follow a state, and the state after them.
-    run: Callable[..., tuple[Motion, Any]]
+    run: Callable[..., tuple[NetworkOutput, Any]]
 
     def motions(
         self, joints: Any, parameters: Any = None, *, detail: bool = True, frames: Any = None
-    ) -> list[Motion]:
+    ) -> list[NetworkOutput]:
         """The motion, or some of its frames, in parts of at most 128 frames."""
         joints, state, out = np.asarray(joints), None, []
         for start in range(0, max(1, len(joints)), FRAMES_AT_ONCE):
@@ -261,7 +261,7 @@ class MotionNetwork(nn.Module, PoseReader, Predictor):
         parameters: Any = None,
         detail: bool = True,
         frames: Any = None,
-    ) -> tuple[Motion, NetworkState]:
+    ) -> tuple[NetworkOutput, NetworkState]:
         """Predict consecutive frames; return them and the state after the last.
 
         Parameters
@@ -302,4 +302,6 @@ class MotionNetwork(nn.Module, PoseReader, Predictor):
                 several, high_state = self.high(inputs, low[None], state.high, index[None])
                 out = several[0]
             high = self.carry(out, body, "high")
-        return Motion(transforms, low, high, frame), NetworkState(pose, low_state, high_state)
+        return NetworkOutput(transforms, low, high, frame), NetworkState(
+            pose, low_state, high_state
+        )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ssdr.errors import FormatError
 
 from ..data.subject import Subject
-from ..networks.document import HIDDEN, LATENT, Document, NetworkRecord
+from ..networks.document import HIDDEN, LATENT, CheckpointDocument, NetworkRecord
 
 Single = NDArray[np.float32]
 _SQUARE = 1e-12  # as the torch side adds to a squared distance
@@ -154,7 +154,7 @@ class Mixture:
     power: int
 
     @classmethod
-    def read(cls, arrays: dict[str, Any], document: Document) -> Mixture | None:
+    def read(cls, arrays: dict[str, Any], document: CheckpointDocument) -> Mixture | None:
         """From the arrays and the document of a checkpoint; None if it has one network alone."""
         if not document.kernel:
             return None

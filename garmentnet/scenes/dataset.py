@@ -20,7 +20,7 @@ from ..data.store import ClipStore
 from ..io.files import writing
 from .cloth import Cloth
 from .motion_sources import MotionSource
-from .scene_file import DataSet, Scene
+from .scene_file import DataSet, SceneDescription
 from .simulator import simulate
 
 # Step of stored coordinates, metres: rounding to its multiples moves no vertex by more than 0.2 mm.
@@ -152,7 +152,7 @@ def make_data_set(
     return store
 
 
-def _add(cloth: Cloth, scene: Scene, store: ClipStore) -> None:
+def _add(cloth: Cloth, scene: SceneDescription, store: ClipStore) -> None:
     """Simulate one scene and add it to the store."""
     data_set, motion = scene.data_set, scene.motion.make(cloth.body, scene.data_set.fps)
     result = simulate(
@@ -180,7 +180,7 @@ def _add(cloth: Cloth, scene: Scene, store: ClipStore) -> None:
         )
 
 
-def _is_there(store: ClipStore, scene: Scene) -> bool:
+def _is_there(store: ClipStore, scene: SceneDescription) -> bool:
     if scene.name not in store:
         return False
     clip = store.clip(scene.name)

@@ -1,7 +1,7 @@
 """Scenes and data sets: what a TOML file says of them, and the clips that they consist of.
 
 A :class:`DataSet` is one garment on one body with any number of motions and parameter sets.  It
-expands to one :class:`Scene` for each clip, in a fixed order and with fixed names.
+expands to one :class:`SceneDescription` for each clip, in a fixed order and with fixed names.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class ParameterSet(SimulationParameters):
 
 
 @dataclasses.dataclass(frozen=True)
-class Scene:
+class SceneDescription:
     """Description of one clip: a garment on a body, a motion, and parameters.
 
     Attributes
@@ -198,15 +198,18 @@ class DataSet:
         some = tuple(m for s in SPLITS for m in base[s][: getattr(table, f"set_{s}")])
         return (every, *(some for _ in self.set))
 
-    def scenes(self, recorded: Sequence[MotionSource] = ()) -> tuple[Scene, ...]:
+    def scenes(self, recorded: Sequence[MotionSource] = ()) -> tuple[SceneDescription, ...]:
         """One scene for each clip: base parameters, their perturbed test clips, other sets.
 
         `recorded` are further motions under the base parameters.
         """
-        scenes: list[Scene] = []
+        scenes: list[SceneDescription] = []
         for k, (parameters, sources) in enumerate(zip(self.sets, self.sources, strict=True)):
             motions = sources if k else (*sources, *recorded)
-            plain = [Scene(f"{parameters.name}-{m.name}", self, m, parameters) for m in motions]
+            plain = [
+                SceneDescription(f"{parameters.name}-{m.name}", self, m, parameters)
+                for m in motions
+            ]
             scenes += plain
             if self.perturbation and k == 0:
                 scenes += [

@@ -16,11 +16,11 @@ from torch import Tensor
 from ..configs.config import TrainOptions
 from ..networks.gru import dropout_mask
 from .batches import Batch, Track
-from .loop import Objective, mixed_precision
+from .loop import TrainingObjective, mixed_precision
 from .losses import EXACT
 
 
-class CoefficientObjective(Objective):
+class CoefficientObjective(TrainingObjective):
     """Mean over frames of ‖Ĝ − G‖ / √V, computed from coefficients.
 
     Parameters

@@ -20,7 +20,7 @@ from ..data.virtual_bones import parameter_roles
 from ..io.files import write_file
 from ..networks.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from ..networks.network import MotionNetwork
-from .loop import Progress
+from .loop import TrainingProgress
 from .pivots import fit_kernel, gram, left_out, select_pivots
 from .run import train
 
@@ -35,7 +35,7 @@ def train_ensemble(
     folder: Path | str,
     *,
     start: Checkpoint | None = None,
-    callback: Callable[[str, Progress], bool | None] | None = None,
+    callback: Callable[[str, TrainingProgress], bool | None] | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Path:
     """Train one network for each training parameter set, and the kernel that mixes the pivots.
@@ -82,7 +82,7 @@ def train_ensemble(
         name = "set-" + "-".join(f"{v:g}" for v in values)
         stopped = False
 
-        def after_epoch(p: Progress, name: str = name) -> bool:
+        def after_epoch(p: TrainingProgress, name: str = name) -> bool:
             nonlocal stopped
             stopped = bool(callback(name, p)) if callback else False
             return stopped

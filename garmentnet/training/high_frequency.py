@@ -23,7 +23,7 @@ from ..networks.high_frequency import HighFrequency
 from ..networks.network import MotionNetwork
 from .batches import Batch, Track
 from .coefficients import CoefficientObjective
-from .loop import Objective, mixed_precision
+from .loop import TrainingObjective, mixed_precision
 from .losses import BodyShape, collision_depth, frame_norm
 
 # Smallest deviation, metres, by which the output of a module is scaled.
@@ -51,7 +51,7 @@ def _target(network: MotionNetwork, track: Track, z: Tensor, frames: Any = slice
     return track.mesh(frames) - network.mesh(z, track.joints(frames).to(z.device)).cpu()
 
 
-class HighFrequencyObjective(Objective):
+class HighFrequencyObjective(TrainingObjective):
     """Loss L_HF of the paper's module, over the vertices that it predicts.
 
     The GRU reads every frame of a window; the loss is computed on a few frames, because the layers

@@ -31,7 +31,7 @@ _TRAINED = 8
 
 
 @dataclasses.dataclass(frozen=True)
-class Progress:
+class TrainingProgress:
     """State of a training after an epoch, given to the callback.
 
     Attributes
@@ -55,7 +55,7 @@ class Progress:
     fraction: float
 
 
-class Objective(Protocol):
+class TrainingObjective(Protocol):
     """Loss that the training loop minimises, with the module and the clips.
 
     Attributes
@@ -92,14 +92,14 @@ class Objective(Protocol):
 
 
 def fit(
-    objective: Objective,
+    objective: TrainingObjective,
     options: TrainOptions,
     *,
     name: str,
     epochs: int,
     learning_rate: float,
     folder: Path,
-    callback: Callable[[Progress], bool | None] | None = None,
+    callback: Callable[[TrainingProgress], bool | None] | None = None,
 ) -> list[dict[str, Any]]:
     """Train a module until validation no longer improves; it ends with its best weights.
 
@@ -118,7 +118,7 @@ def fit(
     folder : Path
         Folder for the state and the curves; a run that was stopped continues from there.
     callback : callable, optional
-        Called with a :class:`Progress` after every epoch; returning True stops.
+        Called with a :class:`TrainingProgress` after every epoch; returning True stops.
 
     Returns
     -------
@@ -183,7 +183,7 @@ def fit(
             _save(state_file, module, optimiser, rng, best_weights, saved)
             writer(number, {"loss": value, "rate": rate, "rmse": rmse})
             _logger.debug("%s %d: loss %.5g, rmse %s", name, number, value, rmse)
-            progress = Progress(name, number, value, best, number / epochs)
+            progress = TrainingProgress(name, number, value, best, number / epochs)
             if callback and callback(progress):
                 break
     module.load_state_dict(best_weights)

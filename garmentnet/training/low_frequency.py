@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from ..networks.gru import dropout_mask
 from ..networks.network import MotionNetwork
 from .batches import Batch, Track
-from .loop import Objective, mixed_precision
+from .loop import TrainingObjective, mixed_precision
 from .losses import EXACT
 from .targets import LowTargets
 
@@ -63,7 +63,7 @@ class _SkinnedNorm(nn.Module):
         return gap.square().sum((0, 2)) + (shape @ self.outer).square().sum(1)
 
 
-class LowFrequencyObjective(Objective):
+class LowFrequencyObjective(TrainingObjective):
     """Loss L_LF over the vertices that the module predicts.
 
     Vertices bound to the body are exact, and so is their part of Δ.  Targets are coefficients of

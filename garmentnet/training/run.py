@@ -32,7 +32,7 @@ from ..networks.network import MotionNetwork
 from .batches import Track, load_tracks
 from .high_frequency import DetailObjective, HighFrequencyObjective
 from .linear import resolve_relative_to
-from .loop import Objective, Progress, fit
+from .loop import TrainingObjective, TrainingProgress, fit
 from .low_frequency import LowFrequencyObjective
 from .targets import LowTargets
 
@@ -147,7 +147,7 @@ def train(
     folder: Path | str,
     *,
     start: Checkpoint | None = None,
-    callback: Callable[[Progress], bool | None] | None = None,
+    callback: Callable[[TrainingProgress], bool | None] | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Path:
     """Train both modules of a network, or only the low-frequency one if `high_epochs` is 0.
@@ -166,8 +166,8 @@ def train(
         Checkpoint with whose weights and bones to start; by default weights are random, and bones
         are computed.
     callback : callable, optional
-        Called with a :class:`~garmentnet.training.loop.Progress` after every epoch.  If it returns
-        True, the run stops and can be continued later.
+        Called with a :class:`~garmentnet.training.loop.TrainingProgress` after every epoch.  If it
+        returns True, the run stops and can be continued later.
     progress : callable, optional
         Called during the preparation with a description and the fraction that is done.
 
@@ -216,12 +216,12 @@ def train(
 
     history, stopped = {}, False
 
-    def after_epoch(p: Progress) -> bool:
+    def after_epoch(p: TrainingProgress) -> bool:
         nonlocal stopped
         stopped = bool(callback(p)) if callback else False
         return stopped
 
-    def learn(objective: Objective, name: str, epochs: int, rate: float) -> None:
+    def learn(objective: TrainingObjective, name: str, epochs: int, rate: float) -> None:
         history[name] = fit(
             objective,
             o,
@@ -233,7 +233,7 @@ def train(
         )
 
     targets = LowTargets(bones, network.features, learned)
-    objective: Objective = LowFrequencyObjective(network, targets, tracks, validation)
+    objective: TrainingObjective = LowFrequencyObjective(network, targets, tracks, validation)
     learn(objective, "low", o.epochs, o.learning_rate)
     if not stopped and o.high_epochs:
         with torch.random.fork_rng(devices=[]):
@@ -260,7 +260,7 @@ def _high_objective(
     tracks: list[Track],
     validation: list[Track],
     start: Checkpoint | None,
-) -> Objective:
+) -> TrainingObjective:
     """Objective of the high-frequency module, after setting its statistics or loading weights."""
     if isinstance(network.high, DetailBasis):
         if start is not None:

@@ -94,6 +94,8 @@ class Descent:
     Attributes
     ----------
     data : Trajectories
+    constraints : Constraints
+        Parts that must not change, and the bone model of the present step.
     few : Descent or None
         Descent on a sample of the vertices, with models of its own; None unless it is in progress.
     model : Model
@@ -129,20 +131,15 @@ class Descent:
         self.few: Descent | None = None
         self._chosen: NDArray[np.intp] = np.zeros(0, dtype=np.intp)
         self.bones, self.influences, self.rng = bones, influences, rng
-        self.asked, self.initial, self.smoothness = constraints, initial, smoothness
+        self.constraints, self.initial, self.smoothness = constraints, initial, smoothness
         self.rigid_joints, self.normals = rigid_joints, normals
         self.objective = Objective(constraints, smoothness)
         self.monitor = monitor or Monitor()
         self.best = Lowest()
         self.records: list[tuple[int, float, float, str]] = []
-        self.work, self.converged, self._rigid = Work(), False, False
+        self.work, self.converged = Work(), False
 
     # --- what steps ask ------------------------------------------------------------------------
-
-    @property
-    def constraints(self) -> Constraints:
-        """Parts that are locked in the present step, and its bone model."""
-        return dataclasses.replace(self.asked, bone_model="rigid") if self._rigid else self.asked
 
     @property
     def start_parts(self) -> Initial:
@@ -199,11 +196,12 @@ class Descent:
         Its rest pose is free if `free`; otherwise it is held by a coarse surface.
         """
         few = copy.copy(self)
-        few.data, few.asked = self.data.select_vertices(chosen), self.asked.select_vertices(chosen)
+        few.data = self.data.select_vertices(chosen)
+        few.constraints = self.constraints.select_vertices(chosen)
         if self.data.surface is not None and not free:
             few.data = dataclasses.replace(few.data, surface=self.data.surface.sampled(chosen))
         few.initial, few.records = self.start_parts.of_vertices(chosen), []
-        few.smoothness, few.objective = None, Objective(few.asked)
+        few.smoothness, few.objective = None, Objective(few.constraints)
         if not self.planning:
             few.model = self.model.select_vertices(chosen)
             few.set_best(self.best.model.select_vertices(chosen))
@@ -213,7 +211,7 @@ class Descent:
     def unpenalised(self) -> Descent:
         """A separate descent on the same data, with no penalty on the weights and no best model."""
         bare = copy.copy(self)
-        bare.smoothness, bare.objective, bare.records = None, Objective(self.asked), []
+        bare.smoothness, bare.objective, bare.records = None, Objective(self.constraints), []
         bare.best = Lowest()
         return bare
 
@@ -263,11 +261,12 @@ class Descent:
     @contextlib.contextmanager
     def rigid_bones(self) -> Iterator[None]:
         """Context in which steps use rigid bones, whatever bone model was requested."""
-        self._rigid = True
+        requested = self.constraints
+        self.constraints = dataclasses.replace(requested, bone_model="rigid")
         try:
             yield
         finally:
-            self._rigid = False
+            self.constraints = requested
 
     def release(self) -> None:
         """Free the memory of the trajectories, after which no step can be made."""

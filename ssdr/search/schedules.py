@@ -311,7 +311,7 @@ def follow_effort(
     """
     size = float(d.data.n_vertices) * d.data.n_frames * d.bones
     starts_from_model = d.initial.is_model and not tries_model
-    stretching = d.asked.bone_model != "rigid" and d.start_parts.transforms is None
+    stretching = d.constraints.bone_model != "rigid" and d.start_parts.transforms is None
     if starts_from_model and d.smoothness is not None:
         smooth_from_model(d, effort)
     elif starts_from_model and rig == "rigid":

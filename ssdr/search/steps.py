@@ -107,7 +107,7 @@ def solve_normals(d: Descent) -> Iterator[None]:
 
     Normals come late, since they would lead a search for bones to models with more error.
     """
-    if not (d.normals and len(d.data.faces) and d.asked.bone_model == "rigid"):
+    if not (d.normals and len(d.data.faces) and d.constraints.bone_model == "rigid"):
         return
     d.data = d.data.with_normals()
     d.model = with_rest_normals(d.data, d.model)

@@ -9,7 +9,7 @@ from rich.filesize import decimal
 from .. import metrics
 from ..skinning import Skinning
 from ..storage.size import size
-from .motion import Motion, Truth
+from .motion import MotionFigures, Truth
 
 __all__ = ["figures", "summary"]
 
@@ -17,7 +17,7 @@ __all__ = ["figures", "summary"]
 def figures(
     model: Skinning,
     skinned: bool,
-    motion: Motion,
+    motion: MotionFigures,
     truth: Truth | None,
     angles: metrics.NormalErrors | None,
     file: Path | None,
@@ -68,7 +68,7 @@ def figures(
 
 
 def summary(
-    model: Skinning, skinned: bool, motion: Motion, truth: Truth | None, file: Path | None
+    model: Skinning, skinned: bool, motion: MotionFigures, truth: Truth | None, file: Path | None
 ) -> str:
     """One line of text with the most important quantities."""
     parts = [f"{model.n_bones:,} bones"] if skinned else []

@@ -14,7 +14,7 @@ from ..errors import InputError
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 
-__all__ = ["Motion", "Outermost", "Truth", "walk"]
+__all__ = ["MotionFigures", "Outermost", "Truth", "walk"]
 
 Float = NDArray[np.float64]
 _OUTLINES = 64  # frames whose outermost vertices are looked for
@@ -22,7 +22,7 @@ _CHUNK_BYTES = 32 << 20  # of vertices that are skinned at a time
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Motion:
+class MotionFigures:
     """Extent, path and errors of a model over all frames.
 
     Attributes
@@ -115,7 +115,9 @@ class Truth:
         return block if self.rows is None else block[:, self.rows]
 
 
-def walk(model: Skinning, truth: Truth | None, vertical: Float, *, hidden: bool = False) -> Motion:
+def walk(
+    model: Skinning, truth: Truth | None, vertical: Float, *, hidden: bool = False
+) -> MotionFigures:
     """Extent and path of a model over all frames, and its errors against a reference.
 
     A `hidden` model counts only for the errors, not for extent and path.
@@ -160,7 +162,7 @@ def walk(model: Skinning, truth: Truth | None, vertical: Float, *, hidden: bool 
     if truth is None:
         diagonal = float(np.linalg.norm(every[:, 1] - every[:, 0], axis=1).max())
     mean, rms, largest, high, worst = (np.concatenate(x) for x in zip(*found, strict=True))
-    return Motion(
+    return MotionFigures(
         center=center,
         whole=outer[0].points,
         path=np.concatenate(paths),

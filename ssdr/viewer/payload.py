@@ -31,7 +31,7 @@ from ..skinning import Skinning
 from ..surface import Surface
 from .blocks import Blocks
 from .figures import figures, summary
-from .motion import Motion, Truth, walk
+from .motion import MotionFigures, Truth, walk
 from .surface import surface_entries
 
 __all__ = ["Payload", "difference_entry", "heat_scales", "payload", "weight_entries"]
@@ -291,7 +291,7 @@ def _clips(clips: tuple[Clip, ...], step: int) -> list[dict[str, Any]]:
     return found
 
 
-def _error(motion: Motion, frames: NDArray[np.int64]) -> dict[str, Any]:
+def _error(motion: MotionFigures, frames: NDArray[np.int64]) -> dict[str, Any]:
     """Errors of the frames shown, in the mesh's units, and the top of the colour scale."""
     return {
         "mean": motion.mean[frames].tolist(),
@@ -317,7 +317,7 @@ def _angles(
 def _input(
     model: Skinning,
     truth: Truth,
-    motion: Motion,
+    motion: MotionFigures,
     frames: NDArray[np.int64],
     scale: float,
     blocks: Blocks,

@@ -29,7 +29,7 @@ def object_name(names: Sequence[str]) -> str:
     return names[-2:][0]
 
 
-class Track:
+class SampledArray:
     """Values (S, ...) of an array over time, interpolated linearly between its samples.
 
     An array that never changes has one value, however many samples are stated.
@@ -62,7 +62,7 @@ class Transforms:
 
     def __init__(self, records: Sequence[Mapping[str, Any]], arrays: Arrays) -> None:
         self.parents = [int(record["parent"]) for record in records]
-        self.tracks = [Track(record, arrays[record["values"]]) for record in records]
+        self.tracks = [SampledArray(record, arrays[record["values"]]) for record in records]
 
     def chain(self, k: int) -> list[int]:
         """Indices of transform `k` and of all above it, the highest first."""
@@ -110,7 +110,7 @@ class CacheMesh:
         self.path = "/" + "/".join(self.names)
         check(not record["changes"], f"{self.path}: its topology changes: {record['changes']}")
         self._transforms, self._above = transforms, int(record["transform"])
-        self.points = Track(record, arrays[record["points"]])
+        self.points = SampledArray(record, arrays[record["points"]])
         self.clocks = [self.points.times]
         tracks = [transforms.tracks[k] for k in transforms.chain(self._above)]
         finite = all(np.isfinite(track.values).all() for track in tracks)
