@@ -48,7 +48,7 @@ def decompose(
 
     Minimises Σ_t Σ_i |v_i^t − Σ_j w_ij (R_j^t p_i + T_j^t)|² over rest pose p,
     weights w (w >= 0, Σ_j w_ij = 1, at most K of them per vertex) and bones (R, T),
-    rigid unless `bone_model` says otherwise; by default with terms that keep the rest pose a
+    rigid unless `bone_model` says otherwise; by default with factors that keep the rest pose a
     surface (`rest_pose`) and fit the normals (`normals`).
 
     Parameters

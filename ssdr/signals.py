@@ -1,8 +1,8 @@
 """Response to Ctrl-C (SIGINT), to SIGTERM and to a closed terminal (SIGHUP).
 
 1. While modules are imported, Ctrl-C ends the process (:func:`ssdr.cli.main`).
-2. While files are read, written or measured, the signal is raised as ``KeyboardInterrupt``, so
-   that temporary files are removed (:func:`interrupt_on_signals`).
+2. While inputs are read, and in commands that solve nothing, the signal is raised as
+   ``KeyboardInterrupt``, so that temporary files are removed (:func:`interrupt_on_signals`).
 3. While a model is solved and saved, the first signal asks the solver to stop after its current
    step, and the best model so far is written to the outputs.  A second signal ends the process
    at once (:func:`stop_on_signals`; :mod:`ssdr.cli.saving` writes the model).

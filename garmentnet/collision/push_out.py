@@ -6,8 +6,8 @@ out of it.  Jacobi sweeps spread these displacements over the cloth around, so t
 stretched, and a last step moves out the vertices that are inside after that.  No vertex ends deeper
 inside than it was.
 
-Where two parts of the body overlap, the shortest way out is to skin that no other part covers; if
-there is none within reach, the vertex stays.
+Where two parts of the body overlap, a vertex goes to the nearest point of the skin that no other
+part covers; if there is none within reach, it stays.
 
 The shortest way may lead behind a limb.  :mod:`garmentnet.collision.outward` chooses the side.
 """

@@ -151,7 +151,9 @@ def _relative(base: NDArray[np.float64], m: NDArray[np.float64]) -> NDArray[np.f
 
 
 class LowFrequency(GRULinear):
-    """D_LF: body motion M_b to bone motion M_v by a GRU and a linear layer (section 4.2).
+    """Network from body motion M_b to bone motion M_v, a GRU and a linear layer.
+
+    It is D_LF of Pan et al. 2022, section 4.2.
 
     Parameters
     ----------

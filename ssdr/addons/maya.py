@@ -21,7 +21,7 @@ def _mesh(name):
 
 
 def _variables():
-    """Environment variables with which another Python finds its own packages, not Maya's."""
+    """Environment for another Python: Maya's, without the variables that lead to its packages."""
     left_out = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
     return {name: value for name, value in os.environ.items() if name not in left_out}
 

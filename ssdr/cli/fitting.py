@@ -91,7 +91,7 @@ def fit(
     Raises
     ------
     Cancelled
-        If a signal stopped the solver; the best model has then been saved.
+        If a signal stopped the solver; the best model, if there was one, has then been saved.
     """
     from ..solver.warmup import begin_compiling
 

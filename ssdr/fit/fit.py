@@ -113,7 +113,7 @@ class FitInput:
     def gathered(
         self, vertex_importance: Array | None = None, frame_importance: Array | None = None
     ) -> tuple[Trajectories, Array, Array]:
-        """Convert the shots, and the model's rest pose and transforms, to the solver's space."""
+        """Trajectories of the shots, and rest pose and transforms, in the solver's space."""
         world = self.transforms()
         data = gather(
             self.sequences,

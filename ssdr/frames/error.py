@@ -156,9 +156,9 @@ def motion_rms(sequences: Sequence[MeshSequence], *, executor: Executor | None =
 
 
 def _sums_of_span(frames: Frames, _: Array, first: Array) -> tuple[Array, float]:
-    """Sum over frames of the difference A_t v^t − v^0, and the sum of its squares.
+    """Sum (V, 3) over frames of A_t v^t − v^0, and the sum of its squares.
 
-    The difference has smaller rounding errors than A_t v^t.
+    A_t is that of :func:`motion_rms`.  A sum of A_t v^t itself would round more.
     """
     total, squares = np.zeros_like(first), 0.0
     for _start, block in frames.blocks():

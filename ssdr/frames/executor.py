@@ -140,7 +140,7 @@ class Cluster:
         return self._results(self._calls(task))
 
     def total(self, task: SpanTask, take: Callable[[int, Any], None]) -> tuple[Any, ...]:
-        """As :meth:`Local.total`; the workers add the arrays, and return only the sums."""
+        """Run a task and return the sums of its arrays, as :meth:`Local.total`; the workers add."""
         total: Any = ()
 
         def own_parts() -> Iterator[Any]:

@@ -18,7 +18,10 @@ PACKAGES = {
 
 
 def require(module: str, extra: str, what: str) -> Any:
-    """Import the package of the extra `extra`, by :func:`import_optional`."""
+    """Import a package that the optional dependencies `extra` install, and return it.
+
+    `what` begins the error message, as in :func:`import_optional`.
+    """
     return import_optional(module, PACKAGES[extra], what)
 
 

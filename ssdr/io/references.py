@@ -24,7 +24,7 @@ _log = logging.getLogger(__name__)
 
 @contextlib.contextmanager
 def trusting(folder: Any) -> Iterator[None]:
-    """Context in which files below `folder` may be read, too, where other files refer to them.
+    """Context in which files may refer to files below `folder`, besides those in their own folder.
 
     None adds no folder.
     """

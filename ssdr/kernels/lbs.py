@@ -72,7 +72,7 @@ def squared_error_range(
     weights     (V, K)        float64   its weight, 0 in unused influences, in
     transforms  (F, B, 3, 4)  float64   bones, in
     target      (F, V, 3)     float     positions to reproduce, float32 or float64, in
-    per_vertex  (V,)          float64   sums of squared distances, added to for vertices first..last
+    per_vertex  (V,)          float64   sums of squared distances; those of first..last are added to
     """
     n_slots = indices.shape[1]
     for t in range(transforms.shape[0]):

@@ -102,7 +102,7 @@ def begin_qp(y, gram, ids, n, p, m, rows, h, f, alive):
 
 @inline
 def take_columns(rows, ids, n, h, alive):
-    """Set h (n, n) to the columns of `rows` at n bones, all of which are free."""
+    """Set h (n, n) to the columns of `rows` at n bones, and `alive` to 0..n − 1: all are free."""
     for q in range(n):
         alive[q] = q
         for s in range(n):

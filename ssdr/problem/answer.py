@@ -135,7 +135,7 @@ def with_normals(problem: Problem, skinning: Skinning) -> tuple[Skinning, Normal
 
 
 def finished(problem: Problem, solve: Callable[[Problem], Result]) -> Result:
-    """Compile the kernels, solve, write the last checkpoint, and issue the result's warnings.
+    """Make the whole run: compile, solve, write the last checkpoint, issue the warnings.
 
     `stacklevel` makes the warnings name the line at which the user called ``decompose`` or
     ``smallest``.

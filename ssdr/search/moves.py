@@ -354,7 +354,7 @@ def _with_more_bones(
 def _with_patch(
     data: Trajectories, model: Model, members: NDArray[np.intp], constraints: Constraints
 ) -> Model:
-    """A copy with one more bone, fitted to the vertices `members`, which it moves alone."""
+    """A copy with one more bone, fitted to `members`; those with free weights follow only it."""
     label = np.full(data.n_vertices, -1, dtype=np.intp)
     label[members] = 0
     grown = model.with_bone(fit_patches(data, model.rest, label, 1, constraints.bone_model)[:, 0])

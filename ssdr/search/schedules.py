@@ -1,4 +1,4 @@
-"""Schedules: what a call does, step by step; the numbers are in :mod:`.efforts`.
+"""Schedules: what a call does, step by step.  What depends on size is in :mod:`.efforts`.
 
     fast       a first model; then more bones, merged and moved on a sample of the vertices; polish
     balanced   the same; then relax and polish

@@ -40,7 +40,7 @@ _HALVINGS = 10  # most halvings of an inadmissible move; if that is not enough, 
 def admissible(old: Array, new: Array) -> NDArray[np.bool_]:
     """Mask (...) of the bones (..., 3, 4) whose new transform is not reflected, flat or too large.
 
-    A bone whose old transform is already flatter or larger than the bounds must not get worse.
+    Where the old transform breaks a bound already, a new one that is no worse is admissible, too.
     """
     a, b = old[..., :3], new[..., :3]
     upright = np.linalg.det(b) >= np.minimum(np.linalg.det(a), SMALLEST**3)

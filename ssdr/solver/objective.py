@@ -1,26 +1,29 @@
 """The objective that the solver minimises, with a penalty on joints away from the skin.
 
-    [1 + mean_j (d_j² + d_j⁴)] · [1 + c S] · [1 + N/ν] · [E + smoothness]
+    [1 + mean_j (d_j² + d_j⁴)] · [1 + c S] · [1 + N/ν] · [E + slack + smoothness]
 
     E = Σ_i u_i Σ_t s_t² |v_i^t − Σ_j w_ij M_j^t p̃_i|²
     N = mean of |n_i^t − Σ_j w_ij R_j^t n_i|², weighted in the same way
 
+with c = 1.5 and ν = (1°)².
+
 u_i is the importance of vertex i and s_t² the importance of frame t.  S is the strain of the rest
 pose (:mod:`~ssdr.solver.rest_surface`); its factor is 1 if the rest pose is free or given.  N is
-the error of the normals as engines draw them: rest normals n_i, rotated by the blended matrices.
-Its factor is 1 until a solve includes normals, near its end.  All are factors, since then a change
-of one counts as much as the same relative change of another, whatever the data.  The smoothness
-(:class:`WeightSmoothness`) is 0 unless requested.  The first bracket is 1 unless ``rig="rigid"``
-has to find the joints; d_j is the distance of joint j from where the skin of its two bones meets.
-Below, E includes the smoothness and the constant `slack` of the trajectories, which is positive
-only if errors far below a tolerance are worth nothing.
+the error of the normals that engines draw, before these are normalised: rest normals n_i, rotated
+by the blended matrices.  Its factor is 1 until a solve includes normals, near its end.  All but the
+smoothness are factors, since then a change of one counts as much as the same relative change of
+another, whatever the data.  The smoothness (:class:`WeightSmoothness`) is 0 unless requested.  The
+first bracket is 1 unless ``rig="rigid"`` has to find the joints; d_j² is the squared distance of
+joint j from where the skin of its two bones meets, plus the squared gap there, in the solver's
+unit.  Below, E includes the smoothness and the constant `slack` of the trajectories, which is
+positive only if errors far below a tolerance are worth nothing.
 
 A step does not minimise the product itself: around the present model, each factor 1 + x becomes a
 quadratic term of strength E/(1 + x) beside the error.  Every function that gives such a term, and
 where the term enters:
 
     term        function                 vertex step          bone step       polish
-    normals     normal_length            a second point       a second point  the same
+    normals     normal_length            a second point       a second point  a second point
     rest pose   rest_pulls               a pull on p_i        -               through the vertices
     smoothness  WeightSmoothness.terms   a pull on w_i        -               ignored
     joints      Objective.joint_penalty  -                    -               bones
@@ -206,9 +209,10 @@ class JointPenalty:
 
 
 def normal_length(data: Trajectories, model: Model, penalty: float = 0.0) -> float:
-    """Length of a normal, treated as a point, at which its error counts as one of a position.
+    """Length l of a normal as a point (l n, 0) whose error counts as much as the objective says.
 
-    It is 0 without normals.  `penalty` is what the objective adds to the error.
+    It is √(E / (F V (ν + N))), and 0 without normals.  E includes the slack and `penalty`, what the
+    objective adds to the error.
     """
     if data.normals is None or not model.normals.shape[1]:
         return 0.0

@@ -36,7 +36,7 @@ _TASKS = 8
 
 
 class _Groups(NamedTuple):
-    """Arguments of the kernel: groups of vertices that the same bones move, group after group."""
+    """Arguments of :func:`schur_vertices`: vertices in groups that the same bones move."""
 
     start: NDArray[np.intp]  # (G + 1,) first vertex of each group
     bones: NDArray[np.intp]  # (G, K) bones of each group, ascending, padded with B
@@ -105,7 +105,7 @@ class ReducedSystem:
         return product(change, self.u_flat) - product(self.stacked, answer)
 
     def best_step(self, change: Array) -> Array:
-        """Minus the best step (V, D) of the vertices' unknowns under a change of the transforms."""
+        """Step (V, D) to subtract from the vertices' unknowns, the best for this change."""
         grouped, _ = self._eliminate(cross_product(self.stacked, change), 1.0)
         step = np.empty(grouped.shape)
         step[self._order] = grouped

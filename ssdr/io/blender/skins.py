@@ -197,9 +197,9 @@ class SkinnedMeshes:
             skin.sample(graph, places)
 
     def _relative_motion(self, skin: SkinnedObject) -> Any:
-        """A⁻¹ O O₀⁻¹ (F, 4, 4) of a mesh, or A₀⁻¹ (1, 4, 4) if the mesh follows its armature.
+        """Motion (F, 4, 4) of a mesh relative to its armature, or (1, 4, 4) if it follows that.
 
-        The symbols are those of :class:`SkinnedMeshes`.
+        They are A⁻¹ O O₀⁻¹ and A₀⁻¹ in the symbols of :class:`SkinnedMeshes`.
         """
         still = np.linalg.inv(self._rest_places[skin.armature.name])[None]
         moved = np.array(skin.relative)

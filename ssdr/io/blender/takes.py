@@ -105,10 +105,10 @@ def off_frames(ticks: Any, count: float = np.inf) -> Any:
 
 
 def rate_of(seconds: Any, stated: float) -> float:
-    """First of several frame rates at which all keys lie on frames, or the file's rate if none.
+    """Frame rate at which all keys lie on frames, or the file's if none of those tried is one.
 
-    `seconds` are the times of the keys. The rates are that of the file (`stated`), the one at which
-    the two closest keys are one frame apart, and usual rates.
+    `seconds` are the times of the keys.  Tried in this order are the file's rate (`stated`), the
+    one at which the two closest keys are one frame apart, and usual rates.
     """
     gaps = np.diff(seconds)
     closest = [round(1 / float(gaps.min()), 3)] if len(gaps) else []
