@@ -283,6 +283,8 @@ BLOCKS: dict[str, list[str | Callable[[], str]]] = {
     "ablation": [
         "`balanced`:",
         ablation_table("balanced", ablation.SEQUENCES["balanced"]),
+        "`best`:",
+        ablation_table("best", ablation.SEQUENCES["best"]),
     ],
     "choose_bones": [Table(lambda: choice_rows("bones"), {
         "bones": "{bones}", "RMSE, mm": "{mm:.2f}", "s": "{seconds:.1f}",
