@@ -6,6 +6,8 @@ import copy
 import dataclasses
 from collections.abc import Iterator
 
+import numpy as np
+
 from ..solver.alternation import free_gauge, repeat_alternation
 from ..solver.gauss_newton import GaussNewton
 from ..solver.model import Lowest
@@ -34,6 +36,7 @@ __all__ = [
 _PLATEAU = 1e-5
 # Failures in a row that end the alternations: with fewer, they would end at a pause.
 _PLATEAU_ALTERNATIONS = 3
+_ALONE = 2  # rounds in which only edges of the flipped triangles themselves become stiffer
 _UNFOLD_ROUNDS = 4  # solves of weights and rest pose after the edges have become stiffer
 
 
@@ -129,8 +132,10 @@ def last_polish(d: Descent, *, steps: int, gain: float = 0.0) -> None:
 
 
 @step("unfold", cost=3)
-def unfold(d: Descent, *, steps: int = 8) -> Iterator[None]:
+def unfold(d: Descent, *, steps: int = 12) -> Iterator[None]:
     """Unfold the flipped triangles of the rest pose, by making their edges ten times stiffer.
+
+    From the third round on, the edges of the triangles around them become stiffer, too.
 
     The result becomes the best model even if its error is higher, as a rest pose with folds is not
     a surface.
@@ -140,11 +145,13 @@ def unfold(d: Descent, *, steps: int = 8) -> Iterator[None]:
     d.model, constraints = d.best.model.with_restarted_support(), d.constraints
     if d.smoothness is not None:  # this solve of weights would ignore the penalty
         constraints = constraints.with_weights(d.data.n_vertices)
-    for _ in range(steps):
+    for k in range(steps):
         assert d.data.surface is not None
         turned = d.data.surface.turned(d.model.rest, d.data.faces)
         if not turned.any():
             return
+        if k >= _ALONE:  # what is left is flipped because the triangles around it have turned
+            turned = np.isin(d.data.faces, d.data.faces[turned]).any(axis=1)
         surface = d.data.surface.stiffened(d.data.faces[turned])
         d.data = dataclasses.replace(d.data, surface=surface)
         # far from the stiffer edges nothing has changed
