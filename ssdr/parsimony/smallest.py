@@ -207,7 +207,9 @@ def smallest(
 
 
 def _written(file: Any, problem: Problem) -> Written:
-    """Function that returns the byte count of a model's file with options `file`, and its decoding.
+    """Function that measures a model's file: its bytes, and the model as read back from it.
+
+    `file` are the options with which the file is written.
 
     To check the options, it is called once here, with bones that do not move.
     """

@@ -348,18 +348,18 @@ Steps = Callable[Concatenate[Descent, P], Iterator[None]]
 def step(
     phase: str, *, cost: float = 1.0
 ) -> Callable[[Steps[P]], Callable[Concatenate[Descent, P], None]]:
-    """Decorator that turns a generator into a function that makes all of its passes.
+    """Decorator that turns a generator into a function that makes all of its rounds.
 
-    The generator changes the model of a descent and yields after each pass; then the best model is
-    updated and the pass reported.  While a schedule is only planned, no pass is made.
+    The generator changes the model of a descent and yields after each round; then the best model
+    is updated and the round reported.  While a schedule is only planned, no round is made.
 
     Parameters
     ----------
     phase : str
         Name of the step in reports.
     cost : float
-        Time of a pass in units of one alternation; used only to estimate the time left.  The number
-        of passes is the argument `steps` of the function or, if it has none, 1.
+        Time of a round in units of one alternation; used only to estimate the time left.  The
+        number of rounds is the argument `steps` of the function or, if it has none, 1.
     """
 
     def decorate(generator: Steps[P]) -> Callable[Concatenate[Descent, P], None]:

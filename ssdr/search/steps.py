@@ -150,12 +150,13 @@ def unfold(d: Descent, *, steps: int = 12) -> Iterator[None]:
         turned = d.data.surface.turned(d.model.rest, d.data.faces)
         if not turned.any():
             return
+        stiff = d.data.faces[turned]
         if k >= _ALONE:  # what is left is flipped because the triangles around it have turned
-            turned = np.isin(d.data.faces, d.data.faces[turned]).any(axis=1)
-        surface = d.data.surface.stiffened(d.data.faces[turned])
+            stiff = d.data.faces[np.isin(d.data.faces, stiff).any(axis=1)]
+        surface = d.data.surface.stiffened(stiff)
         d.data = dataclasses.replace(d.data, surface=surface)
         # far from the stiffer edges nothing has changed
-        near = surface.around(d.data.faces[turned])
+        near = surface.around(stiff)
         optimise_some(d.data, d.model, near, constraints=constraints, times=_UNFOLD_ROUNDS)
         d.set_best(d.model)
         yield

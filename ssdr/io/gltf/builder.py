@@ -231,7 +231,7 @@ class Builder:
         return write_bytes(path, b"".join([head, *blocks]))
 
     def _embed_pictures(self, path: Path) -> None:
-        """Copy pictures in separate files into the buffer, unless the output can refer to them.
+        """Copy separate picture files into the buffer, unless the output can refer to them.
 
         It can if `path` is a ``.gltf`` file in the folder of the document that was copied.
         """
