@@ -294,6 +294,7 @@ def _tight(run: Reproduction, store: str) -> str:
     tailor, whole = BASELINES[0], SANTESTEBAN
     methods = [
         run.method(store, "rooted", config),
+        run.method(store, "moving frame", override(config, ["low.relative_to=frame"])),
         *run.baselines(store, config, (tailor, whole)),
         lambda: BodySkinned(run.store(store)),
     ]
