@@ -48,7 +48,7 @@ def test_killed_and_started_again(tmp_path: Path) -> None:
     whole = make_data_set(data_set, tmp_path / "whole.clips", workers=1)
     assert set(whole.names(accepted=None, perturbed=None)) == names
     target = tmp_path / "killed.clips"
-    command = [sys.executable, "-m", "garmentnet.cli", "simulate", str(source), "-o", str(target)]
+    command = [sys.executable, "-m", "garmentnet", "simulate", str(source), "-o", str(target)]
     root = str(Path(__file__).parents[3])
     process = subprocess.Popen(
         [*command, "--workers", "2"],
