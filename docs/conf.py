@@ -124,7 +124,7 @@ def write_live_pages(app: Any, error: Exception | None) -> None:
             assert still is not None, page
             shutil.copy(f"{still['name']}.html", Path(app.outdir, "docs", "gallery"))
     if _HAS_GARMENTNET:
-        command = [sys.executable, "-m", "garmentnet.cli", "view", "dress", "-o"]
+        command = [sys.executable, "-m", "garmentnet", "view", "dress", "-o"]
         target = str(Path(app.outdir, "docs", "dress.html"))
         subprocess.run([*command, target], cwd=ROOT, check=True)
 

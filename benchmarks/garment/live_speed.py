@@ -45,7 +45,8 @@ def subject_of(garment: Any, body: Any, fps: float) -> Any:
     """A garment whose vertices follow the nearest of evenly spread bones."""
     from scipy.spatial import cKDTree
 
-    from garmentnet.data.subject import Subject, mesh_identity
+    from garmentnet.data.outfit import mesh_identity
+    from garmentnet.data.subject import Subject
     from ssdr import Skinning
 
     centres = garment.rest[:: len(garment.rest) // BONES][:BONES]

@@ -34,7 +34,13 @@ from benchmarks.garment.intervals import paired_ratio
 from benchmarks.garment.matching import Windows
 from benchmarks.garment.published import TransformerDetail
 from benchmarks.garment.regression import FrameMLP
-from garmentnet.configs.config import Config, FeatureOptions, load_config, override
+from garmentnet.configs.config import (
+    Config,
+    FeatureOptions,
+    HighOptions,
+    load_config,
+    override,
+)
 from garmentnet.data.store import ClipStore
 from garmentnet.data.virtual_bones import VirtualBones, virtual_bones
 from garmentnet.networks.detail_basis import DetailBasis, SurfaceTurns
@@ -192,7 +198,6 @@ class Comparison:
             dropout=0.0 if make is TransformerDetail else o.high.dropout,
             tracks=tracks,
             validation=held,
-            with_targets=lambda track: track,
         )
         self.fit(objective, f"{make.__name__}-{kind}", rate)
         with torch.no_grad():
@@ -203,17 +208,12 @@ class Comparison:
         tracks, held, test = (self.tracks("bones", s, self.vertices) for s in self.clips)
         n = len(self.some.free)
         edge = self.bones.skinning.rest[self.some.free][self.fans]
-        module = HighFrequency(
-            tracks[0].inputs.shape[1],
-            self.fans,
-            n,
-            hidden=self.config.high.hidden,
-            global_features=10,
-            edge_features=widths,
-            mlp=(),
-            edge_length=float(np.linalg.norm(edge[:, 0] - edge[:, 1], axis=-1).mean()),
-            activation="prelu",
+        options = HighOptions(
+            hidden=self.config.high.hidden, edge_features=widths, batch_norm=False
         )
+        length = float(np.linalg.norm(edge[:, 0] - edge[:, 1], axis=-1).mean())
+        inputs = tracks[0].inputs.shape[1]
+        module = HighFrequency(inputs, self.fans, n, options, edge_length=length)
         objective = VertexObjective(module, self.config, tracks, held)
         self.fit(objective, f"edges-{len(widths)}", self.config.train.high_learning_rate)
         found = []

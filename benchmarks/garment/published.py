@@ -7,7 +7,6 @@ clips are of one body and one garment.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
 from pathlib import Path
 
 import torch
@@ -15,11 +14,12 @@ from torch import Tensor, nn
 
 from benchmarks.garment.regression import FrameMLP, Variant, WindowMLP
 from garmentnet.evaluation.methods import Network
+from garmentnet.io.files import Progress, silent
 from garmentnet.networks.checkpoint import Checkpoint
 from garmentnet.networks.detail_basis import DetailBasis
 from garmentnet.training.batches import Track
 from garmentnet.training.high_frequency import DetailObjective
-from garmentnet.training.loop import TrainingProgress, fit
+from garmentnet.training.loop import fit
 
 __all__ = ["BASELINES", "SANTESTEBAN", "TransformerDetail", "train_chen"]
 
@@ -93,7 +93,7 @@ def train_chen(
     folder: Path,
     *,
     hidden: int = 256,
-    callback: Callable[[TrainingProgress], bool | None] | None = None,
+    progress: Progress = silent,
 ) -> Network:
     """Trained copy of a network in which a transformer predicts the detail.
 
@@ -108,7 +108,7 @@ def train_chen(
         one is read.
     hidden : int
         Width of the transformer, a multiple of 4.
-    callback : callable, optional
+    progress : callable, optional
     """
     folder.mkdir(parents=True, exist_ok=True)
     network = copy.deepcopy(model.networks[0])
@@ -127,6 +127,6 @@ def train_chen(
         # A transformer does not converge at the rate of a GRU.
         learning_rate=o.train.high_learning_rate / 10,
         folder=folder,
-        callback=callback,
+        progress=progress,
     )
     return Network("Chen 2021", Checkpoint((network,), model.parameters, None))

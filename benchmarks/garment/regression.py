@@ -8,7 +8,6 @@ two hundred numbers instead of 3 V.  This changes the time of training, but no e
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -24,12 +23,13 @@ from garmentnet.data.clip import MIRRORED, Clip
 from garmentnet.data.virtual_bones import VirtualBones
 from garmentnet.evaluation.baselines import body_skinning
 from garmentnet.evaluation.methods import Array, Method
+from garmentnet.io.files import Progress, silent
 from garmentnet.networks.features import PoseReader, transforms_in_frame
 from garmentnet.networks.gru import GRULinear
 from garmentnet.networks.skinning import apply_frame, remove_frame
 from garmentnet.training.batches import Track, load_tracks
 from garmentnet.training.coefficients import CoefficientObjective
-from garmentnet.training.loop import TrainingProgress, fit
+from garmentnet.training.loop import fit
 from garmentnet.training.run import pose_reader
 from garmentnet.training.shapes import ShapeBasis
 
@@ -206,7 +206,7 @@ def train_regression(
     validation: Sequence[str],
     folder: Path,
     *,
-    callback: Callable[[TrainingProgress], bool | None] | None = None,
+    progress: Progress = silent,
 ) -> Regression:
     """Train a baseline with the training options and layer width of a configuration.
 
@@ -220,8 +220,8 @@ def train_regression(
     folder : Path
         Folder of the training's state, from which an interrupted training continues and a finished
         one is read.
-    callback : callable, optional
-        Called with a :class:`~garmentnet.training.loop.TrainingProgress` after every epoch.
+    progress : callable, optional
+        Called after every epoch with a text and the fraction of the epochs that is done.
     """
     folder.mkdir(parents=True, exist_ok=True)
     features = config.features
@@ -248,9 +248,8 @@ def train_regression(
             bones.store.n_vertices,
             hidden=config.low.hidden,
             dropout=config.low.dropout,
-            tracks=tracks,
-            validation=held,
-            with_targets=functools.partial(target.track, basis=basis),
+            tracks=[target.track(t, basis) for t in tracks],
+            validation=[target.track(t, basis) for t in held],
         )
         fit(
             objective,
@@ -259,7 +258,7 @@ def train_regression(
             epochs=config.train.epochs,
             learning_rate=config.train.learning_rate,
             folder=folder,
-            callback=callback,
+            progress=progress,
         )
         nets[part] = net, basis
     return Regression(variant.name, reader, space, nets)

@@ -40,7 +40,7 @@ from garmentnet.evaluation.methods import BonesThemselves, MeanDetail, Method, N
 from garmentnet.evaluation.reporting import RECORDED, group_of
 from garmentnet.evaluation.scores import evaluate
 from garmentnet.evaluation.tables import markdown
-from garmentnet.io.files import write_file
+from garmentnet.io.files import Progress, silent, write_file
 from garmentnet.networks.checkpoint import Checkpoint, load_checkpoint
 from garmentnet.scenes.dataset import make_data_set, recorded_motions
 from garmentnet.scenes.scene_file import load_data_set
@@ -49,7 +49,6 @@ from garmentnet.training.ensemble import train_ensemble
 from garmentnet.training.run import choose_clips, train, with_mirrored
 from ssdr.errors import InputError
 
-Progress = Callable[[str, float], None]
 # A few dances are enough to find the bones, so that these stay the same while a data set grows.
 _FEW = "bones.motions=dance-20[01]*"
 _DRESSES = ("dress", "gown", "a_line")
@@ -90,7 +89,7 @@ class Reproduction:
         *,
         simulate: Callable[[str, Path], Any] | None = None,
         settings: Sequence[str] = (),
-        progress: Progress | None = None,
+        progress: Progress = silent,
     ) -> None:
         self.simulate = simulate or (lambda name, path: None)
         self.data, self.folder = Path(data), Path(folder)
@@ -138,7 +137,7 @@ class Reproduction:
                     config,
                     folder,
                     start=start,
-                    callback=self.epoch(label),
+                    progress=self.epoch(label),
                 ),
             )
         return load_checkpoint(folder / "checkpoint.safetensors")
@@ -205,20 +204,15 @@ class Reproduction:
                     learned,
                     held,
                     folder,
-                    callback=self.epoch(variant.name),
+                    progress=self.epoch(variant.name),
                 ),
             )
 
         return [made(v) for v in variants]
 
-    def epoch(self, label: str) -> Callable[[Any], None]:
-        """Callback that reports every epoch of a training as progress."""
-
-        def show(p: Any) -> None:
-            if self.progress:
-                self.progress(f"{label}: {p.phase}, epoch {p.epoch}", p.fraction)
-
-        return show
+    def epoch(self, label: str) -> Progress:
+        """Progress of one training among several."""
+        return lambda text, fraction: self.progress(f"{label}: {text}", fraction)
 
     def timed(self, name: str, work: Callable[[], Any]) -> Any:
         """Call `work`, add its time to ``hours.json``, and return its result."""
@@ -263,7 +257,7 @@ def _dress(run: Reproduction, store: str) -> str:
         folder = run.folder / store / "chen"
         done = run.epoch("Chen 2021")
         return run.timed(
-            f"{store}/chen", lambda: train_chen(ours, tracks, others, folder, callback=done)
+            f"{store}/chen", lambda: train_chen(ours, tracks, others, folder, progress=done)
         )
 
     methods = [

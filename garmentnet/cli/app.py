@@ -7,13 +7,21 @@ extras that only others need.
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
 import typer
 
 from ssdr.cli.streams import safe_streams
-from ssdr.errors import FormatError, InputError, MissingDependencyError, SsdrError, error_text
+from ssdr.errors import (
+    FormatError,
+    InputError,
+    MissingDependencyError,
+    SsdrError,
+    SsdrWarning,
+    error_text,
+)
 from ssdr.signals import interrupt_on_signals
 
 from .exporting import export
@@ -58,7 +66,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Arguments of the command; by default those of the process.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
-    with safe_streams(), interrupt_on_signals():
+    with safe_streams(), interrupt_on_signals(), warnings.catch_warnings():
+        warnings.showwarning = lambda message, *_: typer.echo(f"warning: {message}", err=True)
+        warnings.simplefilter("once", SsdrWarning)
         try:
             code = app(words or ["--help"], prog_name="garmentnet", standalone_mode=False)
             if code == 130:  # what the parser makes of an interrupt

@@ -10,9 +10,9 @@ from ssdr.errors import InputError
 from ..data.motion import Motion
 from ..data.parameters import SimulationParameters
 from ..data.subject import Subject
+from ..io.files import Progress
 from ..scenes.body import default_body
 from ..scenes.dance.choreography import dance
-from .progress import Show
 
 _DANCE = ("sway", "spin", "kick", "walk")
 _SEED, _SECONDS = 7, 4.0
@@ -46,7 +46,7 @@ def made_dance(
     )
 
 
-def run_demo(folder: Path, *, progress: Show) -> list[Path]:
+def run_demo(folder: Path, *, progress: Progress) -> list[Path]:
     """Dress a dance with the garment that ships; needs neither simulation nor training.
 
     Parameters
@@ -75,13 +75,11 @@ def run_demo(folder: Path, *, progress: Show) -> list[Path]:
     save_rigged(rigged(result, checkpoint.subject.skeleton), model)
     files = [folder / f"dress.{suffix}" for suffix in ("png", "npz", "mp4")]
     for path in files:
-        save_prediction(
-            result, path, size=360, every=2, progress=lambda done: progress("drawing", done)
-        )
+        save_prediction(result, path, size=360, every=2, progress=progress)
     return [*files, model]
 
 
-def run_pipeline(folder: Path, *, progress: Show) -> list[Path]:
+def run_pipeline(folder: Path, *, progress: Progress) -> list[Path]:
     """Run every step on the data set ``tiny``; an interrupted run continues.
 
     Parameters
@@ -107,19 +105,11 @@ def run_pipeline(folder: Path, *, progress: Show) -> list[Path]:
 
     folder.mkdir(parents=True, exist_ok=True)
     store = make_data_set(load_data_set("tiny"), folder / "tiny.clips", progress=progress)
-    path = train(
-        store,
-        load_config("tiny"),
-        folder / "run",
-        progress=progress,
-        callback=lambda p: progress(f"training {p.phase}, epoch {p.epoch}", p.fraction),
-    )
+    path = train(store, load_config("tiny"), folder / "run", progress=progress)
     evaluation, film = folder / "evaluation", folder / "prediction.gif"
     report([path], store, evaluation, progress=progress)
     checkpoint = load_checkpoint(path)
     clip = next(store.clips("test", checkpoint.parameters[0]))
     result = predict(checkpoint, clip.joints, name=clip.name)
-    save_prediction(
-        result, film, size=360, truth=clip, progress=lambda done: progress("drawing", done)
-    )
+    save_prediction(result, film, size=360, truth=clip, progress=progress)
     return [evaluation / "report.md", *sorted(evaluation.glob("*.png")), film, path]

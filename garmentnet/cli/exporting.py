@@ -47,7 +47,7 @@ def export(
     checkpoint = load_checkpoint(model)
     parameters = chosen_parameters(checkpoint, entered_parameters(bending, density, time_scale))
     subject = checkpoint.subject
-    joints = read_motion(motion, checkpoint)[0] if motion else made_dance(subject).joints
+    joints = read_motion(motion, subject)[0] if motion else made_dance(subject).joints
     name = motion.stem if motion else "dance"
     result = predict(checkpoint, joints, parameters, push_out=push_out, name=name)
     typer.echo(f"{output}: {save_rigged(rigged(result, subject.skeleton, shapes=shapes), output)}")

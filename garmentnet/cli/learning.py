@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -66,24 +66,8 @@ def train(
     folder = output or output_folder() / "runs" / stem
     begun = load_checkpoint(start) if start else None
     with progress_bar() as show, logged():
-        if ensemble:
-            path = train_ensemble(
-                clips,
-                chosen,
-                folder,
-                start=begun,
-                callback=lambda name, p: show(f"{name}, {_epoch(p)}", p.fraction),
-                progress=show,
-            )
-        else:
-            path = train_network(
-                clips,
-                chosen,
-                folder,
-                start=begun,
-                callback=lambda p: show(_epoch(p), p.fraction),
-                progress=show,
-            )
+        run = train_ensemble if ensemble else train_network
+        path = run(clips, chosen, folder, start=begun, progress=show)
         errors = {} if ensemble else validation_errors(path, clips, start=begun, progress=show)
     if compared := verdict(errors):
         typer.echo(compared, err=True)
@@ -145,10 +129,6 @@ def predict(
     ] = True,
 ) -> None:
     """Dress a motion: from a checkpoint and a motion to meshes, a film or pictures."""
-    import warnings
-
-    from ssdr.errors import SsdrWarning
-
     from ..collision.push_out import is_closed
     from ..networks.checkpoint import load_checkpoint
     from ..prediction.motion_file import read_motion
@@ -161,13 +141,10 @@ def predict(
     model = load_checkpoint(checkpoint)
     entered = entered_parameters(bending, density, time_scale)
     parameters = chosen_parameters(model, entered)
-    joints, clip = read_motion(motion, model)
+    joints, clip = read_motion(motion, model.subject)
     if not truth:
         clip = None
-    with warnings.catch_warnings():
-        warnings.showwarning = lambda message, *_: typer.echo(f"warning: {message}", err=True)
-        warnings.simplefilter("always", SsdrWarning)
-        result = run(model, joints, parameters, detail=detail, push_out=push_out, name=motion.stem)
+    result = run(model, joints, parameters, detail=detail, push_out=push_out, name=motion.stem)
     shown = parameters or model.parameters[0]
     of = f" of {shown}" if shown else ""
     typer.echo(f"{len(joints)} frames{of}", err=True)
@@ -190,7 +167,7 @@ def predict(
                 truth=clip,
                 error=error,
                 every=every,
-                progress=lambda done: show("drawing", done),
+                progress=show,
             )
         typer.echo(f"{path}: {text}")
 
@@ -208,8 +185,3 @@ def demo(
     with progress_bar() as show:
         files = run(folder, progress=show)
     typer.echo("\n".join(map(str, files)))
-
-
-def _epoch(p: Any) -> str:
-    best = f"{1e3 * p.rmse:.1f} mm" if p.rmse < float("inf") else "not validated yet"
-    return f"{p.phase} {p.epoch}, loss {p.loss:.4g}, best {best}"

@@ -40,9 +40,9 @@ def _row(path: Path) -> tuple[str, ...]:
 
     size = f"{path.stat().st_size / 1e6:.1f}"
     try:
-        arrays, documents = load_arrays(path, ("checkpoint",))
+        arrays, document = load_arrays(path, "checkpoint")
         with reading(path):
-            d, subject = read_document(arrays, documents)
+            d, subject = read_document(arrays, document)
             reads = ["pose"] + ["parameters"] * d.reads_parameters
             errors = [f"{k} {1e3 * v:.1f} mm" for k, v in d.errors.items()]
     except FormatError as error:

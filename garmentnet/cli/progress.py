@@ -6,12 +6,12 @@ import contextlib
 import logging
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 from ssdr.cli import progress
 
-# Function called with a text that says what is being done, and the fraction that is done.
-Show = Callable[[str, float], None]
+from ..io.files import Progress
+
 _EVERY = 5.0  # seconds between lines
 
 
@@ -37,7 +37,7 @@ def logged() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def progress_bar() -> Iterator[Show]:
+def progress_bar() -> Iterator[Progress]:
     """Context with a function that shows progress: as a bar on a terminal, otherwise as lines."""
     if not sys.stderr.isatty():
         yield _seldom()
@@ -46,7 +46,7 @@ def progress_bar() -> Iterator[Show]:
         yield lambda text, fraction: show(text, fraction, "")
 
 
-def _seldom() -> Show:
+def _seldom() -> Progress:
     """Function that prints a line of progress, at most every few seconds."""
     began = time.monotonic()
     last = began - _EVERY

@@ -16,6 +16,7 @@ from .learning import entered_parameters
 if TYPE_CHECKING:
     from ..data.parameters import SimulationParameters
     from ..data.subject import Subject
+    from ..runtime import LiveGarment
     from ..viewer import Take
 
 # Name, seed and classes of motion of the dances that a page shows by default, and their length.
@@ -55,6 +56,7 @@ def view(
     The body dances or is turned by hand, the garment follows; a garment that reads the
     simulation's parameters has sliders for them.
     """
+    from ..data.parameters import SimulationParameters, warn_beyond
     from ..runtime import load_live
     from ..viewer import write_page
 
@@ -66,9 +68,10 @@ def view(
         raise InputError("model", "one that reads the simulation's parameters", str(model))
     subject = garment.subject
     if motions:
-        takes, parameters = _read(model, motions, entered, truth, garment.reads_parameters)
+        takes, parameters = _read(garment, motions, entered, truth)
     else:
-        takes, parameters = _dances(subject), _parameters(entered)
+        takes, parameters = _dances(subject), SimulationParameters(**entered)
+    warn_beyond(parameters, ())
     path = output or Path(tempfile.mkdtemp(prefix="garmentnet-")) / "page.html"
     size = write_page(
         garment,
@@ -84,15 +87,6 @@ def view(
         webbrowser.open(path.resolve().as_uri())
 
 
-def _parameters(entered: dict[str, float]) -> SimulationParameters:
-    from ..data.parameters import SimulationParameters
-
-    parameters = SimulationParameters(**entered)
-    for name in parameters.outside():
-        typer.echo(f"warning: {name} {getattr(parameters, name):g} is beyond its slider", err=True)
-    return parameters
-
-
 def _dances(subject: Subject) -> list[Take]:
     from ..viewer import Take
     from .demo import made_dance
@@ -104,30 +98,32 @@ def _dances(subject: Subject) -> list[Take]:
 
 
 def _read(
-    model: Path, motions: list[Path], entered: dict[str, float], truth: bool, reads: bool
+    garment: LiveGarment, motions: list[Path], entered: dict[str, float], truth: bool
 ) -> tuple[list[Take], SimulationParameters]:
     """Motions of some files, and the simulation parameters.
 
-    Parameters that are not entered are those of the first clip, if the garment reads them.
+    Those that were not entered are the usual ones, or those of the first clip if the network reads
+    them.
     """
     import dataclasses
 
-    from ..networks.checkpoint import load_checkpoint
+    from ..data.parameters import SimulationParameters
     from ..prediction.motion_file import read_motion
     from ..viewer import Take
 
-    checkpoint = load_checkpoint(model)
-    joints, found = zip(*(read_motion(path, checkpoint) for path in motions), strict=True)
-    clips = [clip if truth else None for clip in found]
-    own = next((clip.parameters for clip in clips if clip is not None), None)
-    usual = dataclasses.asdict(own) if own and reads else {}
-    parameters = _parameters(usual | entered)
-    trained_on = parameters if reads else checkpoint.parameters[0]
+    found = [read_motion(path, garment.subject) for path in motions]
+    own = next((clip.parameters for _, clip in found if clip is not None and truth), None)
+    reads = garment.reads_parameters
+    known = dataclasses.asdict(own) if own and reads else {}
+    parameters = SimulationParameters(**known | entered)
+    trained_on = parameters if reads else garment.trained_on[0]
     takes = []
-    for path, moved, clip in zip(motions, joints, clips, strict=True):
-        if clip is not None and trained_on is not None and clip.parameters != trained_on:
-            typer.echo(f"{path}: its cloth is not shown, it is of {clip.parameters}", err=True)
-            clip = None
-        seen = None if clip is None else clip.sequence.frames(slice(None))
-        takes.append(Take(path.stem, moved, seen))
+    for path, (joints, clip) in zip(motions, found, strict=True):
+        cloth = None
+        if clip is not None and truth:
+            if trained_on in (None, clip.parameters):
+                cloth = clip.sequence.frames(slice(None))
+            else:
+                typer.echo(f"{path}: its cloth is not shown, it is of {clip.parameters}", err=True)
+        takes.append(Take(path.stem, joints, cloth))
     return takes, parameters

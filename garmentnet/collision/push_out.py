@@ -27,7 +27,7 @@ from ssdr.errors import InputError, is_real
 from ssdr.kernels.closest import tree_order
 from ssdr.parallel import chunk_bounds, run_chunks
 
-from ..data.clip_files import check_finite
+from ..data.skeleton import check_finite
 from .crossing_kernels import fit_triangles
 from .kernels import push_frame, signed_distances
 

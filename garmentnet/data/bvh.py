@@ -16,10 +16,7 @@ from ssdr.errors import FormatError, InputError
 from ssdr.io.registry import check, reading
 
 Float = NDArray[np.float64]
-# Limits against hostile files, far above what a motion of a body needs.
-_MAX_BYTES = 1 << 28
-_MAX_JOINTS = 1000
-_MAX_DEPTH = 200  # levels of joints
+_MAX_BYTES = 1 << 28  # limit against hostile files, far above what a motion of a body needs
 _FRAME_TIMES = (1e-4, 10.0)  # seconds, shortest and longest
 
 
@@ -117,20 +114,16 @@ def read_bvh(path: str | os.PathLike[str]) -> Bvh:
         head, separator, tail = text.partition("MOTION")
         check(separator, "no section MOTION")
         names, parents, offsets, channels = _hierarchy(iter(head.split()))
-        lines = tail.split("\n")
-        words = " ".join(lines[:4]).split()
-        if len(words) < 5 or words[0] != "Frames:" or words[2:4] != ["Frame", "Time:"]:
-            raise FormatError("no 'Frames:' and 'Frame Time:' after MOTION")
+        words = tail.split()
+        stated = words[:1] + words[2:4] == ["Frames:", "Frame", "Time:"]
+        check(stated, "no 'Frames:' and 'Frame Time:' after MOTION")
         frames, step = int(words[1]), float(words[4])
-        if not (frames >= 1 and _FRAME_TIMES[0] <= step <= _FRAME_TIMES[1]):
-            raise FormatError(f"{frames} frames of {step} s")
+        valid = frames >= 1 and _FRAME_TIMES[0] <= step <= _FRAME_TIMES[1]
+        check(valid, f"{frames} frames of {step} s")
         width = sum(len(c) for c in channels)
-        start = tail.index(words[4], tail.index("Time:")) + len(words[4])
-        values = np.array(tail[start:].split(), dtype=np.float64)
-        if len(values) != frames * width:
-            raise FormatError(
-                f"expected {frames} frames of {width} numbers, got {len(values)} numbers"
-            )
+        values = np.array(words[5:], dtype=np.float64)
+        expected = f"expected {frames} frames of {width} numbers, got {len(values)} numbers"
+        check(len(values) == frames * width, expected)
         check(np.isfinite(values).all(), "NaN or Inf among the channels")
         values = values.reshape(frames, width)
         root = np.zeros((frames, 3))
@@ -170,13 +163,11 @@ def _hierarchy(
                 parents.append(stack[-1] if stack else -1)
                 offsets.append([0.0, 0.0, 0.0])
                 channels.append([])
-                check(len(names) <= _MAX_JOINTS, f"more than {_MAX_JOINTS} joints")
             elif word == "End":
                 next(words)
                 end = True
             elif word == "{":
                 stack.append(-2 if end else len(names) - 1)
-                check(len(stack) <= _MAX_DEPTH, f"joints nested deeper than {_MAX_DEPTH}")
             elif word == "}":
                 end = False
                 stack.pop()
@@ -188,10 +179,9 @@ def _hierarchy(
             elif word == "CHANNELS":
                 chosen = [next(words) for _ in range(int(next(words)))]
                 kinds = {f"{a}{k}" for a in "XYZ" for k in ("position", "rotation")}
-                if not set(chosen) <= kinds or len(set(chosen)) != len(chosen):
-                    raise FormatError(f"channels {chosen}")
-                if sum(c.endswith("rotation") for c in chosen) not in (0, 3):
-                    raise FormatError(f"channels {chosen}: expected three rotations or none")
+                turns = sum(c.endswith("rotation") for c in chosen)
+                valid = set(chosen) <= kinds and len(set(chosen)) == len(chosen) and turns in (0, 3)
+                check(valid, f"channels {chosen}: expected three rotations or none")
                 channels[stack[-1]] = chosen
             else:
                 raise FormatError(f"{word!r} in the hierarchy")

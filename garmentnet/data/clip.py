@@ -16,11 +16,11 @@ from ssdr.io.registry import reading
 from ssdr.sequence import MeshSequence
 from ssdr.skinning import skin
 
-from .clip_files import Split, StoredFrames, check_finite, open_array
+from .clip_files import Split, StoredFrames, open_array
 from .motion import CLASSES
 from .outfit import Outfit
 from .parameters import SimulationParameters
-from .skeleton import mirror_transforms
+from .skeleton import check_finite, mirror_transforms
 
 # Suffix of a mirrored clip's name; no name on disk may hold it.
 MIRRORED = "~mirrored"

@@ -16,12 +16,15 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import zarr
 from numpy.typing import NDArray
+from zarr.codecs import BloscCodec, Crc32cCodec
 
-from ssdr.errors import FormatError, InputError
+from ssdr.errors import FormatError
 from ssdr.io.atomic import atomic_path
-from ssdr.io.optional import import_optional as require
 from ssdr.io.registry import reading
+
+from .skeleton import check_finite
 
 Split = Literal["train", "validation", "test"]
 # Number of frames whose vertices are compressed together: about 1 s, 100 KiB for 2,000 vertices.
@@ -58,9 +61,7 @@ def write_clip(
     if step > 0:
         stored["steps"] = encode_steps(stored.pop("vertices"), step)
     with atomic_path(target, flush=False) as temporary:
-        group = zarr().create_group(
-            store=str(temporary), attributes=dict(metadata) | {"step": step}
-        )
+        group = zarr.create_group(store=str(temporary), attributes=dict(metadata) | {"step": step})
         for key, values in stored.items():
             chunk = min(frames, _CHUNK_FRAMES) if key in ("vertices", "steps") else frames
             array = group.create_array(
@@ -118,7 +119,7 @@ def open_array(path: Path, name: str, shape: tuple[int, ...]) -> Any:
         If the array is missing, or its type or shape is another.
     """
     with reading(path):
-        array = zarr().open_array(str(path / name), mode="r")
+        array = zarr.open_array(str(path / name), mode="r")
         kind = _ARRAYS[name][0]
         if tuple(array.shape) != shape or str(array.dtype) != kind:
             raise FormatError(
@@ -191,41 +192,10 @@ class StoredFrames:
         return out
 
 
-def zarr() -> Any:
-    """Import the package zarr; a MissingDependencyError if it is not installed."""
-    return require("zarr", "garmentnet", "a store of clips")
-
-
-def compressors(itemsize: int = 4, shuffle: str = "shuffle") -> Sequence[Any]:
+def compressors(itemsize: int = 4, shuffle: Any = "shuffle") -> Sequence[Any]:
     """Codecs with which the arrays of a store are compressed; `itemsize` is in bytes."""
-    codecs = require("zarr.codecs", "garmentnet", "a store of clips")
     # The checksum comes last: a flipped bit is found before anything is decompressed.
     return (
-        codecs.BloscCodec(cname="zstd", clevel=5, shuffle=shuffle, typesize=itemsize),
-        codecs.Crc32cCodec(),
+        BloscCodec(cname="zstd", clevel=5, shuffle=shuffle, typesize=itemsize),
+        Crc32cCodec(),
     )
-
-
-def check_finite(values: NDArray[np.floating], what: str, first: int = 0) -> None:
-    """Check that every number is finite.
-
-    Parameters
-    ----------
-    values : (F, ...) array
-    what : str
-        Name of the array, for the error.
-    first : int
-        Number of its first frame.
-
-    Raises
-    ------
-    InputError
-        If a number is not finite; the message names the first frame with NaN or Inf.
-
-    Examples
-    --------
-    >>> check_finite(np.zeros((2, 4, 3)), "vertices")
-    """
-    bad = ~np.isfinite(values).reshape(len(values), -1).all(axis=1)
-    if bad.any():
-        raise InputError(what, "finite numbers", f"NaN or Inf in frame {first + bad.argmax()}")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,15 +47,50 @@ class Outfit:
     def n_vertices(self) -> int:
         return len(self.rest)
 
+    @property
+    def garment_id(self) -> str:
+        """Hash of the garment's mesh."""
+        return mesh_identity(self.rest, self.faces)
+
+    @property
+    def body_id(self) -> str:
+        """Hash of the body."""
+        return body_identity(self.body, self.skeleton)
+
     def is_like(self, other: Outfit) -> bool:
         """Whether garment, body, skeleton and frame rate are the same."""
-        return (
-            self.fps == other.fps
-            and np.array_equal(self.rest, other.rest)
-            and np.array_equal(self.faces, other.faces)
-            and np.array_equal(self.pinned, other.pinned)
-            and np.array_equal(self.body.rest, other.body.rest)
-            and np.array_equal(self.body.weights, other.body.weights)
-            and self.skeleton.names == other.skeleton.names
-            and np.array_equal(self.skeleton.rest, other.skeleton.rest)
-        )
+        same = all(getattr(self, k) == getattr(other, k) for k in ("fps", "garment_id", "body_id"))
+        return same and np.array_equal(self.pinned, other.pinned)
+
+
+def is_mirror(mirror: NDArray[np.integer], faces: NDArray[np.integer], count: int) -> bool:
+    """Whether a permutation of `count` vertices, its own inverse, maps triangles to triangles."""
+    if mirror.shape != (count,) or not np.array_equal(np.sort(mirror), np.arange(count)):
+        return False
+    own, turned = ({tuple(sorted(f)) for f in some.tolist()} for some in (faces, mirror[faces]))
+    return own == turned and np.array_equal(mirror[mirror], np.arange(count))
+
+
+def body_identity(body: Skinning, skeleton: Skeleton) -> str:
+    """Hash of a body's mesh, weights and skeleton."""
+    mesh, names = (body.rest, body.indices, body.weights, body.faces), ",".join(skeleton.names)
+    return _digest(*mesh, skeleton.parents, skeleton.rest, names.encode())
+
+
+def mesh_identity(rest: Any, faces: Any) -> str:
+    """Hash of a mesh: equal for equal rest poses (as float32) and triangles.
+
+    Examples
+    --------
+    >>> mesh_identity([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    '98c4edc67b8ce133'
+    """
+    return _digest(np.asarray(rest, np.float32), np.asarray(faces, np.int32))
+
+
+def _digest(*parts: Any) -> str:
+    h = hashlib.sha256()
+    for part in parts:
+        h.update(part if isinstance(part, bytes) else np.ascontiguousarray(part).tobytes())
+        h.update(b"|")
+    return h.hexdigest()[:16]

@@ -75,17 +75,6 @@ class SimulationParameters:
         value = np.log([self.bending, self.density, self.time_scale])
         return np.asarray(2 * (value - low) / (high - low) - 1)
 
-    def outside(self) -> tuple[str, ...]:
-        """Names of the parameters that lie outside :data:`RANGES`.
-
-        Examples
-        --------
-        >>> SimulationParameters(bending=5.0).outside()
-        ('bending',)
-        """
-        beyond = np.abs(self.normalised()) > 1 + 1e-9  # rounded ends of the range are inside
-        return tuple(n for n, far in zip(RANGES, beyond, strict=True) if far)
-
 
 def warn_beyond(
     parameters: SimulationParameters, trained_on: Sequence[SimulationParameters | None]

@@ -72,11 +72,11 @@ def retarget(bvh: Bvh, skeleton: Skeleton, *, fps: float = 30.0) -> Motion:
         raise InputError("fps", "1 to 1000", fps)
     source = _match(bvh, skeleton)
     zero = np.zeros((len(bvh.names), 3))
-    world = np.empty_like(bvh.rotations)
     for j, parent in enumerate(bvh.parents):
         zero[j] = bvh.offsets[j] + (zero[parent] if parent >= 0 else 0)
-        relative = bvh.rotations[:, j]
-        world[:, j] = relative if parent < 0 else world[:, parent] @ relative
+    # By numbers, since a file may give two joints the same name.
+    figure = Skeleton(tuple(map(str, range(len(zero)))), bvh.parents, zero)
+    world = figure.transforms(np.zeros((bvh.n_frames, 3)), bvh.rotations)
     # Files differ in which axis is up and in which direction the figure faces.
     across = zero[source["thigh_l"]] - zero[source["thigh_r"]]
     down = (zero[source["foot_l"]] + zero[source["foot_r"]]) / 2 - zero[source["pelvis"]]
@@ -89,8 +89,8 @@ def retarget(bvh: Bvh, skeleton: Skeleton, *, fps: float = 30.0) -> Motion:
     ours = np.stack([left, up, np.cross(left, up)])
     rest = dict(zip(skeleton.names, skeleton.rest, strict=True))
     legs = _leg_length({name: zero[j] for name, j in source.items()})
-    first = _first_frame(bvh, world)
-    turned = ours @ world[first:] @ ours.T
+    first = _first_frame(figure.positions(world))
+    turned = ours @ world[first:, :, :, :3] @ ours.T
     count = len(turned)
     rotations = np.empty((count, skeleton.n_joints, 3, 3))
     for j, joint in enumerate(skeleton.names):
@@ -151,20 +151,16 @@ def _match(bvh: Bvh, skeleton: Skeleton) -> dict[str, int]:
     return matched
 
 
-def _first_frame(bvh: Bvh, world: Float) -> int:
-    """Index of the first frame of the motion itself.
+def _first_frame(heads: Float) -> int:
+    """Index of the first frame of the motion itself, given joints ``(F, J, 3)`` about the root.
 
     Some converters put a calibration pose before the motion and jump from it within a few
     frames.  Frames at the start that move much faster than the rest are left out.
     """
     # Most frames that may be left out: 12 (0.1 s at 120 frames per second), but at most a quarter.
-    lead = min(12, bvh.n_frames // 4)
+    lead = min(12, len(heads) // 4)
     if lead == 0:
         return 0
-    heads = np.zeros((bvh.n_frames, len(bvh.names), 3))
-    for j, parent in enumerate(bvh.parents):
-        if parent >= 0:
-            heads[:, j] = heads[:, parent] + world[:, parent] @ bvh.offsets[j]
     speed = np.linalg.norm(np.diff(heads, axis=0), axis=2).max(axis=1)
     # 1.5 times the 99th percentile of speed: faster than the motion ever is, apart from noise.
     fast = speed[:lead] > 1.5 * np.percentile(speed[lead:], 99)

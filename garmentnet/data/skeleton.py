@@ -225,3 +225,28 @@ def check_joints(joints: ArrayLike, n_joints: int) -> NDArray[np.float64]:
         t, j = (int(k) for k in np.argwhere(bad)[0])
         raise InputError("joints", "rigid transforms", f"no rotation at frame {t}, joint {j}")
     return m
+
+
+def check_finite(values: NDArray[np.floating], what: str, first: int = 0) -> None:
+    """Check that every number is finite.
+
+    Parameters
+    ----------
+    values : (F, ...) array
+    what : str
+        Name of the array, for the error.
+    first : int
+        Number of its first frame.
+
+    Raises
+    ------
+    InputError
+        If a number is not finite; the message names the first frame with NaN or Inf.
+
+    Examples
+    --------
+    >>> check_finite(np.zeros((2, 4, 3)), "vertices")
+    """
+    bad = ~np.isfinite(values).reshape(len(values), -1).all(axis=1)
+    if bad.any():
+        raise InputError(what, "finite numbers", f"NaN or Inf in frame {first + bad.argmax()}")

@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 import ssdr
 from ssdr.laplacian import LaplacianSmoother
 
-from .store import ClipStore
+if TYPE_CHECKING:
+    from .store import ClipStore
 
 # Largest error, metres, of skinning by the body at which a vertex counts as bound, in all frames.
 _CLOSE = 1e-4

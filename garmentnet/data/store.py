@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
+import zarr
 from numpy.typing import ArrayLike, NDArray
 
 import ssdr
@@ -28,11 +29,11 @@ from ssdr.sequence import MeshSequence
 from ssdr.skinning import Skinning
 
 from .clip import MIRRORED, Clip, spread
-from .clip_files import Split, check_finite, compressors, write_clip, zarr
+from .clip_files import Split, compressors, write_clip
 from .motion import CLASSES
-from .outfit import Outfit
+from .outfit import Outfit, is_mirror
 from .parameters import SimulationParameters
-from .skeleton import Skeleton
+from .skeleton import Skeleton, check_finite
 
 _FORMAT, _VERSION = "garmentnet clips", 1
 _ARRAYS = ("rest", "faces", "pinned", "mirror_vertices")
@@ -114,11 +115,18 @@ class ClipStore(Outfit):
             garment, body or frame rate.
         """
         target = Path(path)
+        target.parent.mkdir(parents=True, exist_ok=True)
         garment = MeshSequence(np.asarray(rest, dtype=np.float32)[None], faces, fps)
         if body.names() != skeleton.names:
             raise InputError("skeleton", f"the body's joints {body.names()}", skeleton.names)
         count = garment.n_vertices
         mask = check_mask(pinned, "pinned", count)
+        mirror = None
+        if mirror_vertices is not None:
+            mirror = np.asarray(mirror_vertices, dtype=np.int32)
+            if not is_mirror(mirror, garment.faces, count):
+                expected = f"a permutation of {count}, its own inverse, of triangles to triangles"
+                raise InputError("mirror_vertices", expected, "another")
         outfit = Outfit(
             rest=np.asarray(garment.vertices[0]),
             faces=garment.faces,
@@ -126,9 +134,7 @@ class ClipStore(Outfit):
             skeleton=skeleton,
             fps=garment.fps,
             pinned=np.zeros(count, bool) if mask is None else mask,
-            mirror_vertices=(
-                None if mirror_vertices is None else _checked_mirror(mirror_vertices, garment)
-            ),
+            mirror_vertices=mirror,
         )
         if target.exists():
             return cls._same(target, outfit)
@@ -142,7 +148,7 @@ class ClipStore(Outfit):
         }
         try:
             with atomic_path(target, flush=False) as temporary:
-                group = zarr().create_group(store=str(temporary), attributes=metadata)
+                group = zarr.create_group(store=str(temporary), attributes=metadata)
                 for name in _ARRAYS:
                     values = getattr(outfit, name)
                     if values is not None:
@@ -176,7 +182,7 @@ class ClipStore(Outfit):
         check(target.is_dir(), f"{target}: no such folder")
         check((target / "zarr.json").is_file(), f"{target}: not a store of clips (no zarr.json)")
         with reading(target):
-            group = zarr().open_group(str(target), mode="r")
+            group: Any = zarr.open_group(str(target), mode="r")
             attributes = dict(group.attrs)
             if attributes.get("format") != _FORMAT:
                 raise FormatError("not a store of clips (no such attribute format)")
@@ -304,13 +310,13 @@ class ClipStore(Outfit):
         *,
         vertices: ArrayLike,
         joints: ArrayLike,
-        classes: ArrayLike,
         split: Split,
         motion: str,
         parameters: SimulationParameters,
-        seed: int,
-        quality: Mapping[str, Any],
         provenance: Mapping[str, Any],
+        classes: ArrayLike | None = None,
+        seed: int = 0,
+        quality: Mapping[str, Any] = {"accepted": True, "reason": ""},
         perturbation: float = 0.0,
         step: float = 0.0,
     ) -> Clip:
@@ -323,7 +329,8 @@ class ClipStore(Outfit):
         vertices : (F, V, 3) array
         joints : (F, J, 3, 4) array
             Transforms from the body's rest pose to the pose of each frame.
-        classes : (F,) int array
+        classes : (F,) int array, optional
+            By default all frames are recorded.
         split, motion, parameters, seed, quality, provenance, perturbation
             As in :class:`Clip`.  `quality` must hold a bool ``accepted``; only a clip that is not
             accepted may hold NaN or Inf.
@@ -355,7 +362,8 @@ class ClipStore(Outfit):
         shape = (frames, self.skeleton.n_joints, 3, 4)
         if m.shape != shape or not np.isfinite(m).all():
             raise InputError("joints", f"finite numbers of shape {shape}", f"shape {m.shape}")
-        c = np.asarray(classes, dtype=np.int8)
+        recorded = np.full(frames, CLASSES.index("recorded"))
+        c = np.asarray(recorded if classes is None else classes, dtype=np.int8)
         if c.shape != (frames,) or c.min() < 0 or c.max() >= len(CLASSES):
             raise InputError("classes", f"{frames} indices below {len(CLASSES)}", c)
         if accepted:
@@ -384,16 +392,3 @@ class ClipStore(Outfit):
         for path in left:
             remove(path)
         return len(left)
-
-
-def _checked_mirror(mirror: ArrayLike, garment: MeshSequence) -> NDArray[np.int32]:
-    m = np.asarray(mirror, dtype=np.int32)
-    count = garment.n_vertices
-    if m.shape != (count,) or not np.array_equal(np.sort(m), np.arange(count)):
-        raise InputError("mirror_vertices", f"a permutation of {count}", f"shape {m.shape}")
-    if not np.array_equal(m[m], np.arange(count)):
-        raise InputError("mirror_vertices", "a permutation that is its own inverse", "another")
-    turned = {tuple(sorted(f)) for f in m[garment.faces].tolist()}
-    if turned != {tuple(sorted(f)) for f in garment.faces.tolist()}:
-        raise InputError("mirror_vertices", "triangles that map to triangles", "others")
-    return m

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ssdr import Skinning
+from ssdr.errors import InputError
 
+from .outfit import Outfit, body_identity
 from .skeleton import Skeleton
 from .skin_weights import BodyBound
 
@@ -27,7 +28,7 @@ class Subject:
     skeleton : Skeleton
     fps : float
     garment_id : str
-        Hash of the simulated mesh; see :func:`mesh_identity`.
+        Hash of the simulated mesh; see :func:`garmentnet.data.outfit.mesh_identity`.
     bound : BodyBound or None
         Vertices bound to the body; None if all are predicted.
     """
@@ -64,26 +65,13 @@ class Subject:
 
     @property
     def body_id(self) -> str:
-        """Hash of the body's mesh, weights and skeleton."""
-        b, s = self.body, self.skeleton
-        names = ",".join(s.names).encode()
-        return _digest(b.rest, b.indices, b.weights, b.faces, s.parents, s.rest, names)
+        """Hash of the body; see :func:`garmentnet.data.outfit.body_identity`."""
+        return body_identity(self.body, self.skeleton)
 
-
-def mesh_identity(rest: Any, faces: Any) -> str:
-    """Hash of a mesh: equal for equal rest poses (as float32) and triangles.
-
-    Examples
-    --------
-    >>> mesh_identity([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
-    '98c4edc67b8ce133'
-    """
-    return _digest(np.asarray(rest, np.float32), np.asarray(faces, np.int32))
-
-
-def _digest(*parts: Any) -> str:
-    h = hashlib.sha256()
-    for part in parts:
-        h.update(part if isinstance(part, bytes) else np.ascontiguousarray(part).tobytes())
-        h.update(b"|")
-    return h.hexdigest()[:16]
+    def check_fits(self, outfit: Outfit) -> None:
+        """Raise InputError unless an outfit has this garment, body and frame rate."""
+        for name in ("garment_id", "body_id", "fps"):
+            expected, got = getattr(outfit, name), getattr(self, name)
+            if expected != got:
+                wanted = f"one of the {name.removesuffix('_id')} of the store ({expected})"
+                raise InputError("checkpoint", wanted, f"another ({got})")

@@ -28,11 +28,12 @@ from ssdr.io.registry import reading
 from ssdr.laplacian import LaplacianSmoother
 
 from ..configs.config import BoneOptions
-from ..io.files import kept, write_file, writing
+from ..io.files import Progress, kept, silent, write_file, writing
+from .outfit import mesh_identity
 from .parameters import SimulationParameters
 from .skin_weights import BodyBound, find_body_bound
 from .store import ClipStore
-from .subject import Subject, mesh_identity
+from .subject import Subject
 
 # Refitting ends when a sweep lowers the error by less than this fraction: about 1 µm of 10 mm.
 _TOLERANCE = 1e-4
@@ -41,7 +42,6 @@ _SWEEPS = 30  # most sweeps of a fit
 _BOUND_VERSION = 2
 
 _logger = logging.getLogger(__name__)
-Progress = Callable[[str, float], None]
 
 
 def parameter_roles(store: ClipStore) -> dict[SimulationParameters, str]:
@@ -90,8 +90,8 @@ class VirtualBones:
     def subject(self) -> Subject:
         """Garment and body in the form that a network needs."""
         store = self.store
-        identity = mesh_identity(store.rest, store.faces)
-        return Subject(self.skinning, store.body, store.skeleton, store.fps, identity, self.bound)
+        body, identity = store.body, store.garment_id
+        return Subject(self.skinning, body, store.skeleton, store.fps, identity, self.bound)
 
     @functools.cached_property
     def smoother(self) -> LaplacianSmoother:
@@ -134,7 +134,7 @@ def virtual_bones(
     options: BoneOptions,
     *,
     subject: Subject | None = None,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> VirtualBones:
     """Virtual bones of a store, which are read if they were computed before.
 
@@ -155,10 +155,9 @@ def virtual_bones(
     InputError
         If the store has no training clips, or `subject` has another garment.
     """
-    garment = mesh_identity(store.rest, store.faces)
-    if subject is not None and subject.garment_id != garment:
-        raise InputError("subject", f"the garment of {store.path}", "another")
     if subject is not None:
+        if subject.garment_id != store.garment_id:
+            raise InputError("subject", f"the garment of {store.path}", "another")
         options = dataclasses.replace(options, count=subject.garment.n_bones)
     roles = parameter_roles(store)
     names = [
@@ -171,7 +170,7 @@ def virtual_bones(
         of = f" of motions {options.motions}" if options.motions else ""
         raise InputError("store", f"training clips{of} of a training set", str(store.path))
     record = dataclasses.asdict(options) | {
-        "garment": garment,
+        "garment": store.garment_id,
         "clips": names,
         "source": _digest(store, names),
     }
@@ -179,14 +178,12 @@ def virtual_bones(
         record["bones"] = mesh_identity(subject.garment.rest, subject.garment.indices)
     key = hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()[:12]
     place = store.path.with_name(store.path.name + ".bones") / key
+    if subject is not None:
+        return VirtualBones(place, store, subject.garment, options, record, subject.bound)
     place.mkdir(parents=True, exist_ok=True)
     skinning_file, report_file = place / "bones.npz", place / "bones.json"
     if not (skinning_file.is_file() and report_file.is_file()):
-        found: dict[str, Any] = {}
-        if subject is not None:
-            skinning = subject.garment
-        else:
-            skinning, found = _decompose(store, names, options, progress)
+        skinning, found = _decompose(store, names, options, progress)
         with writing(skinning_file):
             ssdr.save(skinning, skinning_file)
         write_file(report_file, json.dumps(record | found, indent=1).encode())
@@ -196,8 +193,7 @@ def virtual_bones(
     with reading(report_file):
         known: dict[str, Any] = json.loads(report_file.read_text("utf-8"))
     bones = VirtualBones(place, store, skinning, options, known)
-    bound = _body_bound(bones, names) if subject is None else subject.bound
-    return dataclasses.replace(bones, bound=bound)
+    return dataclasses.replace(bones, bound=_body_bound(bones, names))
 
 
 def _body_bound(bones: VirtualBones, names: Sequence[str]) -> BodyBound | None:
@@ -215,7 +211,7 @@ def _decompose(
     store: ClipStore,
     names: Sequence[str],
     options: BoneOptions,
-    progress: Progress | None,
+    progress: Progress,
 ) -> tuple[Skinning, dict[str, Any]]:
     began = time.perf_counter()
     smoother = LaplacianSmoother(store.rest, store.faces, options.length)
@@ -225,17 +221,13 @@ def _decompose(
     ]
     frames = np.concatenate(parts)
 
-    def follow(p: Any) -> None:
-        if progress:
-            progress(f"decomposing: {p.phase}", p.fraction)
-
     result = ssdr.decompose(
         MeshSequence(frames, store.faces, store.fps),
         bones=options.count,
         influences=options.influences,
         effort=options.effort,
         rng=options.seed,
-        callback=follow,
+        callback=lambda p: progress(f"decomposing: {p.phase}", p.fraction),
     )
     s = result.skinning
     still = np.tile(np.eye(3, 4), (1, s.n_bones, 1, 1))

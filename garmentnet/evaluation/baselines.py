@@ -138,3 +138,11 @@ class Ridge(Method):
         y = self.fit(x).reshape(len(x), *self.code.shape)
         low = self.lbs(self.code(torch.from_numpy(y).float())).double().numpy()
         return np.asarray(apply_frame(frame, low + self.high), np.float32)
+
+
+def fit_baselines(
+    bones: VirtualBones, names: Sequence[str], validation: Sequence[str]
+) -> list[Method]:
+    """The mean shape, skinning by the body and the ridge, fitted to the named clips."""
+    ridge = Ridge(bones, names, validation)
+    return [MeanShape(bones, names), BodySkinned(bones.store), ridge]

@@ -26,7 +26,7 @@ class Method(ABC):
     """A prediction of the garment's vertices from the body's motion.
 
     A further baseline is a subclass with a ``name`` and :meth:`predict`, and a line in
-    :func:`garmentnet.evaluation.reporting.fit_baselines`.
+    :func:`garmentnet.evaluation.baselines.fit_baselines`.
     """
 
     name: str

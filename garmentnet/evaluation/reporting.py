@@ -5,24 +5,23 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
 from ssdr.errors import InputError
 
-from ..configs.config import Config
 from ..data.clip import Clip
 from ..data.motion import CLASSES
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
 from ..data.virtual_bones import VirtualBones, parameter_roles, virtual_bones
 from ..drawing.dressed import draw_clip
-from ..io.files import write_file, writing
+from ..io.files import Progress, silent, write_file, writing
 from ..networks.checkpoint import Checkpoint, load_checkpoint
 from ..training.run import choose_clips
-from .baselines import BodySkinned, MeanShape, Ridge
+from .baselines import fit_baselines
 from .limbs import count_limbs, limbs_table
 from .methods import BonesThemselves, MeanDetail, Method, Network
 from .scores import PARTS, VERTICES, Scores, chaos_floor, evaluate
@@ -31,7 +30,6 @@ from .tables import class_table, markdown, score_table
 _NUMBER = re.compile(r"[-_]\d+\Z")
 RECORDED = "recorded"
 _MOTIONS = "unseen motions, "  # beginning of the titles of sections; their groups follow
-Progress = Callable[[str, float], None]
 
 
 def report(
@@ -42,7 +40,7 @@ def report(
     baselines: bool = True,
     pictures: int = 1,
     clips: Sequence[str] = (),
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> str:
     """Score checkpoints on unseen motions and, if they read parameters, unseen parameters.
 
@@ -77,7 +75,7 @@ def report(
         folder.mkdir(parents=True, exist_ok=True)
     networks = [Network(_name(p, paths), load_checkpoint(p)) for p in paths]
     for network in networks:
-        network.checkpoint.check_fits(store)
+        network.checkpoint.subject.check_fits(store)
     first = networks[0].checkpoint
     config, base = first.networks[0].config, _base(first, store)
     reading = [n for n in networks if n.checkpoint.reads_parameters]
@@ -86,7 +84,11 @@ def report(
     bounds = BonesThemselves(bones), MeanDetail(bones)
     methods: list[Method] = [*bounds, *networks]
     if baselines:
-        methods += fit_baselines(bones, config, base)
+        names, held = (choose_clips(store, config, s, base)[0] for s in ("train", "validation"))
+        if not held:
+            expected = f"validation clips of {base} for the baselines"
+            raise InputError("store", expected, str(store.path))
+        methods += fit_baselines(bones, names, held)
     document: dict[str, Any] = {
         "parameters": dataclasses.asdict(base),
         "bones": bones.report,
@@ -114,23 +116,6 @@ def report(
     write_file(folder / "report.json", json.dumps(document).encode())
     write_file(folder / "report.md", text.encode())
     return text
-
-
-def fit_baselines(bones: VirtualBones, config: Config, base: SimulationParameters) -> list[Method]:
-    """The baselines, fitted to the clips of a configuration at one parameter set.
-
-    Raises
-    ------
-    InputError
-        If the store lacks training or validation clips of these parameters.
-    """
-    store, text = bones.store, ",".join(repr(v) for v in dataclasses.astuple(base))
-    data = dataclasses.replace(config.data, parameters=text, condition=False)
-    plain = dataclasses.replace(config, data=data)
-    names, held = (choose_clips(store, plain, split)[0] for split in ("train", "validation"))
-    if not held:
-        raise InputError("store", f"validation clips of {base} for the baselines", str(store.path))
-    return [MeanShape(bones, names), BodySkinned(store), Ridge(bones, names, held)]
 
 
 def group_of(clip: Clip) -> str:

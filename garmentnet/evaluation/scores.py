@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,7 @@ from ..collision.push_out import INSIDE, PushOut, is_closed
 from ..data.clip import Clip
 from ..data.motion import CLASSES
 from ..data.virtual_bones import VirtualBones
+from ..io.files import Progress, silent
 from .methods import Method
 
 _MM = 1e3  # from metres to millimetres
@@ -113,7 +114,7 @@ def evaluate(
     methods: Sequence[Method],
     names: Sequence[str],
     *,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress = silent,
 ) -> list[Scores]:
     """Score methods on clips that are not mirrored; one clip is in memory at a time.
 
@@ -142,8 +143,7 @@ def evaluate(
         scores = []
         for k, name in enumerate(names):
             scores.append(scorer.score(method, bones.store.clip(name)))
-            if progress:
-                progress(method.name, (m + (k + 1) / len(names)) / len(methods))
+            progress(method.name, (m + (k + 1) / len(names)) / len(methods))
         rows.append(pool(method.name, scores))
     return rows
 

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 from ..data.store import ClipStore
 from ..data.virtual_bones import virtual_bones
+from ..io.files import Progress, silent
 from ..networks.checkpoint import Checkpoint, load_checkpoint
 from ..training.run import choose_clips
-from .baselines import BodySkinned, MeanShape, Ridge
-from .methods import Method, Network
+from .baselines import BodySkinned, MeanShape, Ridge, fit_baselines
+from .methods import Network
 from .scores import evaluate
 
 _CLIPS = 8  # validation clips that are scored
@@ -30,7 +31,7 @@ def validation_errors(
     store: ClipStore,
     *,
     start: Checkpoint | None = None,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress = silent,
 ) -> dict[str, float]:
     """Overall errors on validation clips, mm, of a network and of body skinning, ridge regression
     and the mean shape, by name; none without validation clips.
@@ -48,17 +49,12 @@ def validation_errors(
     """
     checkpoint = load_checkpoint(path)
     config = checkpoint.networks[0].config
-    held = choose_clips(store, config, "validation")[0]
-    names = choose_clips(store, config)[0]
+    names, held = (choose_clips(store, config, split)[0] for split in ("train", "validation"))
     if not held:
         return {}
     bones = virtual_bones(store, config.bones, subject=None if start is None else start.subject)
-    plain: list[Method] = [MeanShape(bones, names), Ridge(bones, names, held)]
-    if len(store.body.faces):
-        plain.insert(0, BodySkinned(store))
-    rows = evaluate(
-        bones, [Network("network", checkpoint), *plain], held[:_CLIPS], progress=progress
-    )
+    methods = [Network("network", checkpoint), *fit_baselines(bones, names, held)]
+    rows = evaluate(bones, methods, held[:_CLIPS], progress=progress)
     return {row.name: row.all.overall.rmse for row in rows}
 
 

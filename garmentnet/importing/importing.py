@@ -20,7 +20,6 @@ from ssdr.io.atomic import check_writable
 
 from ..collision.push_out import is_closed
 from ..data.clip_files import Split
-from ..data.motion import CLASSES
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
 from ..io.files import writing
@@ -238,12 +237,9 @@ def _add(
             part,
             vertices=v,
             joints=m,
-            classes=np.full(len(v), CLASSES.index("recorded")),
             split=split,
             motion=name,
             parameters=parameters,
-            seed=0,
-            quality={"accepted": True, "reason": ""},
             provenance=provenance,
         )
     text = ", ".join(f"{f.stop - f.start} {split}" for _, split, f in parts)

@@ -15,48 +15,17 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import ssdr
-from ssdr import Skinning
 from ssdr.errors import InputError
 from ssdr.io.arrays.archive import read_arrays
-from ssdr.io.atomic import check_writable
 
 from ..data.clip_files import Split
-from ..data.motion import CLASSES
 from ..data.parameters import SimulationParameters
 from ..data.skeleton import Skeleton
 from ..data.store import ClipStore
-from ..io.files import writing
+from ..io.tables import read_toml
+from .rig import bare_body
 from .scene_files import Say
 
-_FINGERS = ("index", "middle", "pinky", "ring", "thumb")
-# Name, parent and place (m, T-pose, y up, the pelvis near the origin) of the body's joints.  The
-# data set does not state places.  These are an adult's, to about a centimetre; a network reads the
-# joints' rotations and the root's motion, on which they have no influence.
-_BODY = (
-    ("pelvis", -1, 0.0, -0.24, 0.03),
-    ("hip_l", 0, 0.06, -0.33, 0.01),
-    ("hip_r", 0, -0.06, -0.33, 0.01),
-    ("spine1", 0, 0.0, -0.13, 0.0),
-    ("knee_l", 1, 0.11, -0.70, 0.01),
-    ("knee_r", 2, -0.11, -0.70, 0.01),
-    ("spine2", 3, 0.0, 0.0, 0.0),
-    ("ankle_l", 4, 0.09, -1.11, -0.03),
-    ("ankle_r", 5, -0.09, -1.11, -0.03),
-    ("spine3", 6, 0.0, 0.05, 0.03),
-    ("foot_l", 7, 0.12, -1.16, 0.09),
-    ("foot_r", 8, -0.12, -1.16, 0.09),
-    ("neck", 9, 0.0, 0.26, -0.01),
-    ("collar_l", 9, 0.08, 0.17, 0.0),
-    ("collar_r", 9, -0.08, 0.17, 0.0),
-    ("head", 12, 0.0, 0.33, 0.04),
-    ("shoulder_l", 13, 0.17, 0.21, -0.01),
-    ("shoulder_r", 14, -0.17, 0.21, -0.01),
-    ("elbow_l", 16, 0.43, 0.19, -0.03),
-    ("elbow_r", 17, -0.43, 0.19, -0.03),
-    ("wrist_l", 18, 0.68, 0.20, -0.03),
-    ("wrist_r", 19, -0.68, 0.20, -0.03),
-)
-_REACH = (0.10, 0.13, 0.155)  # distance of a finger's joints from the wrist, metres
 _SHORTEST = 2  # frames of a clip
 
 
@@ -69,16 +38,8 @@ def smplh_skeleton() -> Skeleton:
     >>> s.n_joints, s.names[0], s.names[s.parents[22]]
     (52, 'pelvis', 'wrist_l')
     """
-    names = [row[0] for row in _BODY]
-    parents = [row[1] for row in _BODY]
-    rest = [row[2:] for row in _BODY]
-    for wrist, side in ((20, 1.0), (21, -1.0)):
-        x, y, z = rest[wrist]
-        for k, finger in enumerate(_FINGERS):
-            for n, reach in enumerate(_REACH):
-                parents.append(len(names) - 1 if n else wrist)
-                names.append(f"{finger}{n + 1}_{'l' if side > 0 else 'r'}")
-                rest.append((x + side * reach, y, z + 0.02 * (2 - k)))
+    joints = read_toml(Path(__file__).with_name("smplh.toml"))["joint"]
+    names, parents, rest = ([j[key] for j in joints] for key in ("name", "parent", "rest"))
     return Skeleton(tuple(names), np.array(parents, np.int32), np.array(rest))
 
 
@@ -128,21 +89,12 @@ def import_published(
             raise InputError("test, validation", f"some of {', '.join(names)}", name)
     test = test or names[9::10] or names[-1:]
     validation = validation or [n for n in names[8::10] if n not in test]
-    if not target.exists():
-        with writing(target):
-            target.parent.mkdir(parents=True, exist_ok=True)
-            check_writable(target)
     mesh, skeleton = ssdr.load(template), smplh_skeleton()
-    still = np.tile(np.eye(3, 4), (1, skeleton.n_joints, 1, 1))
-    each = np.arange(skeleton.n_joints)[:, None]
-    body = Skinning(
-        skeleton.rest, each, np.ones(each.shape), still, bone_names=skeleton.names, name="body"
-    )
     store = ClipStore.create(
         target,
         rest=mesh.vertices[0],
         faces=mesh.faces,
-        body=body,
+        body=bare_body(skeleton.rest, skeleton.names),
         skeleton=skeleton,
         fps=fps,
     )
@@ -177,12 +129,9 @@ def _add(store: ClipStore, file: Path, split: Split) -> None:
         file.stem,
         vertices=v,
         joints=m,
-        classes=np.full(frames, CLASSES.index("recorded")),
         split=split,
         motion=file.stem,
         parameters=SimulationParameters(),
-        seed=0,
-        quality={"accepted": True, "reason": ""},
         provenance={
             "cloth": file.name,
             "parameter_set": "published",

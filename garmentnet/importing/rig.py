@@ -191,6 +191,12 @@ def rig_of(model: Skinning) -> MovingBody:
     )
 
 
+def bare_body(joints: NDArray[np.float64], names: tuple[str, ...]) -> Skinning:
+    """Body at rest without a mesh: a point at each of its joints ``(J, 3)``."""
+    each, still = np.arange(len(names))[:, None], np.tile(np.eye(3, 4), (1, len(names), 1, 1))
+    return Skinning(joints, each, np.ones(each.shape), still, bone_names=names, name="body")
+
+
 def _body(
     model: Skinning,
     dropped: NDArray[np.int64],
@@ -202,11 +208,10 @@ def _body(
 
     Vertices that lie in the same place and have the same weights are merged.
     """
-    still = np.eye(3, 4)[None, None].repeat(len(names), axis=1)
+    bare = bare_body(joints, names)
     faces = model.faces[~np.isin(model.faces, dropped).any(axis=1)]
     if not len(faces):
-        each = np.arange(len(names))[:, None]
-        return Skinning(joints, each, np.ones(each.shape), still, bone_names=names, name="body")
+        return bare
     rest = np.asarray(model.rest, np.float32)
     key = np.concatenate([rest, model.dense_weights().round(3)], axis=1)
     _, first, merged = np.unique(key, axis=0, return_index=True, return_inverse=True)
@@ -218,14 +223,12 @@ def _body(
     if np.einsum("tc,tc->", a, np.cross(b, c)) < 0:  # six times the volume
         triangles = triangles[:, ::-1]
     indices = np.where(model.weights > 0, place[model.indices], 0)
-    return Skinning(
-        rest[chosen],
-        indices[chosen],
-        model.weights[chosen],
-        still,
+    return dataclasses.replace(
+        bare,
+        rest=rest[chosen],
+        indices=indices[chosen],
+        weights=model.weights[chosen],
         faces=triangles,
-        bone_names=names,
-        name="body",
     )
 
 

@@ -15,6 +15,13 @@ from ssdr.errors import SsdrError
 from ssdr.io.arrays.archive import read_arrays, write_arrays
 from ssdr.io.atomic import write_bytes
 
+# Called with a text that says what is being done, and the fraction that is done.
+Progress = Callable[[str, float], None]
+
+
+def silent(text: str, fraction: float) -> None:
+    """Progress that nobody sees."""
+
 
 @contextlib.contextmanager
 def writing(path: Path) -> Iterator[None]:

@@ -1,26 +1,38 @@
-"""Reading of arrays and JSON documents from a safetensors file, without torch or running code."""
+"""Arrays and a JSON document in a safetensors file, without torch; nothing in it is executed."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import safetensors.numpy
 from numpy.typing import NDArray
 
-from ssdr.errors import FormatError, InputError
-from ssdr.io.optional import import_optional as require
-from ssdr.io.registry import reading
+from ssdr.errors import InputError
+from ssdr.io.registry import check, reading
+
+from .files import write_file
 
 # Checkpoints that ship with the package.
 SHIPPED = Path(__file__).parents[1] / "models"
 
 
-def load_arrays(path: Path, wanted: Sequence[str]) -> tuple[dict[str, NDArray[Any]], Any]:
-    """Arrays and JSON documents of a safetensors file, or of one that ships, by its name.
+def save_arrays(path: Path, arrays: Mapping[str, Any], kind: str, document: Any) -> Path:
+    """Write arrays, a document of a kind and their checksum to one file, complete or not at all."""
+    plain = {name: np.asarray(array) for name, array in arrays.items()}
+    documents = json.loads(json.dumps({kind: document}))  # tuples become lists
+    # A single metadata entry, because several would be written in an order that varies.
+    text = json.dumps(documents | {"sha256": digest(plain, documents)}, sort_keys=True)
+    write_file(path, safetensors.numpy.save(plain, {"garmentnet": text}))
+    return path
+
+
+def load_arrays(path: Path, kind: str) -> tuple[dict[str, NDArray[Any]], Any]:
+    """Arrays and the document of a safetensors file, or of one that ships, by its name.
 
     Numbers in half precision are converted to single precision.
 
@@ -29,41 +41,35 @@ def load_arrays(path: Path, wanted: Sequence[str]) -> tuple[dict[str, NDArray[An
     InputError
         If there is no such file.
     FormatError
-        If the file is of another format, differs from its checksum, lacks a document or holds
-        numbers that are not finite in single precision.
+        If the file is of another format or kind, differs from its checksum or holds numbers that
+        are not finite in single precision.
 
     Notes
     -----
     Files of earlier versions have no checksum.
     """
-    safetensors = require("safetensors", "garmentnet", "a checkpoint")
     ships = SHIPPED / f"{path}.safetensors"
     path = ships if ships.is_file() and not path.exists() else path
     if not path.is_file():
         raise InputError("checkpoint", "a file", str(path))
     with reading(path):
         with safetensors.safe_open(str(path), framework="numpy") as file:
-            text = (file.metadata() or {}).get("garmentnet")
-            if text is None:
-                raise FormatError("safetensors, but not of garmentnet")
+            text = (file.metadata() or {}).get("garmentnet", "")
+            check(text, "safetensors, but not of garmentnet")
             arrays = {k: file.get_tensor(k) for k in file.keys()}  # noqa: SIM118
         documents = json.loads(text)
         expected = documents.pop("sha256", None)
-        if expected is not None and expected != digest(arrays, documents):
-            raise FormatError("damaged: its checksum is another")
-        missing = [k for k in wanted if k not in documents]
-        if missing:
-            raise FormatError(f"no document {missing[0]!r}")
+        intact = expected in (None, digest(arrays, documents))
+        check(intact, "damaged: its checksum is another")
+        check(kind in documents, f"no document {kind!r}")
         for key, value in arrays.items():
-            if value.dtype.kind != "f":
-                continue
-            with np.errstate(over="ignore"):
-                single = value.astype(np.float32)
-            if not np.isfinite(single).all():
-                raise FormatError(f"numbers that are not finite in single precision in {key}")
-            if value.dtype == np.float16:
-                arrays[key] = single
-    return arrays, documents
+            if value.dtype.kind == "f":
+                with np.errstate(over="ignore"):
+                    single = value.astype(np.float32)
+                finite = bool(np.isfinite(single).all())
+                check(finite, f"numbers that are not finite in single precision in {key}")
+                arrays[key] = single if value.dtype == np.float16 else value
+    return arrays, documents[kind]
 
 
 def digest(arrays: Mapping[str, NDArray[Any]], documents: Mapping[str, Any]) -> str:

@@ -20,14 +20,14 @@ from torch import Tensor
 from ssdr.errors import FormatError, InputError
 from ssdr.io.registry import reading
 
+from ..data.outfit import mesh_identity
 from ..data.parameters import SimulationParameters
-from ..data.store import ClipStore
-from ..data.subject import Subject, mesh_identity
+from ..data.subject import Subject
+from ..io.tensors import load_arrays, save_arrays
 from .document import BOUND, MESH, CheckpointDocument, NetworkRecord, read_document
 from .ensemble import Kernel
 from .features import Normaliser, transforms_in_frame
 from .network import MotionNetwork, NetworkOutput, Predictor
-from .tensor_files import load_tensors, part_of, save_tensors
 
 # Tensors with fewer numbers stay in single precision, since halving them saves almost nothing.
 _MANY = 10_000
@@ -61,14 +61,10 @@ class Checkpoint(Predictor):
     errors: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        first = self.networks[0]
-        for other in self.networks[1:]:
-            a, b = first.subject.garment, other.subject.garment
-            same = all(
-                np.array_equal(getattr(a, k), getattr(b, k)) for k in ("rest", "indices", "weights")
-            )
-            if not same or first.config.features.frame != other.config.features.frame:
-                raise InputError("networks", "pivots of one rest pose, weights and frame", "others")
+        garments = [n.subject.garment for n in self.networks]
+        bones = {(mesh_identity(g.rest, g.indices), g.weights.tobytes()) for g in garments}
+        if len(bones) > 1 or len({n.config.features.frame for n in self.networks}) > 1:
+            raise InputError("networks", "pivots of one rest pose, weights and frame", "others")
 
     @property
     def subject(self) -> Subject:
@@ -135,19 +131,6 @@ class Checkpoint(Predictor):
         low = first.carry(first.lbs(transforms), body)
         return NetworkOutput(transforms, low, high, frame), tuple(states)
 
-    def check_fits(self, store: ClipStore) -> None:
-        """Raise InputError unless the store has this garment, body and frame rate."""
-        own = self.subject
-        there = dataclasses.replace(own, body=store.body, skeleton=store.skeleton).body_id
-        for what, expected, got in (
-            ("garment", mesh_identity(store.rest, store.faces), own.garment_id),
-            ("body", there, own.body_id),
-            ("fps", store.fps, own.fps),
-        ):
-            if expected != got:
-                wanted = f"one of the {what} of {store.path} ({expected})"
-                raise InputError("checkpoint", wanted, f"another ({got})")
-
 
 def save_checkpoint(checkpoint: Checkpoint, path: Path | str, *, half: bool = False) -> Path:
     """Write a checkpoint under a temporary name; the file is renamed when it is complete.
@@ -163,7 +146,6 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path | str, *, half: bool = Fa
     arrays |= {f"body.{k}": getattr(subject.body, k) for k in MESH}
     if subject.bound is not None:
         arrays |= {f"bound.{k}": getattr(subject.bound, k) for k in BOUND}
-    tensors: dict[str, Tensor] = {}
     records: list[NetworkRecord] = []
     pairs = zip(checkpoint.networks, checkpoint.parameters, strict=True)
     for k, (network, trained_on) in enumerate(pairs):
@@ -174,12 +156,11 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path | str, *, half: bool = Fa
         records.append(NetworkRecord(config, trained_on, network.high is not None, clamp))
         for key, v in network.state_dict().items():
             small = half and v.is_floating_point() and v.numel() >= _MANY
-            tensors[f"network.{k}.{key}"] = v.half() if small else v
+            arrays[f"network.{k}.{key}"] = (v.half() if small else v).cpu().numpy()
         arrays[f"network.{k}.features.mean"] = network.normaliser.mean
         arrays[f"network.{k}.features.deviation"] = network.normaliser.deviation
     if kernel is not None:
-        tensors |= {f"kernel.{k}": v for k, v in kernel.state_dict().items()}
-    tensors |= {k: torch.from_numpy(np.array(v)) for k, v in arrays.items()}
+        arrays |= {f"kernel.{k}": v.numpy() for k, v in kernel.state_dict().items()}
     document = CheckpointDocument(
         fps=subject.fps,
         garment_id=subject.garment_id,
@@ -190,7 +171,7 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path | str, *, half: bool = Fa
         power=1 if kernel is None else kernel.power,
         errors=dict(checkpoint.errors),
     )
-    return save_tensors(Path(path), tensors, {"checkpoint": dataclasses.asdict(document)})
+    return save_arrays(Path(path), arrays, "checkpoint", dataclasses.asdict(document))
 
 
 def load_checkpoint(path: Path | str) -> Checkpoint:
@@ -202,20 +183,27 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
         If the file is something else, damaged or contradicts itself.
     """
     file = Path(path)
-    tensors, documents = load_tensors(file, ("checkpoint",))
+    arrays, document = load_arrays(file, "checkpoint")
     with reading(file):
-        d, subject = read_document({k: v.numpy() for k, v in tensors.items()}, documents)
+        d, subject = read_document(arrays, document)
         networks = [
-            _network(subject, record, part_of(tensors, f"network.{k}."))
+            _network(subject, record, tensors_of(arrays, f"network.{k}."))
             for k, record in enumerate(d.networks)
         ]
         kernel = None
         if d.kernel:
             with torch.device("meta"):
                 kernel = Kernel(power=d.power)
-            kernel.load_state_dict(part_of(tensors, "kernel."), assign=True)
+            kernel.load_state_dict(tensors_of(arrays, "kernel."), assign=True)
         parameters = tuple(record.parameters for record in d.networks)
         return Checkpoint(tuple(networks), parameters, kernel, d.errors)
+
+
+def tensors_of(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, Tensor]:
+    """The arrays whose names begin with a prefix, as tensors that are named without it."""
+    some = {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
+    # Copied to aligned addresses; products of unaligned tensors differ in their last bits.
+    return {k: torch.from_numpy(v).clone() for k, v in some.items()}
 
 
 def load_weights(network: MotionNetwork, start: Checkpoint, part: str) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ssdr import Skinning
+from ssdr.checks import check_skin
 from ssdr.errors import FormatError
 from ssdr.io.registry import check
 
@@ -64,24 +65,21 @@ class CheckpointDocument:
         return self.kernel or self.networks[0].config.data.condition
 
 
-def read_document(
-    arrays: dict[str, Any], documents: dict[str, Any]
-) -> tuple[CheckpointDocument, Subject]:
+def read_document(arrays: dict[str, Any], table: Any) -> tuple[CheckpointDocument, Subject]:
     """JSON document of a checkpoint, and the garment and body that its networks are for.
 
     Parameters
     ----------
     arrays : dict of array
         All arrays of the file.
-    documents : dict
-        JSON documents of the file.
+    table : dict
+        The file's document.
 
     Raises
     ------
     FormatError
         If the file is no checkpoint, of another version, or contradicts itself.
     """
-    table = documents["checkpoint"]
     ours = isinstance(table, dict) and table.get("format") == FORMAT
     check(ours, "not a checkpoint of garmentnet")
     version = table.get("version")
@@ -135,16 +133,12 @@ def _bound(arrays: dict[str, Any], joints: int) -> BodyBound | None:
     if "bound.index" not in arrays:
         return None
     bound = BodyBound(**{k: arrays[f"bound.{k}"] for k in BOUND})
-    count, vertices = len(bound.index), len(arrays["garment.rest"])
+    vertices = np.arange(len(arrays["garment.rest"]))
     fits = (
-        0 < count <= vertices
-        and bound.rest.shape == bound.smooth.shape == (count, 3)
-        and bound.indices.shape == bound.weights.shape == (count, bound.weights.shape[1])
-        and (np.diff(bound.index) > 0).all()
-        and bound.index[0] >= 0
-        and bound.index[-1] < vertices
-        and bound.indices.min() >= 0
-        and bound.indices.max() < joints
+        len(bound.index) > 0
+        and np.array_equal(bound.index, np.intersect1d(bound.index, vertices))
+        and bound.rest.shape == bound.smooth.shape == (len(bound.index), 3)
     )
-    check(fits, "bound: vertices or joints that do not exist")
+    check(fits, "bound: vertices that do not exist")
+    check_skin(bound.indices, bound.weights, len(bound.index), joints, "bound.")
     return bound

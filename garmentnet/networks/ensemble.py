@@ -53,10 +53,6 @@ class Kernel(nn.Module):
 
     def weights(self, pivots: Any, theta: Any) -> Array:
         """Result of :meth:`forward` as an array, for arrays."""
+        rows = (torch.as_tensor(np.asarray(x, float)) for x in (pivots, theta))
         with torch.no_grad():
-            out = self(
-                torch.as_tensor(np.asarray(pivots, float)),
-                torch.as_tensor(np.asarray(theta, float)),
-            )
-        weights: Array = np.array(out.numpy(), np.float64)
-        return weights
+            return np.asarray(self(*rows).numpy())

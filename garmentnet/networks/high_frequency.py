@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
+from ..configs.config import HighOptions
 from .gru import GRU
 
 
@@ -150,27 +150,16 @@ class HighFrequency(nn.Module):
         Numbers that the GRU reads in a frame: the motion of the bones.
     faces : (T, 3) int array
     n_vertices : int
-    hidden : int
-    global_features : int
-        Number of global features of each vertex.
-    edge_features : sequence of int
-        Widths of the EdgeConv layers; empty: no local features.
-    mlp : sequence of int
-        Widths of the hidden layers.
+    options : HighOptions
     edge_length : float
         Mean length of an edge, metres.
-    activation : {"relu", "prelu"}
-    batch_norm : bool
-        Normalise the global features over the batch, as the published code does.
     vertices : (n,) int array, optional
         Vertices whose detail is predicted, all by default; the detail of the others is 0.
 
     Examples
     --------
-    >>> module = HighFrequency(
-    ...     6, [[0, 1, 2]], 3, hidden=8, global_features=4, edge_features=[5], mlp=[8],
-    ...     edge_length=0.03,
-    ... )
+    >>> small = HighOptions(hidden=8, global_features=4, edge_features=(5,))
+    >>> module = HighFrequency(6, [[0, 1, 2]], 3, small, edge_length=0.03)
     >>> detail, state = module(torch.zeros(1, 5, 6), torch.zeros(1, 5, 3, 3))
     >>> detail.shape
     torch.Size([1, 5, 3, 3])
@@ -187,34 +176,29 @@ class HighFrequency(nn.Module):
         inputs: int,
         faces: Any,
         n_vertices: int,
+        options: HighOptions,
         *,
-        hidden: int,
-        global_features: int,
-        edge_features: Sequence[int],
-        mlp: Sequence[int],
         edge_length: float,
-        activation: str = "relu",
-        batch_norm: bool = False,
         vertices: Any = None,
     ) -> None:
         super().__init__()
-        self.n_vertices, self.global_features = n_vertices, global_features
+        o, self.n_vertices, self.global_features = options, n_vertices, options.global_features
         chosen = np.arange(n_vertices) if vertices is None else np.asarray(vertices)
-        self.gru = GRU(inputs, hidden)
-        wide = len(chosen) * global_features
-        self.spread = nn.Linear(hidden, wide)
-        self.spread_act = _activation(activation, wide)
+        self.gru = GRU(inputs, o.hidden)
+        wide = len(chosen) * o.global_features
+        self.spread = nn.Linear(o.hidden, wide)
+        self.spread_act = _activation(o.activation, wide)
         # The momentum is that of the published code.
-        self.norm = nn.BatchNorm1d(wide, momentum=1e-3) if batch_norm else nn.Identity()
-        widths = [3, *edge_features] if edge_features else []
+        self.norm = nn.BatchNorm1d(wide, momentum=1e-3) if o.batch_norm else nn.Identity()
+        widths = [3, *o.edge_features] if o.local else [3]
         self.edges = nn.ModuleList(
-            EdgeConv(a, b, edge_length if k == 0 else 1.0, activation)
+            EdgeConv(a, b, edge_length if k == 0 else 1.0, o.activation)
             for k, (a, b) in enumerate(itertools.pairwise(widths))
         )
-        sizes = [global_features + (widths[-1] if widths else 0), *mlp]
+        sizes = [o.global_features + (widths[-1] if len(self.edges) else 0), *o.mlp]
         layers: list[nn.Module] = []
         for a, b in itertools.pairwise(sizes):
-            layers += [nn.Linear(a, b), _activation(activation, b)]
+            layers += [nn.Linear(a, b), _activation(o.activation, b)]
         self.mlp = nn.Sequential(*layers, nn.Linear(sizes[-1], 3))
         index = torch.from_numpy(chosen.astype(np.int64))
         self.register_buffer("vertices", index, persistent=False)

@@ -185,13 +185,8 @@ class MotionNetwork(nn.Module, PoseReader, Predictor):
                 inputs,
                 garment.faces,
                 garment.n_vertices,
-                hidden=o.hidden,
-                global_features=o.global_features,
-                edge_features=o.edge_features if o.local else (),
-                mlp=o.mlp,
+                o,
                 edge_length=float(np.linalg.norm(a - a[:, [1, 2, 0]], axis=-1).mean()),
-                activation=o.activation,
-                batch_norm=o.batch_norm,
                 vertices=self.free,
             )
         self.high = high

@@ -16,13 +16,11 @@ from ..data.clip import Clip
 from ..data.retarget import retarget
 from ..data.skeleton import check_joints
 from ..data.store import ClipStore
-from ..networks.checkpoint import Checkpoint
+from ..data.subject import Subject
 
 
-def read_motion(
-    path: Path | str, checkpoint: Checkpoint
-) -> tuple[NDArray[np.float64], Clip | None]:
-    """Joint transforms of a motion for a checkpoint's body, at its frame rate, and the clip.
+def read_motion(path: Path | str, subject: Subject) -> tuple[NDArray[np.float64], Clip | None]:
+    """Joint transforms of a motion for a network's body, at its frame rate, and the clip.
 
     Parameters
     ----------
@@ -40,11 +38,11 @@ def read_motion(
     ------
     InputError
         If there is no such file, or a clip is of another garment, body or frame rate than the
-        checkpoint.
+        network.
     FormatError
         If the file is damaged, of an unknown kind, or has the joints of another body.
     """
-    file, subject = Path(path), checkpoint.subject
+    file = Path(path)
     if not file.exists():
         raise InputError("motion", "a .bvh, a .npz or a clip", str(file))
     if file.name.lower().endswith((".bvh", ".bvh.gz")):
@@ -52,7 +50,7 @@ def read_motion(
         return np.asarray(moved.joints, np.float64), None
     if file.is_dir() and file.parent.name == "clips":
         store = ClipStore.open(file.parent.parent)
-        checkpoint.check_fits(store)
+        subject.check_fits(store)
         clip = store.clip(file.name)
         return np.asarray(clip.joints, np.float64), clip
     if file.suffix.lower() != ".npz":

@@ -30,7 +30,7 @@ from ..drawing.dressed import (
     outfit_regions,
     outfit_sheet,
 )
-from ..io.files import writing
+from ..io.files import Progress, silent, writing
 from .prediction import Prediction
 
 _ELEVATION = 12.0  # degrees of the camera above the horizon
@@ -58,8 +58,6 @@ def check_output(path: Path | str) -> None:
     known = sorted({*_FILMS, *_PICTURES, *meshes, _PAGE})
     if suffix not in known:
         raise InputError("output", f"a suffix of {', '.join(known)}", str(file))
-    if suffix == ".mp4":
-        require("av", "garmentnet", "an .mp4 file")
     if suffix.startswith(".usd"):
         require("pxr", "ssdr[usd]", f"a {suffix} file")
     if suffix == ".fbx":
@@ -77,7 +75,7 @@ def save_prediction(
     truth: Clip | None = None,
     error: bool = False,
     every: int = 1,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = silent,
 ) -> str:
     """Write a prediction in the format of the suffix.
 
@@ -131,10 +129,8 @@ def save_prediction(
     with writing(file):
         if suffix in _FILMS:
             film = _film(p, truth, size, error, every)
-            if suffix == ".mp4":
-                _write_mp4(film, file, progress)
-            else:
-                film.write(file, progress)
+            write = _write_mp4 if suffix == ".mp4" else Film.write
+            write(film, file, lambda done: progress("drawing", done))
             beside = " of truth and prediction" if truth is not None else ""
             return f"a film{beside}, {len(film.order)} frames"
         if suffix in _PICTURES:
@@ -223,12 +219,13 @@ def rigid(skinning: Skinning) -> Skinning:
     )
 
 
-def _write_mp4(film: Film, path: Path, progress: Callable[[float], None] | None) -> None:
-    av = require("av", "garmentnet", "an .mp4 file")
+def _write_mp4(film: Film, path: Path, progress: Callable[[float], None]) -> None:
+    import av
+
     width, height = film.size
     with atomic_path(path) as temporary, av.open(str(temporary), "w", format="mp4") as file:
         codec = "libx264" if "libx264" in av.codecs_available else "mpeg4"
-        stream = file.add_stream(codec, rate=Fraction(film.fps).limit_denominator(1001))
+        stream: Any = file.add_stream(codec, rate=Fraction(film.fps).limit_denominator(1001))
         stream.width, stream.height = width, height
         stream.pix_fmt = "yuv420p"
         if codec == "libx264":

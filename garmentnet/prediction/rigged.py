@@ -9,17 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 import ssdr
-from ssdr import Shapes, Skinning
+from ssdr import Skinning
 from ssdr.errors import InputError
+from ssdr.fit.shapes import some_shapes
 
 from ..data.skeleton import Skeleton
 from ..io.files import writing
 from .output import rigid
 from .prediction import Prediction
-
-# Singular values of a blended transform below this fraction of the largest are not inverted, so
-# that morph targets do not move vertices far whose bones turn against each other.
-_FLAT = 0.1
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -30,8 +27,7 @@ class Rigged:
     ----------
     skinning : Skinning
         The body's joints with their hierarchy, followed by the virtual bones as children of the
-        first joint.  Its shapes are principal components of the difference between the prediction
-        and the skinned mesh, with amounts from 0 to 1.
+        first joint.  Its shapes, with amounts from 0 to 1, are what the skinned mesh lacks.
     error, still : float
         RMSE of the vertices, metres; and the same if the morph targets keep their mean amounts.
     """
@@ -44,10 +40,8 @@ class Rigged:
 def rigged(prediction: Prediction, skeleton: Skeleton, *, shapes: int = 8) -> Rigged:
     """Skinned model of a prediction with a few morph targets.
 
-    In each frame, the difference between the prediction and the skinned mesh is transformed back
-    through the blended transform of each vertex, so that adding it to the rest pose before skinning
-    gives the prediction.  Its mean over the frames is added to the rest pose.  Its principal
-    components become the morph targets, with amounts shifted so that the smallest is 0.
+    They are those of :func:`ssdr.fit_shapes`: principal components of what the skinned mesh lacks,
+    mapped back to the rest pose and improved in turns with their amounts.  The rest pose may move.
 
     Parameters
     ----------
@@ -65,24 +59,13 @@ def rigged(prediction: Prediction, skeleton: Skeleton, *, shapes: int = 8) -> Ri
     if shapes < 1:
         raise InputError("shapes", "1 or more", shapes)
     model = _on_skeleton(rigid(prediction.skinning), prediction.joints, skeleton)
-    truth = np.asarray(prediction.cloth.vertices)
-    left = np.empty(truth.shape, np.float32)
-    weights = model.sparse_weights()
-    for f, transforms in enumerate(model.transforms):
-        blend = (weights @ transforms.reshape(-1, 12)).reshape(-1, 3, 4)
-        back = np.linalg.pinv(blend[..., :3], rcond=_FLAT)
-        gap = truth[f] - blend[..., 3] - (blend[..., :3] @ model.rest[..., None])[..., 0]
-        left[f] = (back @ gap[..., None])[..., 0]
-    mean = left.mean(axis=0)
-    moved, amounts = _components((left - mean).reshape(len(left), -1), shapes)
-    low, span = amounts.min(axis=0), np.maximum(np.ptp(amounts, axis=0), 1e-12)
-    model = dataclasses.replace(model, rest=model.rest + mean + (low @ moved).reshape(mean.shape))
-    amounts = (amounts - low) / span
-    found = Shapes((span[:, None] * moved).reshape(-1, *mean.shape), amounts)
-    still = np.broadcast_to(amounts.mean(axis=0), amounts.shape)
-    both = (found, dataclasses.replace(found, amounts=still))
-    models = [dataclasses.replace(model, shapes=some) for some in both]
-    return Rigged(models[0], *(ssdr.metrics.distances(truth, one).rmse for one in models))
+    truth = np.asarray(prediction.cloth.vertices, np.float64)
+    found = some_shapes(truth, model, shapes)
+    model, moved = found.skinning, found.skinning.shapes
+    assert moved is not None
+    still = np.broadcast_to(moved.amounts.mean(axis=0), moved.amounts.shape)
+    stiff = dataclasses.replace(model, shapes=dataclasses.replace(moved, amounts=still))
+    return Rigged(model, found.rmse, ssdr.metrics.distances(truth, stiff).rmse)
 
 
 def save_rigged(model: Rigged, path: Path | str) -> str:
@@ -117,13 +100,3 @@ def _on_skeleton(model: Skinning, joints: NDArray[np.float64], skeleton: Skeleto
         parents=np.concatenate([skeleton.parents, np.zeros(len(virtual), np.int32)]),
         joint_positions=np.concatenate([skeleton.rest, model.centroids()[virtual]]),
     )
-
-
-def _components(
-    rows: NDArray[np.float32], count: int
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    # Principal components (M, N) of rows (F, N) whose mean is 0, and amounts (F, M).  They come
-    # from the Gram matrix of the rows, since F is much smaller than N.
-    vectors = np.linalg.eigh((rows @ rows.T).astype(np.float64))[1][:, ::-1]
-    amounts = vectors[:, :count].astype(np.float32)
-    return amounts.T @ rows, amounts

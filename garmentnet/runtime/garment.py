@@ -264,9 +264,9 @@ def load_live(path: Path | str, *, push_out: bool = False) -> LiveGarment:
         with Euler angles of the bones, or with detail that is not a weighted basis.
     """
     file = Path(path)
-    arrays, documents = load_arrays(file, ("checkpoint",))
+    arrays, document = load_arrays(file, "checkpoint")
     with reading(file):
-        d, subject = read_document(arrays, documents)
+        d, subject = read_document(arrays, document)
         kinds = [(r.config.features, r.high) for r in d.networks]
         check(all(kind == kinds[0] for kind in kinds), "pivots that differ in features or modules")
         mixture = Mixture.read(arrays, d)

@@ -212,7 +212,19 @@ def read_pivot(arrays: dict[str, Any], k: int, record: NetworkRecord, subject: S
     followed = np.full(b, -1, np.int64)
     if config.low.relative_to == "joints":
         followed = _take(arrays, f"{name}low.code.followed", (b,), np.int64)
-    pivot = Pivot(
+    high = basis = None
+    o, body = config.high, record.high and config.high.source == "body"
+    if record.high:
+        n, deviation = len(subject.free), take("high.deviation", o.rank)
+        high = recurrent("high", (len(mean) if body else 9 * b) + theta, o.hidden, o.rank)
+        # The deviations of the weights are multiplied into the last layer.
+        high = dataclasses.replace(
+            high, w_out=high.w_out * deviation[:, None], b_out=high.b_out * deviation
+        )
+        components = take("high.basis", o.rank, 3 * n).reshape(-1, n, 3)
+        basis = np.concatenate([take("high.mean", n, 3)[None], components])
+        basis = np.ascontiguousarray(basis.transpose(0, 2, 1).reshape(len(basis), -1))
+    return Pivot(
         np.asarray(mean, np.float64),
         _take(arrays, f"{name}features.deviation", mean.shape, np.float64),
         record.clamp,
@@ -222,22 +234,10 @@ def read_pivot(arrays: dict[str, Any], k: int, record: NetworkRecord, subject: S
         take("low.code.mean", b, 9),
         take("low.code.centres", b, 3),
         followed,
+        high,
+        body,
+        basis,
     )
-    if not record.high:
-        return pivot
-    o, body = config.high, config.high.source == "body"
-    n = len(subject.free)
-    high = recurrent("high", (len(mean) if body else 9 * b) + theta, o.hidden, o.rank)
-    deviation = take("high.deviation", o.rank)
-    # The deviations of the weights are multiplied into the last layer.
-    high = dataclasses.replace(
-        high, w_out=high.w_out * deviation[:, None], b_out=high.b_out * deviation
-    )
-    basis = np.concatenate(
-        [take("high.mean", n, 3)[None], take("high.basis", o.rank, 3 * n).reshape(-1, n, 3)]
-    )
-    basis = np.ascontiguousarray(basis.transpose(0, 2, 1).reshape(len(basis), -1))
-    return dataclasses.replace(pivot, high=high, reads_body=body, basis=basis)
 
 
 def _take(

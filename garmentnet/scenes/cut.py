@@ -19,7 +19,7 @@ from ..io.tables import check_numbers
 from .body import Body
 from .garments import Garment, arm_weight, follow
 from .outline import LEVEL, Outline, find_outline, section
-from .rings import ROW, Half, divide, evenly, some_of
+from .rings import ROW, Half, divide, evenly, points_at, some_of
 
 Floats = NDArray[np.float64]
 Faces = NDArray[np.int32]
@@ -240,7 +240,7 @@ class _Pattern:
         ends = np.linspace(rings[-1, a] @ up, rings[-1, b] @ up, b + 1 - a)
         for k, end in enumerate(ends, start=a):
             at = np.linspace(0, np.interp(-end, -(rings[:, k] @ up), index), len(index))
-            rings[:, k] = np.stack([np.interp(at, index, c) for c in rings[:, k].T], axis=1)
+            rings[:, k] = points_at(at, index, rings[:, k])
         return evenly(rings), (a, b)
 
     def _tube(
@@ -258,7 +258,7 @@ class _Pattern:
         x, z = (np.interp(start, limb.levels, c) for c in limb.centre.T)
         angle = np.unwrap(np.arctan2(closed[:, 0] - x, closed[:, 2] - z))
         angles = angle[0] + 2 * _ANGLES
-        rings = [np.stack([np.interp(angles, angle, c) for c in closed.T], axis=1) @ frame]
+        rings = [points_at(angles, angle, closed) @ frame]
         for y in np.linspace(start, stop, max(2, round((start - stop) / LEVEL) + 1)):
             rings.append(limb.at(y, angles, flare * (start - y)))
         return evenly(np.stack(rings))

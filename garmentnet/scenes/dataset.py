@@ -7,8 +7,10 @@ import contextlib
 import dataclasses
 import json
 import os
-from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
+from collections.abc import Sequence
+from typing import Any
+
+from filelock import FileLock, Timeout
 
 from ssdr.errors import InputError
 from ssdr.parallel import get_threads
@@ -17,7 +19,7 @@ from ..data.bvh import find_bvh, read_bvh
 from ..data.clip_files import Split
 from ..data.retarget import retarget
 from ..data.store import ClipStore
-from ..io.files import writing
+from ..io.files import Progress, silent, writing
 from .cloth import Cloth
 from .motion_sources import MotionSource
 from .scene_file import DataSet, SceneDescription
@@ -25,7 +27,6 @@ from .simulator import simulate
 
 # Step of stored coordinates, metres: rounding to its multiples moves no vertex by more than 0.2 mm.
 STEP = 2.3e-4
-_LOCK = "writing.lock"
 
 
 def recorded_motions(
@@ -74,7 +75,7 @@ def make_data_set(
     *,
     recorded: Sequence[MotionSource] = (),
     workers: int | None = None,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress = silent,
 ) -> ClipStore:
     """Simulate all clips of a data set that are not in its store yet.
 
@@ -110,7 +111,6 @@ def make_data_set(
     count = get_threads() if workers is None else workers
     if count < 1:
         raise InputError("workers", "at least 1", workers)
-    Path(path).parent.mkdir(parents=True, exist_ok=True)
     body = data_set.make_body()
     garment = data_set.make_garment(body)
     store = ClipStore.create(
@@ -127,7 +127,7 @@ def make_data_set(
     lead = data_set.solver.approach + data_set.solver.settle
     # The simulator runs without the GIL, so that threads use all cores.
     pool = concurrent.futures.ThreadPoolExecutor(count, thread_name_prefix="simulation")
-    with _writing(store):
+    with _lock(store):
         store.sweep()
         todo = [s for s in scenes if not _is_there(store, s)]
         # The base parameters come first, and of their clips those that training needs to begin.
@@ -144,9 +144,8 @@ def make_data_set(
                 future.result()
                 scene = waiting[future]
                 frames += scene.motion.frames + lead
-                if progress is not None:
-                    text = f"simulated {scene.name}, clip {number}/{len(scenes)}"
-                    progress(text, frames / total)
+                text = f"simulated {scene.name}, clip {number}/{len(scenes)}"
+                progress(text, frames / total)
         finally:
             pool.shutdown(cancel_futures=True)
     return store
@@ -183,50 +182,25 @@ def _add(cloth: Cloth, scene: SceneDescription, store: ClipStore) -> None:
 def _is_there(store: ClipStore, scene: SceneDescription) -> bool:
     if scene.name not in store:
         return False
-    clip = store.clip(scene.name)
-    expected = json.loads(json.dumps(scene.provenance()))
-    same = (
-        clip.provenance == expected
-        and clip.parameters == scene.parameters.parameters
-        and clip.seed == scene.seed
-        and clip.perturbation == scene.perturbation
-    )
-    if not same:
-        differs = [k for k in expected if clip.provenance.get(k) != expected[k]]
+    clip, numbers = store.clip(scene.name), ("seed", "perturbation")
+    here = json.loads(json.dumps(scene.provenance())) | {k: getattr(scene, k) for k in numbers}
+    there = clip.provenance | {k: getattr(clip, k) for k in numbers}
+    differs = [k for k in here | there if here.get(k) != there.get(k)]
+    if clip.parameters != scene.parameters.parameters:
+        differs.append("its parameters")
+    if differs:
         raise InputError(
             "path",
             f"a store whose clip {scene.name} was made from the same scene",
-            f"{store.path}, where it differs in {', '.join(differs) or 'its parameters'}",
+            f"{store.path}, where it differs in {', '.join(differs)}",
         )
     return True
 
 
-@contextlib.contextmanager
-def _writing(store: ClipStore) -> Iterator[None]:
-    """Allow one writer at a time, by a lock file; the lock of an ended process is ignored."""
-    path = store.path / _LOCK
-    text = path.read_text(errors="replace").strip() if path.exists() else ""
-    if not (text.isdigit() and _alive(int(text))):
-        path.unlink(missing_ok=True)
+def _lock(store: ClipStore) -> contextlib.AbstractContextManager[Any]:
+    """Context in which no other process writes to a store; the system ends an ended process's."""
     try:
-        with open(path, "x") as file:
-            file.write(str(os.getpid()))
-    except FileExistsError:
-        who = f"process {text} does" if text else "another process has just begun"
-        got = f"{who} (if that is no garmentnet, remove {path})"
+        return FileLock(store.path / "writing.lock").acquire(timeout=0)
+    except Timeout:
+        got = "another process that does"
         raise InputError("path", "a store that nobody writes to", got) from None
-    try:
-        yield
-    finally:
-        path.unlink(missing_ok=True)
-
-
-def _alive(pid: int) -> bool:
-    # On Windows a signal would end the process.
-    with contextlib.suppress(PermissionError):
-        try:
-            if os.name != "nt":
-                os.kill(pid, 0)
-        except ProcessLookupError:
-            return False
-    return pid != os.getpid()

@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 import ssdr
 from ssdr.errors import InputError
 
+from ..data.outfit import is_mirror
 from ..data.skin_weights import strongest
 from .body import Body
 
@@ -131,10 +132,7 @@ def mirror_permutation(rest: ArrayLike, faces: ArrayLike) -> NDArray[np.int32] |
     points, triangles = np.asarray(rest, dtype=np.float64), np.asarray(faces)
     tree: Any = cKDTree(points)
     distance, nearest = tree.query(points * [-1, 1, 1])
-    if distance.max() > _MIRRORED or not np.array_equal(nearest[nearest], np.arange(len(points))):
-        return None
-    turned = {tuple(sorted(f)) for f in nearest[triangles].tolist()}
-    if turned != {tuple(sorted(f)) for f in triangles.tolist()}:
+    if distance.max() > _MIRRORED or not is_mirror(nearest, triangles, len(points)):
         return None
     return np.asarray(nearest, dtype=np.int32)
 

@@ -7,6 +7,7 @@ right is exact.
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,11 +87,13 @@ def evenly(rings: Floats) -> Floats:
     way = np.linalg.norm(np.diff(rings, axis=0), axis=2)
     length = np.concatenate([np.zeros((1, way.shape[1])), np.cumsum(way, axis=0)])
     at = np.linspace(0, 1, _RINGS)[:, None] * length[-1]
-    out = np.empty((_RINGS, *rings.shape[1:]))
-    for k in range(rings.shape[1]):
-        for c in range(3):
-            out[:, k, c] = np.interp(at[:, k], length[:, k], rings[:, k, c])
-    return out
+    columns = zip(at.T, length.T, rings.swapaxes(0, 1), strict=True)
+    return np.stack([points_at(*column) for column in columns], axis=1)
+
+
+def points_at(at: Floats, along: NDArray[Any], curve: Floats) -> Floats:
+    """Points ``(m, 3)`` of a curve ``(n, 3)`` at some of the numbers ``(n,)`` along it."""
+    return np.stack([np.interp(at, along, c) for c in curve.T], axis=1)
 
 
 def some_of(rings: Floats, spacing: float) -> Floats:
@@ -109,7 +112,7 @@ def divide(curve: Floats, spacing: float) -> Floats:
     length = np.concatenate([[0], np.cumsum(way)])
     count = max(4, round(length[-1] / spacing))
     at = np.linspace(0, length[-1], count + 1)
-    points = np.stack([np.interp(at, length, c) for c in curve.T], axis=1)
+    points = points_at(at, length, curve)
     points[np.abs(points[:, 0]) < 1e-9, 0] = 0.0
     return points
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -203,26 +204,22 @@ class DataSet:
 
         `recorded` are further motions under the base parameters.
         """
-        scenes: list[SceneDescription] = []
-        for k, (parameters, sources) in enumerate(zip(self.sets, self.sources, strict=True)):
-            motions = sources if k else (*sources, *recorded)
-            plain = [
-                SceneDescription(f"{parameters.name}-{m.name}", self, m, parameters)
-                for m in motions
-            ]
-            scenes += plain
-            if self.perturbation and k == 0:
-                scenes += [
-                    dataclasses.replace(
-                        scene,
-                        name=scene.name + _PERTURBED,
-                        perturbation=self.perturbation,
-                        repeat_of=scene.name,
-                    )
-                    for scene in plain
-                    if scene.motion.split == "test"
-                ]
-        return tuple(scenes)
+        first, *others = self.sources
+        base, *sets = (
+            [SceneDescription(f"{p.name}-{m.name}", self, m, p) for m in motions]
+            for p, motions in zip(self.sets, [(*first, *recorded), *others], strict=True)
+        )
+        again = [
+            dataclasses.replace(
+                scene,
+                name=scene.name + _PERTURBED,
+                perturbation=self.perturbation,
+                repeat_of=scene.name,
+            )
+            for scene in base
+            if self.perturbation and scene.motion.split == "test"
+        ]
+        return tuple(itertools.chain(base, again, *sets))
 
     def make_body(self) -> Body:
         return load_body(self.body) if self.body else default_body()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -101,28 +102,28 @@ class Batch:
 
     Attributes
     ----------
-    windows : list of Window or None
-        Window of each of the N lanes; None if the lane is finished.
+    windows : sequence of Window
+        Window of each of the N lanes; empty if the lane is finished.
     mask : (N, T) bool tensor
         Mask of the frames that exist; shorter windows are padded.
     fresh : (N,) bool tensor
         Mask of the lanes in which a clip begins, so that the GRU's state is reset.
     """
 
-    windows: list[Window | None]
+    windows: Sequence[Window]
     mask: Tensor
     fresh: Tensor
 
     def inputs(self) -> Tensor:
         """Inputs ``(N, T, D)`` of the network, zero where there is no frame."""
-        return self.stack([w and w.track.inputs[w.frames] for w in self.windows])
+        return self.stack([w.track.inputs[w.frames] for w in self.windows])
 
     def extra(self, every: slice = slice(None)) -> Tensor:
         """Rows of `Track.extra` for the frames that exist, one lane after the other.
 
         The slice `every` selects frames of each window.
         """
-        return torch.cat([w.track.extra[w.frames][every] for w in self.windows if w])
+        return torch.cat([w.track.extra[w.frames][every] for w in self.windows])
 
     def some_frames(
         self, count: int, rng: np.random.Generator
@@ -141,21 +142,18 @@ class Batch:
         lanes, frames = [], []
         chosen = np.zeros((len(self.windows), count), np.int64)
         for k, w in enumerate(self.windows):
-            if w is not None:
-                length = w.stop - w.start
+            length = w.stop - w.start
+            if length:
                 # Some frames occur twice if the window has fewer than `count`.
                 chosen[k] = np.sort(rng.choice(length, count, replace=length < count))
                 lanes.append(k)
                 frames.append((w.track, w.start + chosen[k]))
         return lanes, frames, chosen
 
-    def stack(self, parts: Sequence[Tensor | None]) -> Tensor:
+    def stack(self, parts: Sequence[Tensor]) -> Tensor:
         """Tensor of all lanes' parts, padded with zeros to ``(N, T, ...)``."""
-        shape = next(p.shape[1:] for p in parts if p is not None)
-        out = torch.zeros(*self.mask.shape, *shape)
-        for lane, part in enumerate(parts):
-            if part is not None:
-                out[lane, : len(part)] = part
+        out = torch.zeros(*self.mask.shape, *parts[0].shape[1:])
+        out[self.mask] = torch.cat(list(parts))
         return out
 
     def forget(self, state: Tensor | None) -> Tensor | None:
@@ -195,12 +193,7 @@ def batches(
         while start < track.n_frames:
             queues[lane].append(Window(track, start, min(stop, track.n_frames)))
             start, stop = stop, stop + window
-    for step in range(max((len(q) for q in queues), default=0)):
-        windows = [q[step] if step < len(q) else None for q in queues]
-        mask = torch.zeros(lanes, window, dtype=torch.bool)
-        fresh = torch.ones(lanes, dtype=torch.bool)
-        for lane, w in enumerate(windows):
-            if w is not None:
-                mask[lane, : w.stop - w.start] = True
-                fresh[lane] = w.start == 0
-        yield Batch(windows, mask, fresh)
+    for windows in itertools.zip_longest(*queues, fillvalue=Window(tracks[0], 0, 0)):
+        lengths = torch.tensor([w.stop - w.start for w in windows])
+        fresh = torch.tensor([w.start == 0 for w in windows])
+        yield Batch(windows, torch.arange(window) < lengths[:, None], fresh)

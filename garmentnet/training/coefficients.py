@@ -6,9 +6,6 @@ of G.  The loss is ‖Ĝ − G‖ / √V, the RMSE of a frame.
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
-
 import numpy as np
 import torch
 from torch import Tensor
@@ -35,10 +32,8 @@ class CoefficientObjective(TrainingObjective):
         Width H of the dropout mask.
     dropout : float
     tracks, validation : list of Track
-    with_targets : callable
-        Gives a track as `extra` ``(F, r + 1)`` its coefficients and the squared norm of what the
-        components leave.  It is called when an epoch first needs the tracks: a training that is
-        finished needs none.
+        Their `extra` ``(F, r + 1)`` holds the coefficients and the squared norm of what the
+        components leave.
     """
 
     def __init__(
@@ -51,19 +46,10 @@ class CoefficientObjective(TrainingObjective):
         dropout: float,
         tracks: list[Track],
         validation: list[Track],
-        with_targets: Callable[[Track], Track],
     ) -> None:
         self.module, self.options, self.n_vertices = module, options, n_vertices
         self.hidden, self.dropout = hidden, dropout
-        self._tracks, self._validation, self._with_targets = tracks, validation, with_targets
-
-    @functools.cached_property
-    def tracks(self) -> list[Track]:  # type: ignore[override]
-        return [self._with_targets(t) for t in self._tracks]
-
-    @functools.cached_property
-    def validation(self) -> list[Track]:  # type: ignore[override]
-        return [self._with_targets(t) for t in self._validation]
+        self.tracks, self.validation = tracks, validation
 
     @property
     def device(self) -> torch.device:

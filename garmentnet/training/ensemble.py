@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +17,9 @@ from ..data.clip import spread
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
 from ..data.virtual_bones import parameter_roles
-from ..io.files import write_file
+from ..io.files import Progress, silent, write_file
 from ..networks.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from ..networks.network import MotionNetwork
-from .loop import TrainingProgress
 from .pivots import fit_kernel, gram, left_out, select_pivots
 from .run import train
 
@@ -35,8 +34,7 @@ def train_ensemble(
     folder: Path | str,
     *,
     start: Checkpoint | None = None,
-    callback: Callable[[str, TrainingProgress], bool | None] | None = None,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress = silent,
 ) -> Path:
     """Train one network for each training parameter set, and the kernel that mixes the pivots.
 
@@ -51,8 +49,6 @@ def train_ensemble(
         `sets`, the training parameter sets, and `pivots`, their indices.
     start : Checkpoint, optional
         Network from whose weights every network starts; by default these are random.
-    callback : callable, optional
-        Called with the network's name and its progress; returning True stops.
     progress
         As in :func:`~garmentnet.training.run.train`.
 
@@ -64,7 +60,7 @@ def train_ensemble(
     Raises
     ------
     InputError
-        If there is only one training set, or training was stopped.
+        If there is only one training set.
     """
     folder, o = Path(folder), config.ensemble
     roles = parameter_roles(store)
@@ -80,12 +76,9 @@ def train_ensemble(
         values = dataclasses.astuple(parameters)
         # Named by its parameters, because numbers would change as the store grows.
         name = "set-" + "-".join(f"{v:g}" for v in values)
-        stopped = False
 
-        def after_epoch(p: TrainingProgress, name: str = name) -> bool:
-            nonlocal stopped
-            stopped = bool(callback(name, p)) if callback else False
-            return stopped
+        def show(text: str, fraction: float, name: str = name) -> None:
+            progress(f"{name}, {text}", fraction)
 
         own = dataclasses.replace(config.data, parameters=",".join(map(repr, values)))
         path = train(
@@ -93,19 +86,15 @@ def train_ensemble(
             dataclasses.replace(config, data=own),
             folder / name,
             start=start,
-            callback=after_epoch,
-            progress=progress,
+            progress=show,
         )
-        if stopped:
-            raise InputError("callback", "an ensemble to be finished", f"stopped in {name}")
         networks.append(load_checkpoint(path).networks[0])
 
     theta = np.stack([p.normalised() for p in sets])
     grams = []
     for k, p in enumerate(sets):
         grams.append(compare_networks(store, networks, p, "train", o.frames))
-        if progress:
-            progress("comparing networks", (k + 1) / len(sets))
+        progress("comparing networks", (k + 1) / len(sets))
     pivots = select_pivots(grams, theta, o.pivots or len(sets))
     kernel = fit_kernel(left_out(grams, theta, pivots), steps=o.steps, seed=config.train.seed)
     report = {"sets": [dataclasses.asdict(p) for p in sets], "pivots": pivots}
@@ -136,13 +125,8 @@ def compare_networks(
     if not names:
         raise InputError("store", f"{split} motions of {parameters}", str(store.path))
     (some,) = spread([len(names)], _CLIPS)
-    names = tuple(names[k] for k in some)
     total, used = np.zeros((len(networks), len(networks))), 0
-    chosen = spread([store.clip(n).n_frames for n in names], frames)
-    for name, here in zip(names, chosen, strict=True):
-        if not len(here):
-            continue
-        clip = store.clip(name)
+    for clip, here in store.sample([names[k] for k in some], frames):
         upto = clip.joints[: here[-1] + 1]
         answers = [n.predict(upto, frames=here) for n in networks]
         total += gram(answers, clip.sequence.frames(here)) * len(here)

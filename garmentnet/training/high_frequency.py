@@ -61,10 +61,17 @@ class HighFrequencyObjective(TrainingObjective):
     ----------
     network : MotionNetwork
     tracks, validation : list of Track
+    start : bool
+        Whether to keep the statistics that the module already has.
     """
 
     def __init__(
-        self, network: MotionNetwork, tracks: list[Track], validation: list[Track]
+        self,
+        network: MotionNetwork,
+        tracks: list[Track],
+        validation: list[Track],
+        *,
+        start: bool = False,
     ) -> None:
         assert isinstance(network.high, HighFrequency)
         self.network, self.module, self.free = network, network.high, network.free
@@ -72,6 +79,8 @@ class HighFrequencyObjective(TrainingObjective):
         self.validation = [self._with_motion(t) for t in validation]
         self._known: dict[str, tuple[Tensor, Tensor]] = {}
         self.body = BodyShape(network.subject.body).to(network.device)
+        if not start:
+            self._fit_statistics()
 
     def _with_motion(self, track: Track) -> Track:
         return dataclasses.replace(track, extra=_bone_motion(self.network, track).cpu())
@@ -90,7 +99,7 @@ class HighFrequencyObjective(TrainingObjective):
         """Loss L_HF of a batch, averaged over the chosen frames, and the GRU's new state."""
         device, options = self.network.device, self.network.config.high
         lanes, frames, chosen = batch.some_frames(options.frames, rng)
-        z = batch.stack([w and w.track.extra[w.frames] for w in batch.windows]).to(device)
+        z = batch.stack([w.track.extra[w.frames] for w in batch.windows]).to(device)
         known = [(*self._read(t), torch.from_numpy(f)) for t, f in frames]
         own = torch.stack([joints[f] for _, joints, f in known])
         joints = torch.zeros(len(chosen), *own.shape[1:])
@@ -133,7 +142,7 @@ class HighFrequencyObjective(TrainingObjective):
             found.append(gap.double().square().sum(-1).mean(-1))
         return torch.cat(found)
 
-    def fit_statistics(self) -> None:
+    def _fit_statistics(self) -> None:
         """Set each vertex's mean detail and one common deviation, from the training clips."""
         total, square, frames = torch.zeros(()), 0.0, 0
         for track in self.tracks:
@@ -189,9 +198,8 @@ class DetailObjective(CoefficientObjective):
             len(network.free),
             hidden=network.config.high.hidden,
             dropout=network.config.high.dropout,
-            tracks=tracks,
-            validation=validation,
-            with_targets=self._coded,
+            tracks=[self._coded(t) for t in tracks],
+            validation=[self._coded(t) for t in validation],
         )
 
     @torch.no_grad()

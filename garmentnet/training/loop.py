@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import functools
 import logging
 import math
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -17,10 +15,11 @@ import torch
 from torch import Tensor, nn
 
 from ssdr.errors import InputError
-from ssdr.io.optional import import_optional as require
 
 from ..configs.config import TrainOptions
-from ..networks.tensor_files import load_tensors, part_of, save_tensors
+from ..io.files import Progress, silent
+from ..io.tensors import load_arrays, save_arrays
+from ..networks.checkpoint import tensors_of
 from .batches import Batch, Track, batches
 
 _logger = logging.getLogger(__name__)
@@ -28,31 +27,6 @@ _logger = logging.getLogger(__name__)
 _INSTRUCTIONS = ("avx512_bf16", "amx_bf16")
 # Approximate number of training clips on which the error is measured.
 _TRAINED = 8
-
-
-@dataclasses.dataclass(frozen=True)
-class TrainingProgress:
-    """State of a training after an epoch, given to the callback.
-
-    Attributes
-    ----------
-    phase : str
-        Name of the module that is trained.
-    epoch : int
-        Number of the epoch, from 1.
-    loss : float
-        Mean loss of the epoch.
-    rmse : float
-        Best validation error so far, metres; inf before there is one.
-    fraction : float
-        Fraction of the epochs that is done.
-    """
-
-    phase: str
-    epoch: int
-    loss: float
-    rmse: float
-    fraction: float
 
 
 class TrainingObjective(Protocol):
@@ -99,7 +73,7 @@ def fit(
     epochs: int,
     learning_rate: float,
     folder: Path,
-    callback: Callable[[TrainingProgress], bool | None] | None = None,
+    progress: Progress = silent,
 ) -> list[dict[str, Any]]:
     """Train a module until validation no longer improves; it ends with its best weights.
 
@@ -117,8 +91,8 @@ def fit(
         Learning rate at the first epoch; it falls along half a cosine to 0 after the last.
     folder : Path
         Folder for the state and the curves; a run that was stopped continues from there.
-    callback : callable, optional
-        Called with a :class:`TrainingProgress` after every epoch; returning True stops.
+    progress : callable, optional
+        Called after every epoch with a text and the fraction of the epochs that is done.
 
     Returns
     -------
@@ -143,7 +117,7 @@ def fit(
         best_weights, saved = _restore(state_file, module, optimiser, rng)
         history, best, waited = saved["history"], saved["best"], saved["waited"]
 
-    with _writer(folder / "tensorboard" / name, options.tensorboard) as writer:
+    with _curves(folder / "tensorboard" / name, options.tensorboard) as writer:
         while waited < options.patience and len(history) < epochs:
             began, losses, state = time.perf_counter(), [], None
             # Half a cosine from 1 to 0.  A constant rate that is halved on plateaus was measured
@@ -181,11 +155,12 @@ def fit(
             history.append(epoch | {"seconds": time.perf_counter() - began})
             saved = {"history": history, "best": best, "waited": waited}
             _save(state_file, module, optimiser, rng, best_weights, saved)
-            writer(number, {"loss": value, "rate": rate, "rmse": rmse})
+            shown = {"loss": value, "rate": rate, "rmse": rmse}
+            for key in [k for k, v in shown.items() if writer is not None and v is not None]:
+                writer.add_scalar(key, shown[key], number)
             _logger.debug("%s %d: loss %.5g, rmse %s", name, number, value, rmse)
-            progress = TrainingProgress(name, number, value, best, number / epochs)
-            if callback and callback(progress):
-                break
+            text = f"{1e3 * best:.1f} mm" if best < math.inf else "not validated yet"
+            progress(f"{name} {number}, loss {value:.4g}, best {text}", number / epochs)
     module.load_state_dict(best_weights)
     module.eval()
     return history
@@ -236,48 +211,27 @@ def _save(
     for k, slot in optimiser.state_dict()["state"].items():
         tensors |= {f"adam.{k}.{name}": v.detach().cpu() for name, v in slot.items()}
     document = record | {"rng": rng.bit_generator.state}
-    save_tensors(file, tensors, {"training": document})
+    save_arrays(file, tensors, "training", document)
 
 
 def _restore(
     file: Path, module: nn.Module, optimiser: torch.optim.Optimizer, rng: np.random.Generator
 ) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    tensors, documents = load_tensors(file, ("training",))
-    record = documents["training"]
-    try:
-        module.load_state_dict(part_of(tensors, "now."))
-        best_weights = part_of(tensors, "best.")
-        slots: dict[int, dict[str, Tensor]] = {}
-        for key, value in part_of(tensors, "adam.").items():
-            number, name = key.split(".")
-            slots.setdefault(int(number), {})[name] = value
-        groups = optimiser.state_dict()["param_groups"]
-        optimiser.load_state_dict({"state": slots, "param_groups": groups})
-        rng.bit_generator.state = record["rng"]
-        if best_weights.keys() != module.state_dict().keys():
-            raise KeyError("best weights")
-        if not {"history", "best", "waited"} <= record.keys():
-            raise KeyError("history")
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        raise InputError("folder", "states of this run", f"{file}: {error}") from error
-    return best_weights, record
+    arrays, record = load_arrays(file, "training")
+    module.load_state_dict(tensors_of(arrays, "now."))
+    slots: dict[int, dict[str, Tensor]] = {}
+    for key, value in tensors_of(arrays, "adam.").items():
+        number, name = key.split(".")
+        slots.setdefault(int(number), {})[name] = value
+    groups = optimiser.state_dict()["param_groups"]
+    optimiser.load_state_dict({"state": slots, "param_groups": groups})
+    rng.bit_generator.state = record["rng"]
+    return tensors_of(arrays, "best."), record
 
 
-@contextlib.contextmanager
-def _writer(folder: Path, enabled: bool) -> Iterator[Callable[[int, dict[str, Any]], None]]:
-    if not enabled:
-        yield lambda number, values: None
-        return
-    module = require("torch.utils.tensorboard", "garmentnet", "tensorboard curves")
-    writer = module.SummaryWriter(str(folder))
+def _curves(folder: Path, wanted: bool) -> contextlib.AbstractContextManager[Any]:
+    if not wanted:
+        return contextlib.nullcontext()
+    from torch.utils.tensorboard import SummaryWriter
 
-    def write(number: int, values: dict[str, Any]) -> None:
-        for key, value in values.items():
-            if value is not None:
-                writer.add_scalar(key, value, number)
-        writer.flush()
-
-    try:
-        yield write
-    finally:
-        writer.close()
+    return contextlib.closing(SummaryWriter(str(folder)))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 
@@ -19,20 +19,21 @@ import torch
 
 from ssdr.errors import InputError
 from ssdr.io.atomic import write_bytes
+from ssdr.io.registry import reading
 
 from ..configs.config import Config
 from ..data.clip import MIRRORED, Clip
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
 from ..data.virtual_bones import VirtualBones, parameter_roles, virtual_bones
+from ..io.files import Progress, silent
 from ..networks.checkpoint import Checkpoint, load_weights, save_checkpoint
-from ..networks.detail_basis import DetailBasis
 from ..networks.features import Normaliser, PoseFeatures, PoseReader, transforms_in_frame
 from ..networks.network import MotionNetwork
-from .batches import Track, load_tracks
+from .batches import load_tracks
 from .high_frequency import DetailObjective, HighFrequencyObjective
 from .linear import resolve_relative_to
-from .loop import TrainingObjective, TrainingProgress, fit
+from .loop import TrainingObjective, fit
 from .low_frequency import LowFrequencyObjective
 from .targets import LowTargets
 
@@ -45,7 +46,10 @@ _DETAIL_FRAMES = 130_000
 
 
 def choose_clips(
-    store: ClipStore, config: Config, split: str = "train"
+    store: ClipStore,
+    config: Config,
+    split: str = "train",
+    parameters: SimulationParameters | None = None,
 ) -> tuple[list[str], SimulationParameters | None]:
     """Names of the clips of a split that a configuration uses, without mirrored ones.
 
@@ -54,6 +58,8 @@ def choose_clips(
     store : ClipStore
     config : Config
     split : {"train", "validation", "test"}
+    parameters : SimulationParameters, optional
+        In place of those of the configuration.
 
     Returns
     -------
@@ -68,15 +74,15 @@ def choose_clips(
         If there are none for training, or ``data.parameters`` cannot be read.
     """
     roles = parameter_roles(store)
-    text, chosen = config.data.parameters, None
-    if text:
+    text, chosen = config.data.parameters, parameters
+    if text and chosen is None:
         try:
             bending, density, time_scale = (float(x) for x in text.split(","))
             chosen = SimulationParameters(bending, density, time_scale)
         except (TypeError, ValueError) as error:
             expected = "'bending,density,time_scale'"
             raise InputError("data.parameters", expected, repr(text)) from error
-    elif not config.data.condition:
+    elif chosen is None and not config.data.condition:
         chosen = store.parameters()[0] if store.parameters() else None
     o = config.data
 
@@ -84,11 +90,11 @@ def choose_clips(
         if not (clip.parameters == chosen if chosen else roles[clip.parameters] == "train"):
             return False
         if not o.leave_out:
-            return clip.split == split and _matches(clip, o.motions)
+            return clip.split == split and fnmatchcase(clip.motion, o.motions or "*")
         # Each motion in turn is left out and used for the test, whatever the splits say.
         left = fnmatchcase(clip.motion, o.leave_out)
         if split == "train":
-            return not left and _matches(clip, o.motions)
+            return not left and fnmatchcase(clip.motion, o.motions or "*")
         return left and split == "test"
 
     names, frames = [], 0
@@ -108,10 +114,6 @@ def with_mirrored(store: ClipStore, config: Config, names: Sequence[str]) -> lis
     """Names of the clips and, if asked for and the garment is symmetric, of their mirror images."""
     mirror = config.data.mirror and store.mirror_vertices is not None
     return [*names, *(n + MIRRORED for n in names if mirror)]
-
-
-def _matches(clip: Clip, pattern: str) -> bool:
-    return not pattern or fnmatchcase(clip.motion, pattern)
 
 
 def pose_reader(config: Config, bones: VirtualBones, names: Sequence[str]) -> PoseReader:
@@ -147,8 +149,7 @@ def train(
     folder: Path | str,
     *,
     start: Checkpoint | None = None,
-    callback: Callable[[TrainingProgress], bool | None] | None = None,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress = silent,
 ) -> Path:
     """Train both modules of a network, or only the low-frequency one if `high_epochs` is 0.
 
@@ -165,16 +166,14 @@ def train(
     start : Checkpoint, optional
         Checkpoint with whose weights and bones to start; by default weights are random, and bones
         are computed.
-    callback : callable, optional
-        Called with a :class:`~garmentnet.training.loop.TrainingProgress` after every epoch.  If it
-        returns True, the run stops and can be continued later.
     progress : callable, optional
-        Called during the preparation with a description and the fraction that is done.
+        Called during the preparation and after every epoch with a text and the fraction that is
+        done.  What it raises ends the run, which can be continued later.
 
     Returns
     -------
     Path
-        Path of the checkpoint, which is also written when the callback stops the run.
+        Path of the checkpoint.
 
     Raises
     ------
@@ -214,12 +213,7 @@ def train(
     tracks = load_tracks(network, bones, learned)
     validation = load_tracks(network, bones, held)
 
-    history, stopped = {}, False
-
-    def after_epoch(p: TrainingProgress) -> bool:
-        nonlocal stopped
-        stopped = bool(callback(p)) if callback else False
-        return stopped
+    history = {}
 
     def learn(objective: TrainingObjective, name: str, epochs: int, rate: float) -> None:
         history[name] = fit(
@@ -229,20 +223,23 @@ def train(
             epochs=epochs,
             learning_rate=rate,
             folder=folder,
-            callback=after_epoch,
+            progress=progress,
         )
 
     targets = LowTargets(bones, network.features, learned)
     objective: TrainingObjective = LowFrequencyObjective(network, targets, tracks, validation)
     learn(objective, "low", o.epochs, o.learning_rate)
-    if not stopped and o.high_epochs:
+    if o.high_epochs:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(o.seed + 1)
             network.add_high()
         network.to(device)
-        begun = start if start is not None and start.networks[0].high is not None else None
+        begun = None if start is None or start.networks[0].high is None else start
+        if begun is not None:
+            load_weights(network, begun, "high")
         every = max(1, sum(t.n_frames for t in tracks) // _DETAIL_FRAMES)
-        objective = _high_objective(network, tracks[::every], validation, begun)
+        kind = DetailObjective if config.high.kind == "basis" else HighFrequencyObjective
+        objective = kind(network, tracks[::every], validation, start=begun is not None)
         learn(objective, "high", o.high_epochs, o.high_learning_rate)
     found = {k: [e["rmse"] for e in h if e["rmse"] is not None] for k, h in history.items()}
     errors = {f"{k}, validation": min(v) for k, v in found.items() if v}
@@ -250,27 +247,8 @@ def train(
         Checkpoint((network,), (parameters,), None, errors), folder / "checkpoint.safetensors"
     )
     # Last, because it says that the run is finished.
-    if not stopped:
-        write_bytes(folder / "history.json", json.dumps(history, indent=1).encode())
+    write_bytes(folder / "history.json", json.dumps(history, indent=1).encode())
     return path
-
-
-def _high_objective(
-    network: MotionNetwork,
-    tracks: list[Track],
-    validation: list[Track],
-    start: Checkpoint | None,
-) -> TrainingObjective:
-    """Objective of the high-frequency module, after setting its statistics or loading weights."""
-    if isinstance(network.high, DetailBasis):
-        if start is not None:
-            load_weights(network, start, "high")
-        return DetailObjective(network, tracks, validation, start=start is not None)
-    objective = HighFrequencyObjective(network, tracks, validation)
-    objective.fit_statistics()
-    if start is not None:
-        load_weights(network, start, "high")
-    return objective
 
 
 def _claim(folder: Path, config: Config, clips: Sequence[str]) -> None:
@@ -284,9 +262,7 @@ def _claim(folder: Path, config: Config, clips: Sequence[str]) -> None:
     if not file.is_file():
         write_bytes(file, json.dumps(record, indent=1).encode())
         return
-    try:
+    with reading(file):
         there = json.loads(file.read_text("utf-8"))
-    except ValueError as error:
-        raise InputError("folder", "a run of this package", f"{file}: {error}") from error
     if there != record:
         raise InputError("folder", "a new one, or a run of this configuration and clips", folder)

@@ -22,7 +22,7 @@ from ..skinning import Skinning, check_skinning
 from ..storage.size import key_bytes
 from .fit import Fit, checked
 
-__all__ = ["ShapeFit", "components", "fit_shapes", "shapes_within"]
+__all__ = ["ShapeFit", "components", "fit_shapes", "shapes_within", "some_shapes"]
 
 Array = NDArray[np.float64]
 
@@ -148,14 +148,19 @@ def fit_shapes(
     if rms <= 1e-12 * (rest_diagonal(model.rest) or 1.0) or (limit is not None and rms <= limit):
         return _measured(truth, model)
     if limit is None:
-        count = check_whole(shapes, "shapes", 1, n_frames)
-        first = components(model, left)[0][:, :count]
-        found = _measured(truth, _alternated(model, left, first, names))
+        found = some_shapes(truth, model, check_whole(shapes, "shapes", 1, n_frames), names)
     else:
         found = shapes_within(truth, model, limit, names)
     worth = _worth(given.sequences, model, rms, found.rmse, found.skinning.n_shapes)
     found = found if worth > 1 else _measured(truth, model)
     return dataclasses.replace(found, worth=worth)
+
+
+def some_shapes(truth: Array, model: Skinning, count: int, names: Any = None) -> ShapeFit:
+    """Fit `count` shapes to a model, whether or not bones would use their bytes better."""
+    left = truth - model.skin(dtype=np.float64)
+    amounts = components(model, left)[0][:, :count]
+    return _measured(truth, _alternated(model, left, amounts, names))
 
 
 def shapes_within(truth: Array, model: Skinning, limit: float, names: Any = None) -> ShapeFit:

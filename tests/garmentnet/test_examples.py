@@ -13,8 +13,8 @@ pytest.importorskip("zarr")
 
 import garmentnet
 
-# These run the command.
-_WITHOUT = ("garmentnet.__main__", "garmentnet.cli.__main__")
+# This runs the command.
+_WITHOUT = ("garmentnet.__main__",)
 _MODULES = [
     module.name
     for module in pkgutil.walk_packages(garmentnet.__path__, "garmentnet.")

@@ -183,7 +183,7 @@ def test_killed_training_goes_on(toy_store, tmp_path):
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}
     for state in ("low", "high"):
         process = subprocess.Popen(
-            [sys.executable, "-m", "garmentnet.cli", "train", *given, "-o", str(cut)],
+            [sys.executable, "-m", "garmentnet", "train", *given, "-o", str(cut)],
             env=environment,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

@@ -17,7 +17,7 @@ def test_errors_are_those_of_evaluate_and_a_loss_is_said(toy_run, toy_store, toy
     file = toy_run / "checkpoint.safetensors"
     text = verdict(validation_errors(file, toy_store))
     found = {m[1]: float(m[2]) for m in re.finditer(r"(?:: |, )([a-z -]+) ([0-9.]+) mm", text)}
-    assert list(found) == ["network", BodySkinned.name, MeanShape.name, Ridge.name]
+    assert list(found) == ["network", MeanShape.name, BodySkinned.name, Ridge.name]
     held = toy_store.names("validation")
     held = [n for n in held if toy_store.clip(n).parameters == toy_store.parameters()[0]]
     (row,) = evaluate(toy_bones, [BodySkinned(toy_store)], held[:8])

@@ -10,9 +10,12 @@ torch = pytest.importorskip("torch")
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from garmentnet.configs.config import HighOptions
 from garmentnet.networks.gru import dropout_mask
 from garmentnet.networks.high_frequency import EdgeConv, HighFrequency, neighbour_table
 from helpers import toy_store as toy
+
+PLAIN = {"activation": "relu", "batch_norm": False}
 
 
 def neighbours_of(faces, n):
@@ -62,9 +65,8 @@ def test_edge_conv_gradient():
 def test_high_frequency_of_chosen_frames():
     torch.manual_seed(0)
     rest, faces, _ = toy.skirt(columns=8, rings=3)
-    module = HighFrequency(
-        6, faces, 24, hidden=16, global_features=4, edge_features=(8, 8), mlp=(8,), edge_length=0.1
-    )
+    small = HighOptions(**PLAIN, hidden=16, global_features=4, edge_features=(8, 8), mlp=(8,))
+    module = HighFrequency(6, faces, 24, small, edge_length=0.1)
     x = torch.randn(2, 9, 6)
     low = torch.from_numpy(rest) + 0.01 * torch.randn(2, 9, 24, 3)
     whole, state = module(x, low)
@@ -81,9 +83,8 @@ def test_edge_conv_without_some_edges(activation):
     _, faces, _ = toy.skirt(columns=8, rings=3)
     layer = EdgeConv(3, 5, 1.0, activation).double()
     x = torch.randn(24, 2, 3, dtype=torch.float64)
-    module = HighFrequency(
-        2, faces, 24, hidden=4, global_features=2, edge_features=(5,), mlp=(), edge_length=1.0
-    )
+    small = HighOptions(**PLAIN, hidden=4, global_features=2, edge_features=(5,))
+    module = HighFrequency(2, faces, 24, small, edge_length=1.0)
     dropped = module.draw_edges(np.random.default_rng(3), 0.7)[0]
     table = module.neighbours
     stays = {
@@ -106,9 +107,8 @@ def test_edge_conv_without_some_edges(activation):
 
 def test_dropped_shares():
     _, faces, _ = toy.skirt()
-    module = HighFrequency(
-        2, faces, 112, hidden=50, global_features=2, edge_features=(4, 4), mlp=(), edge_length=1.0
-    )
+    small = HighOptions(**PLAIN, hidden=50, global_features=2, edge_features=(4, 4))
+    module = HighFrequency(2, faces, 112, small, edge_length=1.0)
     rng = np.random.default_rng(0)
     first, second = module.draw_edges(rng, 0.8)
     assert not torch.equal(first, second)
@@ -126,10 +126,8 @@ def test_detail_of_some_vertices():
     torch.manual_seed(0)
     rest, faces, _ = toy.skirt(columns=8, rings=3)
     chosen = np.array([1, 5, 9, 23])
-    module = HighFrequency(
-        6, faces, 24, hidden=16, global_features=4, edge_features=(8,), mlp=(8,), edge_length=0.1,
-        vertices=chosen, batch_norm=True, activation="prelu",
-    )  # fmt: skip
+    small = HighOptions(hidden=16, global_features=4, edge_features=(8,), mlp=(8,))
+    module = HighFrequency(6, faces, 24, small, edge_length=0.1, vertices=chosen)
     module.mean.fill_(0.5)
     out, _ = module.eval()(torch.randn(2, 3, 6), torch.from_numpy(rest).expand(2, 3, 24, 3))
     others = np.setdiff1d(np.arange(24), chosen)

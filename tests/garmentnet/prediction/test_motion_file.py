@@ -14,10 +14,10 @@ from ssdr.errors import FormatError, InputError
 
 def test_motion_files(toy_network, toy_store, joints, tmp_path):
     np.savez(tmp_path / "m.npz", joints=joints)
-    found, clip = read_motion(tmp_path / "m.npz", toy_network)
+    found, clip = read_motion(tmp_path / "m.npz", toy_network.subject)
     assert np.array_equal(found, joints)
     assert clip is None
-    found, clip = read_motion(toy_store.path / "clips" / "base-test-0", toy_network)
+    found, clip = read_motion(toy_store.path / "clips" / "base-test-0", toy_network.subject)
     assert (len(found), clip.name) == (90, "base-test-0")
     np.savez(tmp_path / "few.npz", joints=joints[:, :2])
     np.savez(tmp_path / "none.npz", other=joints)
@@ -26,6 +26,6 @@ def test_motion_files(toy_network, toy_store, joints, tmp_path):
     (tmp_path / "m.fbx").write_bytes(b"x")
     for name in ("few.npz", "none.npz", "pickled.npz", "broken.npz", "m.fbx"):
         with pytest.raises(FormatError, match=name):
-            read_motion(tmp_path / name, toy_network)
+            read_motion(tmp_path / name, toy_network.subject)
     with pytest.raises(InputError, match="motion"):
-        read_motion(tmp_path / "nothing.bvh", toy_network)
+        read_motion(tmp_path / "nothing.bvh", toy_network.subject)

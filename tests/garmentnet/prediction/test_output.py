@@ -74,7 +74,7 @@ def test_pictures_and_films(toy_network, joints, tmp_path):
     p = predict(toy_network, joints[:4])
     seen = []
     save_prediction(p, tmp_path / "a.png", frames=2)
-    save_prediction(p, tmp_path / "a.gif", size=64, progress=seen.append)
+    save_prediction(p, tmp_path / "a.gif", size=64, progress=lambda _, done: seen.append(done))
     assert seen[-1] == 1
 
     with Image.open(tmp_path / "a.gif") as film:

@@ -13,9 +13,9 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from garmentnet.data.parameters import SimulationParameters as P
+from garmentnet.io.tensors import load_arrays, save_arrays
 from garmentnet.networks.checkpoint import Checkpoint, save_checkpoint
 from garmentnet.networks.ensemble import Kernel
-from garmentnet.networks.tensor_files import load_tensors, save_tensors
 from garmentnet.runtime import load_live
 from helpers import live_garment as made
 from ssdr.errors import FormatError, InputError, SsdrWarning
@@ -194,10 +194,10 @@ def test_files_that_are_not_run(tmp_path):
     (tmp_path / "cut.safetensors").write_bytes(one.read_bytes()[:5000])
     with pytest.raises(FormatError):
         load_live(tmp_path / "cut.safetensors")
-    tensors, documents = load_tensors(one, ("checkpoint",))
+    arrays, document = load_arrays(one, "checkpoint")
     for key in ("network.0.low.gru.weight_hh_l0", "network.0.high.basis", "skeleton.parents"):
-        cut = tensors | {key: tensors[key][:-1]}
-        bad = save_tensors(tmp_path / "bad.safetensors", cut, documents)
+        cut = arrays | {key: arrays[key][:-1]}
+        bad = save_arrays(tmp_path / "bad.safetensors", cut, "checkpoint", document)
         with pytest.raises(FormatError):
             load_live(bad)
     other = made.network(low={"rotation": "euler"}, detail=False)

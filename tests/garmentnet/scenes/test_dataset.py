@@ -48,7 +48,7 @@ def test_killed_and_started_again(tmp_path: Path) -> None:
     whole = make_data_set(data_set, tmp_path / "whole.clips", workers=1)
     assert set(whole.names(accepted=None, perturbed=None)) == names
     target = tmp_path / "killed.clips"
-    command = [sys.executable, "-m", "garmentnet.cli", "simulate", str(source), "-o", str(target)]
+    command = [sys.executable, "-m", "garmentnet", "simulate", str(source), "-o", str(target)]
     root = str(Path(__file__).parents[3])
     process = subprocess.Popen(
         [*command, "--workers", "2"],
@@ -90,7 +90,17 @@ def test_one_writer_at_a_time(tmp_path: Path) -> None:
     data_set = load_data_set(tmp_path / "few.toml")
     path = tmp_path / "a.clips"
     make_data_set(data_set, path)
-    assert not (path / "writing.lock").exists()
-    (path / "writing.lock").write_text(str(os.getppid()))
-    with pytest.raises(InputError, match="nobody writes"):
-        make_data_set(data_set, path)
+    code = "import filelock, sys; lock = filelock.FileLock(sys.argv[1]); lock.acquire();"
+    code += "print(flush=True); input()"
+    other = subprocess.Popen(
+        [sys.executable, "-c", code, str(path / "writing.lock")],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    )
+    with other:
+        assert other.stdout is not None
+        other.stdout.readline()
+        with pytest.raises(InputError, match="nobody writes"):
+            make_data_set(data_set, path)
+        other.kill()
+    make_data_set(data_set, path)

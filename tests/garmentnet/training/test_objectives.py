@@ -78,7 +78,7 @@ def test_a_window_of_one_frame(toy_bones, toy_network, monkeypatch):
 def test_the_high_module_is_judged_by_its_own_error(toy_store, toy_bones, toy_network):
     network = toy_network.networks[0]
     tracks = load_tracks(network, toy_bones, [_NAME])
-    task = HighFrequencyObjective(network, tracks, tracks)
+    task = HighFrequencyObjective(network, tracks, tracks, start=True)
     before = task.validate()
     (track,) = tracks
     high, _ = network.high(
@@ -91,7 +91,7 @@ def test_the_high_module_is_judged_by_its_own_error(toy_store, toy_bones, toy_ne
     code = network.low.code
     mean = code.mean.clone()
     code.mean += 0.01
-    after = HighFrequencyObjective(network, tracks, tracks).validate()
+    after = HighFrequencyObjective(network, tracks, tracks, start=True).validate()
     code.mean.copy_(mean)  # to the bit: other tests share the network
     assert abs(after - before) < 0.2 * before
 

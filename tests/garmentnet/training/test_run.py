@@ -34,9 +34,15 @@ def test_resume_is_bit_for_bit(toy_store, toy_config, tmp_path):
     config = toy_config(epochs=4, high_epochs=3, validate_every=1)
     whole = train(toy_store, config, tmp_path / "whole").read_bytes()
     folder = tmp_path / "cut"
-    cut = train(toy_store, config, folder, callback=lambda p: p.epoch == 2).read_bytes()
-    assert cut != whole
-    train(toy_store, config, folder, callback=lambda p: p.phase == "high")
+    for where in ("low 2,", "high 1,"):
+
+        def stop(text, fraction, where=where):
+            if text.startswith(where):
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            train(toy_store, config, folder, progress=stop)
+        assert not (folder / "history.json").exists()
     assert train(toy_store, config, folder).read_bytes() == whole
     assert train(toy_store, config, folder).read_bytes() == whole
 
@@ -63,10 +69,10 @@ def test_history_progress_and_early_stop(toy_store, toy_config, tmp_path):
     seen = []
     # A rate of nothing: validation cannot improve after the first time.
     config = toy_config(epochs=50, high_epochs=1, validate_every=1, patience=3, learning_rate=1e-12)
-    train(toy_store, config, tmp_path, callback=lambda p: seen.append(p) and False)
-    low = [p for p in seen if p.phase == "low"]
+    train(toy_store, config, tmp_path, progress=lambda *said: seen.append(said))
+    low = [fraction for text, fraction in seen if text.startswith("low")]
     assert len(low) <= 8
-    assert all(0 < p.fraction <= 1 for p in seen)
+    assert all(0 < fraction <= 1 for fraction in low)
 
     history = json.loads((tmp_path / "history.json").read_text())
     assert len(history["low"]) == len(low)
