@@ -10,11 +10,16 @@ from ssdr.kernels.policy import inline, kernel
 
 
 @kernel
-def fit_triangles(points: Any, triangles: Any, depth: int, corners: Any, boxes: Any) -> None:
-    """Write the corners of all triangles, and the bounding boxes of the nodes of their tree.
+def fit_triangles(
+    points: Any, triangles: Any, chosen: Any, depth: int, corners: Any, boxes: Any
+) -> None:
+    """Write the corners of the chosen triangles, and the boxes that bound them in their tree.
+
+    A node without any has a box that meets no other.
 
     points     (V, 3)                   float64  in
     triangles  (T, 3)                   int32    in the tree's order, in
+    chosen     (T,)                     bool     in
     depth                               int      levels of the tree below the root
     corners    (T, 9)                   float64  out
     boxes      (2**(depth + 1) - 1, 6)  float64  lower, then upper corner of each node, out
@@ -25,6 +30,8 @@ def fit_triangles(points: Any, triangles: Any, depth: int, corners: Any, boxes: 
     for j in range(1 << depth):
         ax, ay, az, bx, by, bz = np.inf, np.inf, np.inf, -np.inf, -np.inf, -np.inf
         for t in range((count * j) >> depth, (count * (j + 1)) >> depth):
+            if not chosen[t]:
+                continue
             for k in range(3):
                 i = triangles[t, k]
                 x, y, z = points[i, 0], points[i, 1], points[i, 2]
@@ -152,6 +159,19 @@ def box_of(a, i):
 
 
 @inline
+def beside(box, b, j):
+    """Whether a box and box b[j] are apart along an axis."""
+    return (
+        box[0] > b[j, 3]
+        or box[3] < b[j, 0]
+        or box[1] > b[j, 4]
+        or box[4] < b[j, 1]
+        or box[2] > b[j, 5]
+        or box[5] < b[j, 2]
+    )
+
+
+@inline
 def apart(box, b, j):
     """Whether a box and triangle b[j] are apart along an axis."""
     return (
@@ -165,22 +185,9 @@ def apart(box, b, j):
 
 
 @inline
-def _beside(a, i, b, j):
-    """Whether boxes a[i] and b[j] are apart along an axis."""
-    return (
-        a[i, 0] > b[j, 3]
-        or a[i, 3] < b[j, 0]
-        or a[i, 1] > b[j, 4]
-        or a[i, 4] < b[j, 1]
-        or a[i, 2] > b[j, 5]
-        or a[i, 5] < b[j, 2]
-    )
-
-
-@inline
 def meeting_leaves(cloth_boxes, cloth_depth, boxes, depth, stack, pairs):
     """Number of pairs of leaves whose boxes meet, which are written to `pairs`."""
-    n, top = 0, 0 if _beside(cloth_boxes, 0, boxes, 0) else 1
+    n, top = 0, 0 if beside(cloth_boxes[0], boxes, 0) else 1
     own, other = (1 << cloth_depth) - 1, (1 << depth) - 1
     stack[0, 0], stack[0, 1] = 0, 0
     while top > 0:
@@ -192,12 +199,12 @@ def meeting_leaves(cloth_boxes, cloth_depth, boxes, depth, stack, pairs):
                 n += 1
         elif b >= other or (a < own and a <= b):
             for child in range(2 * a + 1, 2 * a + 3):
-                if not _beside(cloth_boxes, child, boxes, b):
+                if not beside(cloth_boxes[child], boxes, b):
                     stack[top, 0], stack[top, 1] = child, b
                     top += 1
         else:
             for child in range(2 * b + 1, 2 * b + 3):
-                if not _beside(cloth_boxes, a, boxes, child):
+                if not beside(cloth_boxes[a], boxes, child):
                     stack[top, 0], stack[top, 1] = a, child
                     top += 1
     return n

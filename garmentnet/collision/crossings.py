@@ -104,8 +104,9 @@ def find_crossings(
     def measure(_: int, start: int, stop: int) -> None:
         posed = skin(body.rest, body.indices, body.weights, m[start:stop], dtype=np.float64)
         boxes, corners = np.empty((2 ** (depth + 1) - 1, 6)), np.empty((len(triangles), 9))
+        every = np.ones(len(triangles), bool)
         for t in range(start, stop):
-            fit_triangles(posed[t - start], triangles, depth, corners, boxes)
+            fit_triangles(posed[t - start], triangles, every, depth, corners, boxes)
             own = v[t].take(cloth, axis=0).reshape(-1, 9)
             pairs[t], deepest[t] = count_crossings(own, corners, depth, boxes)
 

@@ -12,7 +12,15 @@ import numpy as np
 
 from ssdr.kernels.policy import inline, kernel
 
-from .crossing_kernels import apart, box_of, edge_meets, fit_triangles, meeting_leaves, straddles
+from .crossing_kernels import (
+    apart,
+    beside,
+    box_of,
+    edge_meets,
+    fit_triangles,
+    meeting_leaves,
+    straddles,
+)
 from .kernels import closest, gap, push_children, winding
 
 # Cosine of the angle to the cloth's normal from which skin faces the way out.
@@ -95,15 +103,17 @@ def _find(points, garment, scene, margin, work, hot, crossed, inside, beyond, wa
     cloth, depth, edges, fixed, _, _, _, _, _, _ = garment
     corners, body_depth, body_boxes = scene
     boxes, stack, pairs, own, meets = work
-    fit_triangles(points, cloth, depth, own, boxes)
+    fit_triangles(points, cloth, hot, depth, own, boxes)
     n = meeting_leaves(boxes, depth, body_boxes, body_depth, stack, pairs)
-    found, count, other = 0, len(cloth), len(corners)
+    found, count, other, base = 0, len(cloth), len(corners), (1 << body_depth) - 1
     meets[:], crossed[:], inside[:], beyond[:], length[:] = False, False, False, -1, 0.0
     for w in range(n):
         for i in range((count * pairs[w, 0]) >> depth, (count * (pairs[w, 0] + 1)) >> depth):
             if not hot[i]:
                 continue
             box = box_of(own, i)
+            if beside(box, body_boxes, base + pairs[w, 1]):
+                continue
             for j in range(
                 (other * pairs[w, 1]) >> body_depth, (other * (pairs[w, 1] + 1)) >> body_depth
             ):

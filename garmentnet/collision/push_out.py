@@ -238,7 +238,8 @@ class PushOut:
         """The posed body as the kernels need it."""
         boxes = np.empty((2 ** (self._depth + 1) - 1, 6))
         corners = np.empty((len(self._triangles), 9))
-        fit_triangles(body, self._triangles, self._depth, corners, boxes)
+        every = np.ones(len(corners), bool)
+        fit_triangles(body, self._triangles, every, self._depth, corners, boxes)
         return corners, self._depth, boxes
 
 
