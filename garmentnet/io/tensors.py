@@ -29,7 +29,7 @@ def load_arrays(path: Path, wanted: Sequence[str]) -> tuple[dict[str, NDArray[An
     InputError
         If there is no such file.
     FormatError
-        If the file is of another format, differs from its checksum, lacks a document or holds
+        If the file is of another format, differs from its checksum, has other documents or holds
         numbers that are not finite in single precision.
 
     Notes
@@ -51,9 +51,9 @@ def load_arrays(path: Path, wanted: Sequence[str]) -> tuple[dict[str, NDArray[An
         expected = documents.pop("sha256", None)
         if expected is not None and expected != digest(arrays, documents):
             raise FormatError("damaged: its checksum is another")
-        missing = [k for k in wanted if k not in documents]
-        if missing:
-            raise FormatError(f"no document {missing[0]!r}")
+        # A checksum whose own name is damaged would otherwise be a further document.
+        if set(documents) != set(wanted):
+            raise FormatError(f"documents {sorted(documents)}, expected {sorted(wanted)}")
         for key, value in arrays.items():
             if value.dtype.kind != "f":
                 continue
