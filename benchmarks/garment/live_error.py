@@ -29,6 +29,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 
 from benchmarks import common
+from benchmarks.garment.live import native
 from ssdr.laplacian import LaplacianSmoother
 
 RANKS = (0, 4, 8, 16, 32, 64)
@@ -74,15 +75,6 @@ class Exported:
         return {k.removesuffix("_out"): v for k, v in out.items()}, vertices
 
 
-def played(garment: Any, clip: Any) -> Any:
-    """Vertices (F, V, 3) that the garment predicts, frame by frame."""
-    state, made = None, []
-    for pose in clip.joints:
-        state, vertices = garment.step(state, pose, clip.parameters)
-        made.append(vertices)
-    return np.stack(made)
-
-
 def run(garment: Any, clips: list[Any]) -> tuple[float, float, float]:
     """RMSE of the vertices and of their creases, mm; milliseconds a frame, the quickest clip."""
     rest = garment.subject.garment
@@ -91,7 +83,7 @@ def run(garment: Any, clips: list[Any]) -> tuple[float, float, float]:
     for clip in clips:
         truth = clip.sequence.frames(slice(None))
         began = time.perf_counter()
-        made = played(garment, clip)
+        made = native(garment, clip.joints, clip.parameters)
         times.append(1e3 * (time.perf_counter() - began) / len(made))
         gap = made - truth
         total += float((gap**2).sum())
@@ -118,7 +110,7 @@ def by_parameters(garment: Any, store: Any) -> list[common.Row]:
         clips = [c for c in dances(store) if c.parameters == parameters]
         for clip in clips:
             truth = clip.sequence.frames(slice(None))
-            made = played(garment, clip)
+            made = native(garment, clip.joints, parameters)
             gap = float(((made - truth) ** 2).sum(-1).mean())
             sums += np.array([gap, depth(made), depth(truth)]) / len(clips)
         names = ("rmse_mm", "creases_mm", "simulated_mm")
@@ -130,9 +122,8 @@ def by_parameters(garment: Any, store: Any) -> list[common.Row]:
 
 def by_time(garment: Any, clips: list[Any]) -> list[float]:
     """RMSE, mm, over the first half of every second of the clips."""
-    squares = [
-        ((played(garment, c) - c.sequence.frames(slice(None))) ** 2).sum(-1).mean(-1) for c in clips
-    ]
+    gaps = [native(garment, c.joints, c.parameters) - c.sequence.frames(slice(None)) for c in clips]
+    squares = [(gap**2).sum(-1).mean(-1) for gap in gaps]
     second = round(garment.subject.fps)
     starts = range(0, max(map(len, squares)), second)
     parts = [np.concatenate([q[t : t + second // 2] for q in squares]) for t in starts]
