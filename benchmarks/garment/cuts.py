@@ -24,6 +24,7 @@ from scipy.sparse import csr_array
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 
+from benchmarks.garment.detail import rms
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.scenes.body import default_body
 from garmentnet.scenes.cloth import Cloth, Solver
@@ -85,11 +86,6 @@ class Turns:
 
 def unit(x: Array) -> Array:
     return np.asarray(x / np.linalg.norm(x, axis=-1, keepdims=True))
-
-
-def rms(x: Array) -> float:
-    """RMS of vectors, mm."""
-    return 1e3 * float(np.sqrt(np.square(x, dtype=np.float64).sum(-1).mean()))
 
 
 def measure(cut: Cut, solver: Solver, frames: int) -> list[str]:

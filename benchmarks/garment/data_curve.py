@@ -42,11 +42,7 @@ def learn(path: Path, frames: int, work: Path, changes: list[str]) -> dict[str, 
 
 
 def draw(rows: dict[str, dict[str, float]]) -> None:
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
+    plt = common.pyplot()
     stores = sorted({row["store"] for row in rows.values()})
     figure, axes = plt.subplots(1, len(stores), figsize=(4.2 * len(stores), 3.2), squeeze=False)
     for axis, store in zip(axes[0], stores, strict=True):
@@ -60,14 +56,11 @@ def draw(rows: dict[str, dict[str, float]]) -> None:
             title=Path(store).stem.rpartition("_")[2],
             xlabel="training frames",
         )
-        ticks = [row["frames"] for row in own]
-        axis.set_xticks(ticks, [str(t) for t in ticks])
-        axis.minorticks_off()
+        common.number_ticks(axis, [row["frames"] for row in own])
         axis.set_ylim(bottom=0)
     axes[0, 0].set_ylabel("RMSE on validation, mm")
     axes[0, 0].legend(frameon=False, loc="lower left")
-    figure.tight_layout()
-    figure.savefig(PICTURE, dpi=130)
+    common.save_figure(figure, PICTURE)
 
 
 def main() -> None:

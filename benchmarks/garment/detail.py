@@ -80,7 +80,7 @@ class Detail:
 
 
 def rms(x: Array) -> float:
-    """RMS, mm, of vectors that are stored flat."""
+    """RMS, mm, of vectors; they may be stored flat."""
     return 1e3 * float(np.sqrt(3 * np.square(x, dtype=np.float64).mean()))
 
 

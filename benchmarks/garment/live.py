@@ -34,6 +34,7 @@ def rms(gap: np.ndarray) -> float:
 
 
 def native(garment: LiveGarment, joints: np.ndarray, theta: SimulationParameters) -> np.ndarray:
+    """Vertices (F, V, 3) that a garment predicts, frame by frame at its own rate."""
     state, frames = None, []
     for pose in joints:
         state, vertices = garment.step(state, pose, theta)

@@ -8,6 +8,10 @@ Every module sees the same: every third frame, every fourth free vertex, and of 
 the bones as they were fitted to the simulation, not as a network predicts them: the error is the
 least that the module has behind any low-frequency module.  Small widths (``--hidden``), no
 mirrored clips, no collision loss.  What is finished in ``--work`` is not trained again.
+
+Without a split (``--set bones.length=0 --set bones.count=20``) modules learn what skinning by bones
+of the whole garment leaves.  *Overall* compares skinning and module with the whole garment, as the
+size of what is learned depends on the bones.
 """
 
 from __future__ import annotations
@@ -47,7 +51,7 @@ from garmentnet.networks.detail_basis import DetailBasis, SurfaceTurns
 from garmentnet.networks.features import Normaliser, PoseFeatures
 from garmentnet.networks.gru import dropout_mask
 from garmentnet.networks.high_frequency import HighFrequency
-from garmentnet.networks.skinning import TorchSkinning
+from garmentnet.networks.skinning import TorchSkinning, remove_frame
 from garmentnet.training.batches import Batch, Track
 from garmentnet.training.coefficients import CoefficientObjective
 from garmentnet.training.loop import TrainingObjective, fit, mixed_precision
@@ -58,6 +62,7 @@ HELD = 4  # clips for validation
 NEAREST = 6  # vertices that the local stream joins to each of those that are left
 EDGES = (8, 8, 16)  # three EdgeConvs, as the paper's text has it; widths end as the published ones
 MEAN = "mean detail alone"
+GRU = "components, GRU of the bones' motion"
 
 
 class Clip:
@@ -65,7 +70,10 @@ class Clip:
 
     local (F, B, 3, 4)  bones in the body's moving frame; body (F, D): features of `rooted`
     detail (F, n, 3)    in frames that turn with the surface; joints: the body's rotations alone
+    left (F, n, 3)      what skinning by the bones leaves of the whole, in the same frames
     """
+
+    left: np.ndarray
 
     def __init__(self, detail: Detail, name: str, memory: PoseFeatures, pose: PoseFeatures) -> None:
         motion, found = detail(name)
@@ -136,17 +144,31 @@ class Comparison:
         store = bones.store
         self.some = Detail(bones, every, config.features)
         still = FeatureOptions(rotation="sixd", heading_free=True, translation=False, floor=0.01)
-        readers = [PoseFeatures(store.skeleton, o, store.fps) for o in (config.features, still)]
+        self.readers = [
+            PoseFeatures(store.skeleton, o, store.fps) for o in (config.features, still)
+        ]
         base = store.parameters()[0]
         names = {split: store.names(split, base) for split in ("train", "validation", "test")}
         names["validation"] = names["validation"][:HELD]
-        self.clips = {s: [Clip(self.some, n, *readers) for n in names[s]] for s in names}
         s, free = bones.skinning, self.some.free
         self.lbs = TorchSkinning(s.rest[free], s.indices[free], s.weights[free], s.n_bones)
         self.turns = SurfaceTurns(s.indices, s.weights, s.n_bones, free)
         near = cKDTree(s.rest[free]).query(s.rest[free], NEAREST + 1)[1]
         # Triangles of a vertex and two of its neighbours: only their edges are used.
         self.fans = np.concatenate([near[:, [0, k, k + 1]] for k in range(1, NEAREST)])
+        self.clips = {s: [self.read(n) for n in names[s]] for s in names}
+
+    def read(self, name: str) -> Clip:
+        clip, known = Clip(self.some, name, *self.readers), self.bones.store.clip(name)
+        here = slice(None, None, self.some.every)
+        frame = self.some.features(known.joints)[1][here]
+        whole = remove_frame(frame, known.sequence.frames(here)[:, self.some.free])
+        local = torch.from_numpy(clip.local).float()
+        gap = torch.from_numpy(whole).float() - self.lbs(local)
+        clip.left = (self.turns(local).mT @ gap[..., None])[..., 0].numpy()
+        if not self.bones.options.length:
+            clip.detail = clip.left
+        return clip
 
     @functools.cached_property
     def components(self) -> dict[str, Tensor]:
@@ -241,6 +263,12 @@ class Comparison:
             found.append(np.einsum("fk,fkvi->fvi", weight, known[index]).astype(np.float32))
         return found, None
 
+    def chaos(self) -> tuple[Any, None]:
+        """The test clips' detail, off by 1/√2 of what separates it from a clip's moved twin."""
+        twins = dict(self.bones.store.pairs())
+        pairs = [(c.detail, self.read(twins[c.name]).detail) for c in self.clips["test"]]
+        return [a + (b - a) / np.sqrt(2) for a, b in pairs], None
+
     def mean(self) -> tuple[Any, None]:
         whole = np.concatenate([c.detail for c in self.clips["train"]])
         mean = whole.mean(axis=0)
@@ -270,14 +298,17 @@ def main() -> None:
     ]
     config = override(load_config("rooted"), changes)
     bones = virtual_bones(ClipStore.open(given.store), config.bones)
+    target = "" if bones.options.length else f"residual of {bones.options.count} bones: "
     work = given.work / f"{given.hidden}-{given.epochs}"
+    if target:
+        work /= f"residual-{bones.options.count}"
     run = Comparison(bones, config, given.every, work)
     rate = config.train.high_learning_rate
     methods: dict[str, Callable[[], tuple[Any, nn.Module | None]]] = {
         MEAN: run.mean,
         "motion matching, nearest window": lambda: run.matching(1),
         "motion matching, 8 windows": lambda: run.matching(8),
-        "components, GRU of the bones' motion": lambda: run.basis("bones", DetailBasis, rate),
+        GRU: lambda: run.basis("bones", DetailBasis, rate),
         "the paper's: GRU and three EdgeConvs": lambda: run.edges(EDGES),
         "the paper's without the local stream": lambda: run.edges(()),
         "components, GRU of the body's motion": lambda: run.basis("body", DetailBasis, rate),
@@ -285,24 +316,33 @@ def main() -> None:
             "bones", TransformerDetail, rate / 4
         ),
         "components, MLP of one pose (TailorNet)": lambda: run.basis("joints", FrameDetail, rate),
+        "chaos floor": run.chaos,
     }
     clips = run.clips["test"]
     count = np.array([len(c.detail) for c in clips])
-    whole = rms(np.concatenate([c.detail for c in clips]))
+
+    def pooled(errors: list[float]) -> float:
+        return float(np.sqrt(np.average(np.square(errors), weights=count)))
+
     rows = common.read_rows(given.out)
     command = ["python benchmarks/garment/modules.py", given.store.name]
     command += [f"--{k} {vars(given)[k]}" for k in ("every", "hidden", "epochs")]
-    for name, make in methods.items():
-        if name in rows or (name != MEAN and not any(t in name for t in given.only)):
+    for method, make in methods.items():
+        name = target + method
+        if name in rows or (method != MEAN and not any(t in method for t in given.only)):
             continue
         began = time.process_time()
         found, module = make()
         each = [rms(a - c.detail) for a, c in zip(found, clips, strict=True)]
-        error = float(np.sqrt(np.average(np.square(each), weights=count)))
-        against = rows[MEAN]["clips, mm"] if MEAN in rows else each
+        error, size = pooled(each), pooled([rms(c.detail) for c in clips])
+        mean = rows.get(target + MEAN)
+        against = mean["clips, mm"] if mean else each
         rows[name] = {
             "rmse, mm": error,
-            "left": error / whole,
+            "left": error / size,
+            "detail, mm": size,
+            "skinning alone, mm": pooled([rms(c.left) for c in clips]),
+            "overall, mm": pooled([rms(a - c.left) for a, c in zip(found, clips, strict=True)]),
             "of the mean's error": list(paired_ratio(each, against, frames=count)),
             "clips, mm": each,
             "parameters": sum(p.numel() for p in module.parameters()) if module else 0,
@@ -313,8 +353,8 @@ def main() -> None:
         }
         common.write_rows(given.out, rows)
         print(name, rows[name], flush=True)
-    columns = ["module", "rmse, mm", "left", "parameters", "cpu seconds"]
-    print(f"detail {whole:.2f} mm on {len(clips)} test clips, {len(run.some.free)} vertices")
+    columns = ["module", "rmse, mm", "left", "overall, mm", "parameters", "cpu seconds"]
+    print(f"{len(clips)} test clips, {len(run.some.free)} vertices")
     print(common.table([{"module": n} | r for n, r in rows.items()], columns))
 
 

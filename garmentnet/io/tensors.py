@@ -41,8 +41,8 @@ def load_arrays(path: Path, kind: str) -> tuple[dict[str, NDArray[Any]], Any]:
     InputError
         If there is no such file.
     FormatError
-        If the file is of another format or kind, differs from its checksum or holds numbers that
-        are not finite in single precision.
+        If the file is of another format or kind, differs from its checksum, has other documents or
+        holds numbers that are not finite in single precision.
 
     Notes
     -----
@@ -61,7 +61,8 @@ def load_arrays(path: Path, kind: str) -> tuple[dict[str, NDArray[Any]], Any]:
         expected = documents.pop("sha256", None)
         intact = expected in (None, digest(arrays, documents))
         check(intact, "damaged: its checksum is another")
-        check(kind in documents, f"no document {kind!r}")
+        # A checksum whose own name is damaged would otherwise be a further document.
+        check(set(documents) == {kind}, f"documents {sorted(documents)}, expected {kind!r}")
         for key, value in arrays.items():
             if value.dtype.kind == "f":
                 with np.errstate(over="ignore"):

@@ -30,6 +30,9 @@ def test_modules_see_the_simulation(run, toy_store):
     world = mesh @ frame[..., :3].swapaxes(1, 2) + frame[:, None, :, 3]
     # But for what skinning leaves.
     assert np.sqrt(np.square(world - low).sum(-1).mean()) < 0.01
+    turn = run.turns(torch.from_numpy(clip.local).float()).numpy()
+    left = (turn @ clip.left[..., None])[..., 0] @ frame[..., :3].swapaxes(1, 2)
+    assert np.abs(world + left - low - high).max() < 1e-5
 
 
 def test_rows_without_training(run):

@@ -199,6 +199,15 @@ def test_damage_is_seen_by_the_checksum(file, tmp_path, rng):
     assert refused > 40
 
 
+def test_a_checksum_of_another_name_is_seen(file, tmp_path):
+    """Its name and a weight damaged: no file without a checksum."""
+    good, bad = file.read_bytes(), tmp_path / "bad.safetensors"
+    assert good.count(b"sha256") == 1
+    bad.write_bytes(good[:-1].replace(b"sha256", b"sha257") + bytes([good[-1] ^ 1]))
+    with pytest.raises(FormatError, match="sha257"):
+        load_arrays(bad, "checkpoint")
+
+
 def test_a_file_without_a_checksum_is_read(file, toy_network, toy_store, tmp_path):
     arrays, document = load_arrays(file, "checkpoint")
     old, text = tmp_path / "old.safetensors", json.dumps({"checkpoint": document})
