@@ -35,6 +35,7 @@ from .high_frequency import DetailObjective, HighFrequencyObjective
 from .linear import resolve_relative_to
 from .loop import TrainingObjective, fit
 from .low_frequency import LowFrequencyObjective
+from .symmetry import reflected_inputs, tie_mirrored
 from .targets import LowTargets
 
 _logger = logging.getLogger(__name__)
@@ -199,17 +200,22 @@ def train(
         subject=None if start is None else start.subject,
         progress=progress,
     )
+    low = config.low if start is None else start.networks[0].config.low
+    symmetric = low.symmetric and store.mirror_vertices is not None
+    config = dataclasses.replace(config, low=dataclasses.replace(config.low, symmetric=symmetric))
     if start is None:
         config = resolve_relative_to(config, bones, names, held)
     elif config.low.relative_to == "auto":
-        used = start.networks[0].config.low.relative_to
-        config = dataclasses.replace(config, low=dataclasses.replace(config.low, relative_to=used))
+        own = dataclasses.replace(config.low, relative_to=low.relative_to)
+        config = dataclasses.replace(config, low=own)
     # The initial weights depend on the seed alone, not on what ran before.
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(o.seed)
         network = build_network(config, bones, learned).to(device)
     if start is not None:
         load_weights(network, start, "low")
+    if symmetric:
+        tie_mirrored(network.low.gru, *reflected_inputs(network))
     tracks = load_tracks(network, bones, learned)
     validation = load_tracks(network, bones, held)
 
