@@ -30,12 +30,12 @@ from ..io.files import Progress, silent
 from ..networks.checkpoint import Checkpoint, load_weights, save_checkpoint
 from ..networks.features import Normaliser, PoseFeatures, PoseReader, transforms_in_frame
 from ..networks.network import MotionNetwork
+from ..networks.symmetry import reflected_inputs, tie_mirrored
 from .batches import load_tracks
 from .high_frequency import DetailObjective, HighFrequencyObjective
 from .linear import resolve_relative_to
 from .loop import TrainingObjective, fit
 from .low_frequency import LowFrequencyObjective
-from .symmetry import reflected_inputs, tie_mirrored
 from .targets import LowTargets
 
 _logger = logging.getLogger(__name__)

@@ -21,7 +21,7 @@ from torch import Tensor, nn
 from ssdr.errors import InputError
 
 from ..data.skeleton import mirror_transforms
-from ..networks.features import PoseReader
+from .features import PoseReader
 
 # Random poses by which features are told apart.
 _POSES = 32
@@ -36,7 +36,7 @@ def reflected_inputs(reader: PoseReader) -> tuple[NDArray[np.int64], NDArray[np.
     Raises
     ------
     InputError
-        If the body is not symmetric.
+        If the input has a joint of one side only.
     """
     features, skeleton = reader.features, reader.features.skeleton
     rng = np.random.default_rng(0)
@@ -48,10 +48,9 @@ def reflected_inputs(reader: PoseReader) -> tuple[NDArray[np.int64], NDArray[np.
     gaps = [np.abs(image[:, :, None] - sign * plain[:, None]).max(axis=0) for sign in (1, -1)]
     columns = linear_sum_assignment(np.minimum(*gaps))[1]
     at = np.arange(len(columns)), columns
-    unlike = float(np.minimum(*gaps)[at].max())
-    if unlike > _ALIKE:
-        got = f"true, with features that differ from their mirror image by {unlike:.2g}"
-        raise InputError("low.symmetric", "false where the body is not symmetric", got)
+    if np.minimum(*gaps)[at].max() > _ALIKE:
+        expected = "joints of both sides, where low.symmetric"
+        raise InputError("features.joints", expected, features.options.joints)
     signs = np.where(gaps[0][at] <= gaps[1][at], 1.0, -1.0)
     more = np.arange(reader.condition)
     columns = np.concatenate([columns, len(columns) + more])
