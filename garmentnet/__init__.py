@@ -19,4 +19,7 @@ SIGGRAPH 2022.
 ``garmentnet.io``          files and TOML tables
 ``garmentnet.cli``         the command
 =========================  ==========================================================
+
+The paper's equations: 1 in ``networks.skinning``, 2 in ``training.low_frequency``, 3 in
+``networks.checkpoint``, 4 in ``networks.ensemble``, whose kernel ``training.pivots`` fits.
 """

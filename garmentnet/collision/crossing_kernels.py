@@ -87,7 +87,9 @@ def _meets(px, py, pz, qx, qy, qz, c, j):
 
 @inline
 def edge_meets(a, i, k, b, j):
-    """As :func:`_meets`, of the edge k of triangle a[i] and triangle b[j]."""
+    """Heights of the ends of edge k of triangle a[i] above the plane of triangle b[j], times the
+    length of its normal, and the square of this length; 0 if they do not cross.
+    """
     m = 3 * ((k + 1) % 3)
     k = 3 * k
     return _meets(a[i, k], a[i, k + 1], a[i, k + 2], a[i, m], a[i, m + 1], a[i, m + 2], b, j)

@@ -13,8 +13,9 @@ from ssdr.checks import check_faces, check_whole
 from ssdr.errors import InputError
 from ssdr.kernels.closest import tree_order
 
+from ..data.subject import Subject
 from .outward_kernels import push_outward
-from .push_out import MARGIN, PushOut
+from .push_out import MARGIN, PushOut, is_closed
 
 # The farthest skin to which a vertex is moved, metres: more than half a thigh.
 _REACH = 0.12
@@ -125,3 +126,12 @@ class OutwardPush(PushOut):
         moved, reach = points.copy(), _REACH
         push_outward(moved, self._garment, scene, self.margin, reach, self.sweeps, self.rounds)
         return moved
+
+
+def push_of(subject: Subject) -> OutwardPush | None:
+    """What moves a garment out of its body; None without a closed mesh of the body."""
+    if not is_closed(subject.body.faces):
+        return None
+    g, held = subject.garment, np.ones(subject.garment.n_vertices, bool)
+    held[subject.free] = False
+    return OutwardPush(subject.body, g.faces, g.rest, pinned=held)

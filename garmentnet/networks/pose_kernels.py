@@ -99,7 +99,11 @@ def moving_frame(m, rest, kind, frame):
 
 @kernel
 def pose_features(m, rest, parents, read, options, kind, fps, begins, before, states, out, frames):
-    """Write features (F, D), states after each frame and moving frames for joints (F, J, 3, 4)."""
+    """Write features (F, D), states after each frame and moving frames for joints (F, J, 3, 4).
+
+    `before` is the state before the first frame; `begins`: there is none, and the motion starts
+    from rest.  `kind` numbers the moving frames, `options` are those of :func:`_one`.
+    """
     for f in range(len(m)):
         state = before if f == 0 else states[f - 1]
         first = begins and f == 0

@@ -13,8 +13,7 @@ import ssdr
 from ssdr import MeshSequence, Skinning
 from ssdr.errors import InputError
 
-from ..collision.outward import OutwardPush
-from ..collision.push_out import is_closed
+from ..collision.outward import push_of
 from ..data.parameters import SimulationParameters, warn_beyond
 from ..networks.checkpoint import Checkpoint
 
@@ -115,10 +114,7 @@ def predict(
     subject, m = checkpoint.subject, np.asarray(joints, np.float64)
     garment, rig = subject.garment, subject.body
     moved, farthest, count = 0.0, 0.0, garment.n_bones
-    if push_out and is_closed(rig.faces):
-        held = np.ones(garment.n_vertices, bool)
-        held[subject.free] = False
-        push = OutwardPush(rig, garment.faces, garment.rest, pinned=held)
+    if push_out and (push := push_of(subject)):
         pushed = push(cloth, m)
         cloth, moved, farthest = pushed.vertices, pushed.moved, pushed.farthest
     body = np.asarray(ssdr.skin(rig.rest, rig.indices, rig.weights, m), np.float32)

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from ssdr.errors import FormatError, InputError
 from ssdr.io.registry import check, reading
 
-from ..collision.outward import OutwardPush
-from ..collision.push_out import is_closed
+from ..collision.outward import push_of
 from ..configs.config import FeatureOptions
 from ..data.parameters import SimulationParameters, warn_beyond
 from ..data.skeleton import check_joints
@@ -221,15 +220,6 @@ class LiveGarment:
         weights = self.mixture(theta)
         weights[weights < _NO_WEIGHT] = 0.0
         return (weights / weights.sum()).astype(np.float32), np.zeros(0, np.float32)
-
-
-def push_of(subject: Subject) -> OutwardPush | None:
-    """What moves a garment out of its body; None without a closed mesh of the body."""
-    if not is_closed(subject.body.faces):
-        return None
-    g, held = subject.garment, np.ones(subject.garment.n_vertices, bool)
-    held[subject.free] = False
-    return OutwardPush(subject.body, g.faces, g.rest, pinned=held)
 
 
 def _skin_arrays(subject: Subject, detailed: bool) -> tuple[Single, NDArray[np.int64], Single]:

@@ -107,7 +107,7 @@ class _Graph:
         return self._store(a)
 
     def weight(self, value: NDArray[np.float32], bits: int = 0) -> str:
-        """Add an array stored in `bits` bits; 8 bits count steps of a size chosen for each row."""
+        """Add an array stored in `bits` bits: 8 are integers, with one scale for each row."""
         bits = bits or self.bits
         if bits == 32 or value.size < _FEW:
             return self.array(value)
@@ -143,7 +143,7 @@ class _Graph:
         return self.op("Div", x, self.op("Max", size, np.float32(_SHORT)))
 
     def turn(self, a: str, b: str) -> tuple[str, str, str]:
-        """Three columns (N, 3) of rotations, from two columns made orthonormal by Gram–Schmidt."""
+        """Rotations as three columns (N, 3) each, from their first two by Gram–Schmidt."""
         a = self.unit(a)
         dot = self.op("ReduceSum", self.op("Mul", a, b), np.array([-1]), keepdims=1)
         b = self.unit(self.op("Sub", b, self.op("Mul", dot, a)))

@@ -66,7 +66,7 @@ class Recurrent:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Pivot:
-    """A network for one set of simulation parameters, or one that reads the parameters.
+    """The network of a pivot, one set of simulation parameters, or one that reads the parameters.
 
     Attributes
     ----------

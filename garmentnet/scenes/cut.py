@@ -54,7 +54,7 @@ class Cut:
     armpit : float
         Height where sleeves leave the trunk; 0: no sleeves.
     sleeves : float
-        Length of the sleeves, as a fraction of the upper arm.
+        Length of the sleeves, as a fraction of the upper arm; longer ones need a mesh.
     legs : bool
         Whether the garment has legs instead of a skirt; `waist` is then the height of the crotch.
 

@@ -118,7 +118,7 @@ class Dances:
 
 @dataclasses.dataclass(frozen=True)
 class DancesOfSplits:
-    """Dances for all splits, and those that further parameter sets repeat.
+    """Numbers of dances in each split, and of those that every further parameter set repeats.
 
     Parameters
     ----------

@@ -293,5 +293,7 @@ def _table(path: Path) -> dict[str, Any]:
     base = _table(_PRESETS / f"{like}.toml") | {"name": ""}
     for key, value in table.items():
         both = isinstance(value, dict) and isinstance(base.get(key), dict)
+        # A mesh takes the place of a cut.
+        both = both and ("mesh" in value) == ("mesh" in base[key])
         base[key] = base[key] | value if both else value
     return base

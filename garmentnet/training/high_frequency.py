@@ -43,8 +43,8 @@ def _bone_motion(network: MotionNetwork, track: Track) -> Tensor:
 def _target(network: MotionNetwork, track: Track, z: Tensor, frames: Any = slice(None)) -> Tensor:
     """Target detail Ĝ_HF ``(f, V, 3)`` of frames with predicted bone motion `z` ``(f, B, C)``.
 
-    It is the high-frequency part of the clip or, if the configuration asks for it, the difference
-    of the clip from the predicted low-frequency mesh.
+    With ``high.target = "residual"``, the default, it is the difference of the clip from the
+    predicted low-frequency mesh, with "detail" the high-frequency part of the clip.
     """
     if network.config.high.target == "detail":
         return track.detail(frames)

@@ -81,7 +81,7 @@ def fit(
 
     Parameters
     ----------
-    objective : Objective
+    objective : TrainingObjective
     options : TrainOptions
     name : str
         Name of the module; the state is ``<name>.state.safetensors`` in `folder`.

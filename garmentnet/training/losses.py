@@ -1,4 +1,7 @@
-"""Terms of the two modules' losses (Pan et al. 2022, sections 4.2 and 4.3)."""
+"""Laplacian, norm and collision of the losses (Pan et al. 2022, sections 4.2 and 4.3).
+
+Equation 2 itself is in :mod:`.low_frequency`.
+"""
 
 from __future__ import annotations
 

@@ -2,6 +2,8 @@
 
     L_LF = ‖Ĝ_LF − LBS(M_v)‖ + λ_Lap ‖Δ(Ĝ_LF) − Δ(LBS(M_v))‖
 
+Over the n vertices that the module predicts, divided by √n, and averaged over every third frame.
+
 LBS is linear in the transforms, LBS(M_v) = A M, so both terms are norms ‖A M − G‖, each with its
 own matrix and target.  :class:`_SkinnedNorm` computes them without the vertices.
 """
@@ -68,8 +70,8 @@ class LowFrequencyObjective(TrainingObjective):
     """Loss L_LF over the vertices that the module predicts.
 
     Vertices bound to the body are exact, and so is their part of Δ.  Targets are coefficients of
-    principal components; the norms of what the components leave are added.  A symmetric module
-    reads a clip and its mirrored copy at once.
+    principal components.  The squared norms of what these leave, 1 to 2 mm, are added as if
+    LBS(M_v) had no part in it.  A symmetric module reads a clip and its mirrored copy at once.
 
     Parameters
     ----------

@@ -105,8 +105,8 @@ def extremes(parameters: Any) -> list[int]:
 def select_pivots(grams: Sequence[Array], parameters: Any, count: int) -> list[int]:
     """Choose K pivots as the paper does: the extremes, then the worst fitted, one at a time.
 
-    A network s is fitted by the convex mixture of pivots that is closest to the network's
-    predictions on set s.  If K is smaller than the number of extremes, those extremes are chosen
+    The network of a set that is no pivot is compared, on that set, with the best convex mixture of
+    the pivots' predictions.  If K is smaller than the number of extremes, those extremes are chosen
     that fit all other networks best.
 
     Parameters

@@ -154,8 +154,8 @@ def train(
 ) -> Path:
     """Train both modules of a network, or only the low-frequency one if `high_epochs` is 0.
 
-    If training was interrupted, another call continues it.  Without validation clips, as where
-    ``data.leave_out`` chooses, it goes through all epochs and ends with the last weights.
+    If training was interrupted, another call continues it.  Without validation clips (with
+    ``data.leave_out`` there are none) all epochs are run and the last weights kept.
 
     Parameters
     ----------

@@ -30,17 +30,19 @@ from ssdr.viewer.page import PARTS, WEB, assembled
 from ssdr.viewer.payload import difference_entry, heat_scales, weight_entries
 from ssdr.viewer.surface import surface_entries
 
+from ..collision.outward import push_of
 from ..data.parameters import RANGES, SimulationParameters
 from ..data.skeleton import check_joints
 from ..io.files import write_file
-from ..runtime.garment import LiveGarment, push_of
+from ..runtime.garment import LiveGarment
 from ..runtime.pivot import Recurrent
 
 _WEB = files(__package__) / "web"
 _SCRIPTS = tuple(_WEB / f"{name}.js" for name in ("network", "garment", "dress", "main"))
 _STYLES = (WEB / "page.css", _WEB / "page.css")
 _MARGIN = 0.1  # distance of the skin from the joints, about, in metres
-# Metres; the page pushes nothing out of the body, but hides skin that is so little above the cloth.
+# Metres.  The page pushes out recorded motions alone, by displacements computed beforehand; of
+# others it hides skin that is so little above the cloth.
 _BEHIND = 0.03
 _STEP = 2.5e-4  # step to which the truth is rounded, metres; coarser if 16 bits need it
 _SMOOTH = 1.0  # seconds over which the camera's path is averaged

@@ -14,7 +14,7 @@ from garmentnet.data.parameters import SimulationParameters
 from garmentnet.scenes.cut import Cut
 from garmentnet.scenes.dataset import recorded_motions
 from garmentnet.scenes.motion_sources import SPLITS
-from garmentnet.scenes.scene_file import DataSet, load_data_set
+from garmentnet.scenes.scene_file import DataSet, MeshGarment, load_data_set
 from ssdr.errors import FormatError
 
 SCENE = """
@@ -195,3 +195,11 @@ def test_bad_files_say_where(tmp_path: Path, old: str, new: str, word: str) -> N
 def test_missing_files_name_the_presets() -> None:
     with pytest.raises(FormatError, match="large, live, parameters"):
         load_data_set("huge")
+
+
+def test_a_mesh_in_place_of_the_cut_of_a_preset(tmp_path):
+    (tmp_path / "coat.toml").write_text(
+        'like = "dress"\n[garment]\nmesh = "coat.obj"\npinned_above = 1.2\n'
+    )
+    found = load_data_set(tmp_path / "coat.toml").garment
+    assert found == MeshGarment(str(tmp_path / "coat.obj"), 1.2)
