@@ -1,4 +1,4 @@
-"""Error of the low frequencies against the time of training, of runs that are finished.
+"""Error of the low frequencies against the epochs of training, of runs that are finished.
 
     garmentnet train rooted --store out/longer.clips -o out/runs/symmetric --set train.epochs=8
     python benchmarks/garment/training_curve.py out/runs/symmetric out/runs/free
@@ -31,6 +31,7 @@ def read(folder: Path) -> dict[str, Any]:
     measured = [e for e in history if e["rmse"] is not None]
     seconds = list(itertools.accumulate(e["seconds"] for e in history))
     return {
+        "epoch": [e["epoch"] for e in measured],
         "seconds": [round(seconds[e["epoch"] - 1], 1) for e in measured],
         "validation, mm": [round(1e3 * e["rmse"], 2) for e in measured],
         "training, mm": [round(1e3 * e["trained"], 2) for e in measured],
@@ -44,10 +45,9 @@ def draw(rows: dict[str, dict[str, Any]]) -> None:
     plt = common.pyplot()
     figure, axis = plt.subplots(figsize=(5, 3.2))
     for k, (name, row) in enumerate(rows.items()):
-        minutes = [s / 60 for s in row["seconds"]]
-        axis.plot(minutes, row["validation, mm"], f"C{k}-o", label=name)
-        axis.plot(minutes, row["training, mm"], f"C{k}--")
-    axis.set(xlabel="minutes of training", ylabel="RMSE, mm")
+        axis.plot(row["epoch"], row["validation, mm"], f"C{k}-o", label=name)
+        axis.plot(row["epoch"], row["training, mm"], f"C{k}--")
+    axis.set(xlabel="epochs", ylabel="RMSE, mm")
     axis.legend(frameon=False)
     common.save_figure(figure, PICTURE)
 

@@ -180,17 +180,12 @@ class LowFrequency(GRULinear):
         state: Tensor | None = None,
         mask: Tensor | None = None,
         frames: slice = slice(None),
-        *,
-        mirrored: bool = False,
     ) -> tuple[Tensor, Tensor]:
         """Normalised bone motion ``(N, T', B, C)`` of some frames, and the last state (1, N, H).
 
-        `mask` ``(N, T', H)`` multiplies the input of the linear layer.  With `mirrored`, N is twice
-        that of the input: the mirror images of its motions follow, if the module is symmetric.
+        `mask` ``(N, T', H)`` multiplies the input of the linear layer.
         """
         h, state = self.gru(x, state)
         h = h[:, frames]
-        if mirrored:
-            h = torch.cat([h, h.roll(h.shape[-1] // 2, dims=-1)])
         z = self.out(h if mask is None else h * mask)
         return z.unflatten(-1, self.code.shape), state

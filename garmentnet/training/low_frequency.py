@@ -17,7 +17,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from ..data.clip import MIRRORED
 from ..networks.gru import dropout_mask
 from ..networks.network import MotionNetwork
 from .batches import Batch, Track
@@ -71,7 +70,7 @@ class LowFrequencyObjective(TrainingObjective):
 
     Vertices bound to the body are exact, and so is their part of Δ.  Targets are coefficients of
     principal components.  The squared norms of what these leave, 1 to 2 mm, are added as if
-    LBS(M_v) had no part in it.  A symmetric module reads a clip and its mirrored copy at once.
+    LBS(M_v) had no part in it.
 
     Parameters
     ----------
@@ -100,28 +99,20 @@ class LowFrequencyObjective(TrainingObjective):
         followed = network.low.code.followed
         self._followed = None if followed is None else followed[followed >= 0].unique()
 
-        def rows(track: Track) -> Tensor:
-            found = torch.from_numpy(targets.rows(track.name))
-            if self._followed is None:
-                return found
-            # Bits of single precision in columns of half precision: all frames are in memory.
-            joints = track.joints()[:, self._followed.cpu()].flatten(1)
-            return torch.cat([found, joints.view(torch.float16)], dim=1)
-
         def prepared(track: Track) -> Track:
-            both = [track, copies[track.name]] if track.name in copies else [track]
-            return dataclasses.replace(track, extra=torch.stack([rows(t) for t in both], dim=1))
+            rows = torch.from_numpy(targets.rows(track.name))
+            if self._followed is not None:
+                # Bits of single precision in columns of half precision: all frames are in memory.
+                joints = track.joints()[:, self._followed.cpu()].flatten(1)
+                rows = torch.cat([rows, joints.view(torch.float16)], dim=1)
+            return dataclasses.replace(track, extra=rows)
 
-        copies = {t.name.removesuffix(MIRRORED): t for t in tracks if self._read_along(t)}
-        self.tracks = [prepared(t) for t in tracks if not self._read_along(t)]
+        self.tracks = [prepared(t) for t in tracks]
         self.validation = [prepared(t) for t in validation]
-
-    def _read_along(self, track: Track) -> bool:
-        return self.network.config.low.symmetric and track.name.endswith(MIRRORED)
 
     def _squares(self, z: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
         """Mean squared distance of the vertices, and of their Laplacians, in each frame."""
-        rows = rows.flatten(0, 1).to(self.network.device)
+        rows = rows.to(self.network.device)
         rows, behind = rows[:, : self._width].float(), rows[:, self._width :].contiguous()
         joints = None
         if self._followed is not None:
@@ -143,13 +134,12 @@ class LowFrequencyObjective(TrainingObjective):
         # Consecutive frames are alike, so some of them suffice; the GRU reads all.
         longest = int(batch.mask.sum(1).max())
         every = slice(int(rng.integers(min(_EVERY, longest))), None, _EVERY)
-        rows = batch.extra(every)
-        copies = rows.shape[1]
-        there = batch.mask[:, every].repeat(copies, 1)
-        mask = dropout_mask(rng, (*there.shape, config.low.hidden), config.low.dropout, device)
+        shape = (*batch.mask[:, every].shape, config.low.hidden)
+        mask = dropout_mask(rng, shape, config.low.dropout, device)
         with mixed_precision(config.train, device):
-            z, state = self.module(x, state, mask, every, mirrored=copies > 1)
-        position, bending = self._squares(z.float()[there.to(device)], rows.transpose(0, 1))
+            z, state = self.module(x, state, mask, every)
+        chosen = z.float()[batch.mask[:, every].to(device)]
+        position, bending = self._squares(chosen, batch.extra(every))
         loss = (position + EXACT).sqrt().mean()
         loss = loss + config.low.laplacian * (bending + EXACT).sqrt().mean()
         return loss, state
@@ -157,4 +147,4 @@ class LowFrequencyObjective(TrainingObjective):
     def squared_error(self, track: Track) -> Tensor:
         """Mean squared distance ``(F,)`` of the low-frequency mesh, metres²."""
         z = self.module(track.inputs[None].to(self.network.device))[0][0]
-        return self._squares(z, track.extra[None, :, 0])[0]
+        return self._squares(z, track.extra)[0]

@@ -2,7 +2,6 @@
 
 # ruff: noqa: E402
 
-import copy
 import dataclasses
 
 import numpy as np
@@ -11,17 +10,12 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from garmentnet.configs.config import load_config, override
-from garmentnet.data.clip import MIRRORED
 from garmentnet.data.skeleton import mirror_transforms
 from garmentnet.networks.features import Normaliser, PoseFeatures, PoseReader
 from garmentnet.networks.gru import GRU
 from garmentnet.networks.symmetry import reflected_inputs, tie_mirrored
 from garmentnet.scenes.body import default_body
 from garmentnet.scenes.dance.choreography import dance
-from garmentnet.training import low_frequency
-from garmentnet.training.batches import batches, load_tracks
-from garmentnet.training.low_frequency import LowFrequencyObjective
-from garmentnet.training.targets import LowTargets
 from ssdr.errors import InputError
 
 
@@ -97,32 +91,6 @@ def test_a_trained_network_is_symmetric(toy_network, toy_store):
     x = network.inputs(network.features(joints)[0])
     h, image = _states(network.low.gru, x, columns, signs)
     np.testing.assert_allclose(image, h, atol=2e-5)
-
-
-def test_a_clip_and_its_mirrored_copy_at_once(toy_network, toy_bones, monkeypatch):
-    """The loss of both from one pass of the GRU is that of two clips."""
-    network = copy.deepcopy(toy_network.networks[0])
-    tie_mirrored(network.low.gru, *reflected_inputs(network))
-    names = ["base-train-0", "base-train-0" + MIRRORED]
-    monkeypatch.setattr(low_frequency, "_EVERY", 1)
-    found = []
-    for symmetric in ("true", "false"):
-        changes = ["low.dropout=0.0", "train.precision=single", f"low.symmetric={symmetric}"]
-        monkeypatch.setattr(network, "config", override(network.config, changes))
-        targets = LowTargets(toy_bones, network.features, names)
-        tracks = load_tracks(network, toy_bones, names)
-        task = LowFrequencyObjective(network, targets, tracks, [])
-        batch = next(batches(task.tracks, len(task.tracks), 40, None))
-        loss, _ = task.loss(batch, None, np.random.default_rng(0))
-        torch.autograd.backward(loss)
-        slopes = torch.cat([p.grad.flatten() for p in network.low.parameters()])
-        found.append((len(task.tracks), loss.item(), slopes))
-        network.low.zero_grad()
-    (one, loss, slopes), (two, expected, exact) = found
-    assert (one, two) == (1, 2)
-    assert loss == pytest.approx(expected, rel=1e-5)
-    # Gradients of the GRU are those of tied weights in either way.
-    torch.testing.assert_close(slopes, exact, rtol=1e-3, atol=1e-5 * float(exact.abs().max()))
 
 
 def test_a_width_that_has_no_halves():
