@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("zarr")
+pytest.importorskip("filelock")
 
 from garmentnet.data.store import ClipStore
 from garmentnet.scenes.dataset import make_data_set

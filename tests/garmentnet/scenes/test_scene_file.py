@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("zarr")
+pytest.importorskip("filelock")
 
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.scenes.cut import Cut
