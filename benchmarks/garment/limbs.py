@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from benchmarks import common
+from benchmarks.garment.live import native
 
 RESULTS = Path(__file__).resolve().parents[1] / "results" / "garment-limbs.json"
 METHODS = ("simulation", "predicted", "shortest way", "outward")
@@ -34,7 +35,7 @@ METHODS = ("simulation", "predicted", "shortest way", "outward")
 def measure(store_path: Path, network: str, pattern: str) -> dict[str, Any]:
     """Figures by group of clips and method."""
     from garmentnet.collision.crossings import DEEP, find_crossings
-    from garmentnet.collision.outward import OutwardPush
+    from garmentnet.collision.outward import push_of
     from garmentnet.collision.push_out import PushOut
     from garmentnet.data.store import ClipStore
     from garmentnet.evaluation.reporting import RECORDED, group_of
@@ -45,19 +46,17 @@ def measure(store_path: Path, network: str, pattern: str) -> dict[str, Any]:
     pinned = np.ones(s.garment.n_vertices, bool)
     pinned[s.free] = False
     short = PushOut(s.body, s.garment.faces, pinned=pinned)
-    outward = OutwardPush(s.body, s.garment.faces, s.garment.rest, pinned=pinned)
+    outward = push_of(s)
+    assert outward is not None
     found: dict[str, dict[str, list[Any]]] = {}
     for clip in store.clips():
         group = group_of(clip)
         if not Path(clip.name).match(pattern) or (clip.split != "test" and group != RECORDED):
             continue
-        joints, state, frames = np.asarray(clip.joints, np.float64), None, []
-        began = time.process_time()
-        for pose in joints:
-            state, vertices = garment.step(state, pose, clip.parameters)
-            frames.append(vertices)
+        joints, began = np.asarray(clip.joints, np.float64), time.process_time()
+        predicted = native(garment, joints, clip.parameters)
         spent = time.process_time() - began
-        truth, predicted = np.asarray(clip.sequence.frames(slice(None))), np.stack(frames)
+        truth = np.asarray(clip.sequence.frames(slice(None)))
         pushes: tuple[Callable[[Any, Any], NDArray[Any]], ...] = (
             lambda v, m: short(v[None], m[None]).vertices[0],
             outward.frame,

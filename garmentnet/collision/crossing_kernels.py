@@ -13,9 +13,9 @@ from ssdr.kernels.policy import inline, kernel
 def fit_triangles(
     points: Any, triangles: Any, chosen: Any, depth: int, corners: Any, boxes: Any
 ) -> None:
-    """Write the corners of the chosen triangles, and the boxes that bound them in their tree.
+    """Copy the corners of the chosen triangles, and fit the boxes of their tree to them.
 
-    A node without any has a box that meets no other.
+    The box of a node without any meets no other.
 
     points     (V, 3)                   float64  in
     triangles  (T, 3)                   int32    in the tree's order, in
@@ -161,6 +161,12 @@ def box_of(a, i):
 
 
 @inline
+def _node(a, i):
+    """Box a[i] as numbers, since a view of the row costs more than comparing it."""
+    return a[i, 0], a[i, 1], a[i, 2], a[i, 3], a[i, 4], a[i, 5]
+
+
+@inline
 def beside(box, b, j):
     """Whether a box and box b[j] are apart along an axis."""
     return (
@@ -189,7 +195,7 @@ def apart(box, b, j):
 @inline
 def meeting_leaves(cloth_boxes, cloth_depth, boxes, depth, stack, pairs):
     """Number of pairs of leaves whose boxes meet, which are written to `pairs`."""
-    n, top = 0, 0 if beside(cloth_boxes[0], boxes, 0) else 1
+    n, top = 0, 0 if beside(_node(cloth_boxes, 0), boxes, 0) else 1
     own, other = (1 << cloth_depth) - 1, (1 << depth) - 1
     stack[0, 0], stack[0, 1] = 0, 0
     while top > 0:
@@ -201,12 +207,12 @@ def meeting_leaves(cloth_boxes, cloth_depth, boxes, depth, stack, pairs):
                 n += 1
         elif b >= other or (a < own and a <= b):
             for child in range(2 * a + 1, 2 * a + 3):
-                if not beside(cloth_boxes[child], boxes, b):
+                if not beside(_node(cloth_boxes, child), boxes, b):
                     stack[top, 0], stack[top, 1] = child, b
                     top += 1
         else:
             for child in range(2 * b + 1, 2 * b + 3):
-                if not beside(cloth_boxes[a], boxes, child):
+                if not beside(_node(cloth_boxes, a), boxes, child):
                     stack[top, 0], stack[top, 1] = a, child
                     top += 1
     return n

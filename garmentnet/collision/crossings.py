@@ -99,12 +99,12 @@ def find_crossings(
     rest = np.asarray(body.rest, np.float64)
     depth = max(0, math.ceil(math.log2(max(1, len(body.faces)) / _LEAF)))
     triangles = np.ascontiguousarray(body.faces[tree_order(rest, body.faces, depth)], np.int32)
+    every = np.ones(len(triangles), bool)
     pairs, deepest = np.zeros(len(v), np.int64), np.zeros(len(v))
 
     def measure(_: int, start: int, stop: int) -> None:
         posed = skin(body.rest, body.indices, body.weights, m[start:stop], dtype=np.float64)
         boxes, corners = np.empty((2 ** (depth + 1) - 1, 6)), np.empty((len(triangles), 9))
-        every = np.ones(len(triangles), bool)
         for t in range(start, stop):
             fit_triangles(posed[t - start], triangles, every, depth, corners, boxes)
             own = v[t].take(cloth, axis=0).reshape(-1, 9)

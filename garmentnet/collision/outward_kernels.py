@@ -189,7 +189,8 @@ def push_outward(
     )
     hot, meets = np.ones(len(cloth), np.bool_), work[4]
     nodes, gaps = np.empty(2 * body_depth + 2, np.int64), np.empty(2 * body_depth + 2)
-    crossed, inside = np.empty(numbers.max() + 1, np.bool_), np.empty(n, np.bool_)
+    # An edge is a neighbour of both of its ends.
+    crossed, inside = np.empty(len(numbers) // 2, np.bool_), np.empty(n, np.bool_)
     beyond, queue, ring = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
     wanted, length = np.empty((n, 3)), np.empty(n)
     field, other = np.empty((n, 3)), np.empty((n, 3))

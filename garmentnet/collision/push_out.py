@@ -139,6 +139,7 @@ class PushOut:
         self._triangles = np.ascontiguousarray(
             body.faces[tree_order(rest, body.faces, self._depth)], dtype=np.int32
         )
+        self._every = np.ones(len(self._triangles), bool)
 
     def __call__(self, vertices: ArrayLike, joints: ArrayLike) -> PushedOut:
         """Move the vertices that are inside the body out of it.
@@ -238,8 +239,7 @@ class PushOut:
         """The posed body as the kernels need it."""
         boxes = np.empty((2 ** (self._depth + 1) - 1, 6))
         corners = np.empty((len(self._triangles), 9))
-        every = np.ones(len(corners), bool)
-        fit_triangles(body, self._triangles, every, self._depth, corners, boxes)
+        fit_triangles(body, self._triangles, self._every, self._depth, corners, boxes)
         return corners, self._depth, boxes
 
 

@@ -16,7 +16,10 @@ from ssdr.errors import FormatError, InputError
 from ssdr.io.registry import check, reading
 
 Float = NDArray[np.float64]
-_MAX_BYTES = 1 << 28  # limit against hostile files, far above what a motion of a body needs
+# Limits against hostile files, far above what a motion of a body needs.
+_MAX_BYTES = 1 << 28
+_MAX_JOINTS = 1000
+_MAX_DEPTH = 200  # levels of joints
 _FRAME_TIMES = (1e-4, 10.0)  # seconds, shortest and longest
 
 
@@ -163,11 +166,13 @@ def _hierarchy(
                 parents.append(stack[-1] if stack else -1)
                 offsets.append([0.0, 0.0, 0.0])
                 channels.append([])
+                check(len(names) <= _MAX_JOINTS, f"more than {_MAX_JOINTS} joints")
             elif word == "End":
                 next(words)
                 end = True
             elif word == "{":
                 stack.append(-2 if end else len(names) - 1)
+                check(len(stack) <= _MAX_DEPTH, f"joints nested deeper than {_MAX_DEPTH}")
             elif word == "}":
                 end = False
                 stack.pop()

@@ -192,7 +192,7 @@ def rig_of(model: Skinning) -> MovingBody:
 
 
 def bare_body(joints: NDArray[np.float64], names: tuple[str, ...]) -> Skinning:
-    """Body at rest without a mesh: a point at each of its joints ``(J, 3)``."""
+    """Body without triangles: one vertex at each joint ``(J, 3)``, which moves it."""
     each, still = np.arange(len(names))[:, None], np.tile(np.eye(3, 4), (1, len(names), 1, 1))
     return Skinning(joints, each, np.ones(each.shape), still, bone_names=names, name="body")
 

@@ -13,7 +13,6 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from ssdr.checks import LARGEST
 from ssdr.errors import FormatError, InputError, is_real, is_whole
-from ssdr.io.registry import reading
 
 T = TypeVar("T")
 _KINDS = {bool: "true or false", int: "an integer", float: "a number", str: "a string"}
@@ -25,10 +24,12 @@ def read_toml(path: Path) -> dict[str, Any]:
     Raises
     ------
     FormatError
-        If the file is not TOML; the message names it.
+        If the file cannot be read or is not TOML; the message names it.
     """
-    with reading(path):
+    try:
         return parse_toml(path.read_text("utf-8"), str(path))
+    except (OSError, UnicodeDecodeError) as error:
+        raise FormatError(f"{path}: not a text file that can be read ({error})") from error
 
 
 def parse_toml(text: str, file: str) -> dict[str, Any]:

@@ -32,7 +32,7 @@ def save_arrays(path: Path, arrays: Mapping[str, Any], kind: str, document: Any)
 
 
 def load_arrays(path: Path, kind: str) -> tuple[dict[str, NDArray[Any]], Any]:
-    """Arrays and the document of a safetensors file, or of one that ships, by its name.
+    """Arrays and JSON document of a safetensors file, given by its path or, if it ships, its name.
 
     Numbers in half precision are converted to single precision.
 

@@ -1,10 +1,11 @@
-"""A GRU that knows from the start that the mirror image of a motion moves mirrored cloth.
+"""Equivariance of a GRU to reflection: a mirrored motion leads to the mirrored state.
 
-Mirrored clips teach it only roughly.  It is exact if reflecting the input exchanges the two halves
-of the state: with S the reflection of the input and P the exchange, h(S x) = P h(x).  The weights
-of each gate then satisfy U = P U S, W = P W P and b = P b (Ravanbakhsh, Schneider and Póczos 2017,
-"Equivariance through parameter-sharing"): half as many numbers to learn.  Only training knows of
-it: the weights are stored and run as those of any GRU.
+The mirror image of a motion moves mirrored cloth, which mirrored clips teach only roughly.  It is
+exact if reflecting the input exchanges the two halves of the state: with S the reflection of the
+input and P the exchange, h(S x) = P h(x).  The weights of each gate then satisfy U = P U S,
+W = P W P and b = P b (Ravanbakhsh, Schneider and Póczos 2017, "Equivariance through
+parameter-sharing"): half as many numbers to learn.  Only training knows of it: the weights are
+stored and run as those of any GRU.
 """
 
 from __future__ import annotations
@@ -23,15 +24,14 @@ from ssdr.errors import InputError
 from ..data.skeleton import mirror_transforms
 from .features import PoseReader
 
-# Random poses by which features are told apart.
-_POSES = 32
-_ALIKE = 1e-5
+_POSES = 32  # random poses by which features are told apart
+_ALIKE = 1e-5  # largest difference of a feature from that of which it is the mirror image
 
 
 def reflected_inputs(reader: PoseReader) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Reflection S of a network's input, (S x)_j = s_j x_c(j), as columns c and signs s ``(D,)``.
+    """Columns c and signs s ``(D,)`` of the input's reflection S, (S x)_j = s_j x_c(j).
 
-    It is found from poses and their mirror images; simulation parameters stay as they are.
+    S is found from poses and their mirror images; simulation parameters stay as they are.
 
     Raises
     ------

@@ -107,7 +107,7 @@ class _Graph:
         return self._store(a)
 
     def weight(self, value: NDArray[np.float32], bits: int = 0) -> str:
-        """Add an array stored in `bits` bits: 8 are integers, with one scale for each row."""
+        """Add weights in 32, 16 or 8 bits; in 8 they are integers with one scale a row."""
         bits = bits or self.bits
         if bits == 32 or value.size < _FEW:
             return self.array(value)

@@ -66,7 +66,7 @@ class Recurrent:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Pivot:
-    """The network of a pivot, one set of simulation parameters, or one that reads the parameters.
+    """A network without torch: trained at one set of simulation parameters, or reading them.
 
     Attributes
     ----------

@@ -198,7 +198,10 @@ def _is_there(store: ClipStore, scene: SceneDescription) -> bool:
 
 
 def _lock(store: ClipStore) -> contextlib.AbstractContextManager[Any]:
-    """Context in which no other process writes to a store; the system ends an ended process's."""
+    """Context in which this process alone writes to a store.
+
+    The operating system releases the lock of a process that has ended.
+    """
     try:
         return FileLock(store.path / "writing.lock").acquire(timeout=0)
     except Timeout:

@@ -155,9 +155,11 @@ def fit(
             history.append(epoch | {"seconds": time.perf_counter() - began})
             saved = {"history": history, "best": best, "waited": waited}
             _save(state_file, module, optimiser, rng, best_weights, saved)
-            shown = {"loss": value, "rate": rate, "rmse": rmse}
-            for key in [k for k, v in shown.items() if writer is not None and v is not None]:
-                writer.add_scalar(key, shown[key], number)
+            for key, shown in {"loss": value, "rate": rate, "rmse": rmse}.items():
+                if writer is not None and shown is not None:
+                    writer.add_scalar(key, shown, number)
+            if writer is not None:
+                writer.flush()
             _logger.debug("%s %d: loss %.5g, rmse %s", name, number, value, rmse)
             text = f"{1e3 * best:.1f} mm" if best < math.inf else "not validated yet"
             progress(f"{name} {number}, loss {value:.4g}, best {text}", number / epochs)
@@ -218,15 +220,23 @@ def _restore(
     file: Path, module: nn.Module, optimiser: torch.optim.Optimizer, rng: np.random.Generator
 ) -> tuple[dict[str, Tensor], dict[str, Any]]:
     arrays, record = load_arrays(file, "training")
-    module.load_state_dict(tensors_of(arrays, "now."))
-    slots: dict[int, dict[str, Tensor]] = {}
-    for key, value in tensors_of(arrays, "adam.").items():
-        number, name = key.split(".")
-        slots.setdefault(int(number), {})[name] = value
-    groups = optimiser.state_dict()["param_groups"]
-    optimiser.load_state_dict({"state": slots, "param_groups": groups})
-    rng.bit_generator.state = record["rng"]
-    return tensors_of(arrays, "best."), record
+    best_weights = tensors_of(arrays, "best.")
+    try:
+        module.load_state_dict(tensors_of(arrays, "now."))
+        slots: dict[int, dict[str, Tensor]] = {}
+        for key, value in tensors_of(arrays, "adam.").items():
+            number, name = key.split(".")
+            slots.setdefault(int(number), {})[name] = value
+        groups = optimiser.state_dict()["param_groups"]
+        optimiser.load_state_dict({"state": slots, "param_groups": groups})
+        rng.bit_generator.state = record["rng"]
+        if best_weights.keys() != module.state_dict().keys():
+            raise KeyError("best weights")
+        if not {"history", "best", "waited"} <= record.keys():
+            raise KeyError("history")
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        raise InputError("folder", "states of this run", f"{file}: {error}") from error
+    return best_weights, record
 
 
 def _curves(folder: Path, wanted: bool) -> contextlib.AbstractContextManager[Any]:

@@ -200,14 +200,12 @@ def train(
         subject=None if start is None else start.subject,
         progress=progress,
     )
-    low = config.low if start is None else start.networks[0].config.low
-    symmetric = low.symmetric and store.mirror_vertices is not None
-    config = dataclasses.replace(config, low=dataclasses.replace(config.low, symmetric=symmetric))
-    if start is None:
-        config = resolve_relative_to(config, bones, names, held)
-    elif config.low.relative_to == "auto":
-        own = dataclasses.replace(config.low, relative_to=low.relative_to)
-        config = dataclasses.replace(config, low=own)
+    # What the weights to start from were trained with.
+    given = config.low if start is None else start.networks[0].config.low
+    symmetric = given.symmetric and store.mirror_vertices is not None
+    way = given.relative_to if config.low.relative_to == "auto" else config.low.relative_to
+    low = dataclasses.replace(config.low, symmetric=symmetric, relative_to=way)
+    config = resolve_relative_to(dataclasses.replace(config, low=low), bones, names, held)
     # The initial weights depend on the seed alone, not on what ran before.
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(o.seed)

@@ -18,7 +18,7 @@ PACKAGES = {
 
 
 def require(module: str, extra: str, what: str) -> Any:
-    """Import a package that the optional dependencies `extra` install, and return it.
+    """Import a package that belongs to the optional dependencies `extra`, and return it.
 
     `what` begins the error message, as in :func:`import_optional`.
     """

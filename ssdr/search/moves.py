@@ -354,7 +354,10 @@ def _with_more_bones(
 def _with_patch(
     data: Trajectories, model: Model, members: NDArray[np.intp], constraints: Constraints
 ) -> Model:
-    """A copy with one more bone, fitted to `members`; those with free weights follow only it."""
+    """Copy of a model with one more bone, fitted to the vertices `members`.
+
+    It is the only bone of those whose weights are free.
+    """
     label = np.full(data.n_vertices, -1, dtype=np.intp)
     label[members] = 0
     grown = model.with_bone(fit_patches(data, model.rest, label, 1, constraints.bone_model)[:, 0])

@@ -209,7 +209,7 @@ class JointPenalty:
 
 
 def normal_length(data: Trajectories, model: Model, penalty: float = 0.0) -> float:
-    """Length l of a normal as a point (l n, 0) whose error counts as much as the objective says.
+    """Scale l of normals n: the squared error of points (l n, 0) stands for the factor of normals.
 
     It is √(E / (F V (ν + N))), and 0 without normals.  E includes the slack and `penalty`, what the
     objective adds to the error.

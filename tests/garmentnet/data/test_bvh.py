@@ -251,3 +251,15 @@ def test_motion_capture_moves_the_body_upright_and_on_the_floor(data_dir: Path) 
         assert np.median(soles) < 0.15
         step = np.linalg.norm(np.diff(heads, axis=0), axis=2).max() * motion.fps
         assert step < 14
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("HIERARCHY ROOT a " + "{ OFFSET 0 0 0 JOINT b " * 300 + "MOTION\n", "nested deeper"),
+        ("HIERARCHY ROOT a { " + "JOINT b { } " * 1001 + "} MOTION\n", "more than 1000 joints"),
+    ],
+)
+def test_limits_of_joints(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(FormatError, match=message):
+        read(tmp_path, text)

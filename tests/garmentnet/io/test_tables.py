@@ -84,5 +84,7 @@ def test_files_that_are_not_toml(tmp_path) -> None:
     path = tmp_path / "t.toml"
     for data in (b"[low", b"\xff\xfe", b"a = "):
         path.write_bytes(data)
-        with pytest.raises(FormatError, match=r"t\.toml: "):
+        with pytest.raises(FormatError, match=r"t\.toml: not"):
             read_toml(path)
+    with pytest.raises(FormatError, match=r"nothing\.toml"):
+        read_toml(tmp_path / "nothing.toml")

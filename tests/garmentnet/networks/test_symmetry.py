@@ -11,11 +11,13 @@ torch = pytest.importorskip("torch")
 
 from garmentnet.configs.config import load_config, override
 from garmentnet.data.skeleton import mirror_transforms
+from garmentnet.networks.checkpoint import load_checkpoint
 from garmentnet.networks.features import Normaliser, PoseFeatures, PoseReader
 from garmentnet.networks.gru import GRU
 from garmentnet.networks.symmetry import reflected_inputs, tie_mirrored
 from garmentnet.scenes.body import default_body
 from garmentnet.scenes.dance.choreography import dance
+from garmentnet.training.run import train
 from ssdr.errors import InputError
 
 
@@ -83,9 +85,11 @@ def test_states_mirror_each_other_before_and_after_training():
         torch.testing.assert_close(b.detach(), a, rtol=1e-6, atol=1e-7)
 
 
-def test_a_trained_network_is_symmetric(toy_network, toy_store):
-    network = toy_network.networks[0]
+def test_a_trained_network_is_symmetric(toy_config, toy_store, tmp_path):
+    config = override(toy_config(epochs=3, high_epochs=0), ["low.symmetric=true"])
+    (network,) = load_checkpoint(train(toy_store, config, tmp_path)).networks
     assert network.config.low.symmetric
+    assert load_config("rooted").low.symmetric
     columns, signs = reflected_inputs(network)
     joints = toy_store.clip(toy_store.names()[0]).joints
     x = network.inputs(network.features(joints)[0])
