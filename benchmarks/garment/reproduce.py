@@ -30,7 +30,14 @@ from benchmarks.garment.intervals import interval_cell, intervals
 from benchmarks.garment.matching import MotionMatching
 from benchmarks.garment.published import BASELINES, SANTESTEBAN, train_chen
 from benchmarks.garment.regression import Variant, train_regression
-from benchmarks.garment.rules import Rule, Ruled, inverse_distance, nearest
+from benchmarks.garment.rules import (
+    RawNetwork,
+    Rule,
+    Ruled,
+    inverse_distance,
+    nearest,
+    raw_parameters,
+)
 from garmentnet.cli.progress import progress_bar
 from garmentnet.configs.config import Config, load_config, override
 from garmentnet.data.store import ClipStore
@@ -313,13 +320,28 @@ def _table4(run: Reproduction) -> str:
 
         return made
 
+    roles = parameter_roles(store)
+    large = override(config, ["data.condition=true"])
+    # An epoch of all sets has as many steps as one of a pivot has for each set.
+    sets = sum(role == "train" for role in roles.values())
+    short = override(large, [f"train.epochs={max(1, config.train.epochs // sets)}"])
+
+    def raw(name: str, config: Config) -> Callable[[], Method]:
+        def made() -> Method:
+            with raw_parameters():
+                return RawNetwork(name, run.network("parameters", name, config))
+
+        return made
+
     methods = [
         pivots("pivots, RBF"),
         pivots("pivots, inverse distance", inverse_distance),
         pivots("pivots, nearest", nearest),
-        run.method("parameters", "large network", override(config, ["data.condition=true"])),
+        run.method("parameters", "large network", large),
+        run.method("parameters", "large network, steps of a pivot", short),
+        raw("large network, raw parameters", large),
+        raw("large network, raw parameters, steps of a pivot", short),
     ]
-    roles = parameter_roles(store)
     tests = [c for c in store.clips("test") if c.motion.startswith(_TESTED)]
     unseen = [c.name for c in tests if roles[c.parameters] == "test"]
     record = run.scores("parameters", "table4", config, methods, unseen)

@@ -1,16 +1,22 @@
-"""The alternatives to a learned kernel: weights of pivots by a formula of their parameters."""
+"""Other uses of simulation parameters: pivots mixed by a formula, a network that reads them raw."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from typing import Any
+from unittest import mock
 
 import numpy as np
 from numpy.typing import NDArray
 
+from garmentnet.data.clip import Clip
+from garmentnet.data.parameters import SimulationParameters
+from garmentnet.data.virtual_bones import VirtualBones
+from garmentnet.evaluation.methods import Network
 from garmentnet.networks.ensemble import Kernel
 
-__all__ = ["Rule", "Ruled", "inverse_distance", "nearest"]
+__all__ = ["RawNetwork", "Rule", "Ruled", "inverse_distance", "nearest", "raw_parameters"]
 
 Array = NDArray[np.float64]
 # Weights (K,) of pivots (K, P) at parameters (P,), all normalised.
@@ -54,3 +60,35 @@ def nearest(pivots: Any, theta: Any) -> Array:
     """
     gap = np.linalg.norm(np.asarray(pivots, float) - np.asarray(theta, float), axis=1)
     return np.asarray(np.arange(len(gap)) == gap.argmin(), float)
+
+
+@contextlib.contextmanager
+def raw_parameters() -> Iterator[None]:
+    """Context in which networks read bending, density and time scale in SI units, unscaled.
+
+    Examples
+    --------
+    >>> with raw_parameters():
+    ...     SimulationParameters(bending=0.5).normalised().tolist()
+    [0.0005, 0.2, 1.0]
+    """
+
+    def raw(parameters: SimulationParameters) -> Array:
+        return np.array([1e-3 * parameters.bending, parameters.density, parameters.time_scale])
+
+    with mock.patch.object(SimulationParameters, "normalised", raw):
+        yield
+
+
+class RawNetwork(Network):
+    """Prediction by a checkpoint that was trained with :func:`raw_parameters`."""
+
+    def predict(self, clip: Clip) -> NDArray[np.float32]:
+        with raw_parameters():
+            return super().predict(clip)
+
+    def split(
+        self, clip: Clip, bones: VirtualBones
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        with raw_parameters():
+            return super().split(clip, bones)

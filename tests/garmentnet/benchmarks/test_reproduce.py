@@ -70,9 +70,23 @@ def test_table_4_scores_every_rule_on_the_same_clips(run):
     text = run.table("table4")
     record = json.loads((run.folder / "parameters" / "table4.json").read_text("utf-8"))
     pivots = ["pivots, RBF", "pivots, inverse distance", "pivots, nearest"]
-    names = [*pivots, "large network", "mean detail alone"]
+    large = [
+        "large network",
+        "large network, steps of a pivot",
+        "large network, raw parameters",
+        "large network, raw parameters, steps of a pivot",
+    ]
+    names = [*pivots, *large, "mean detail alone"]
     assert [r["name"] for r in record["rows"]] == names
     assert all(text.count(f"| {name} ") == 3 for name in names)
+    # Of the parameters, what a network reads is all that differs.
+    scaled, raw = (r["all"]["low"]["rmse"] for r in record["rows"][3:6:2])
+    assert scaled != raw
+    learned = [
+        json.loads((run.folder / "parameters" / n / "history.json").read_text("utf-8"))
+        for n in large
+    ]
+    assert [len(h["low"]) for h in learned] == [2, 1, 2, 1]
     # The nearest pivot's network alone, scored by the naive formula.
     pivots = load_checkpoint(run.folder / "parameters" / "ensemble" / "ensemble.safetensors")
     store = run.store("parameters")
