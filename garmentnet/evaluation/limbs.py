@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..collision.crossings import DEEP, find_crossings
-from ..collision.outward import OutwardPush
-from ..collision.push_out import is_closed
+from ..collision.outward import push_of
 from ..data.clip import Clip
 from ..data.virtual_bones import VirtualBones
 from .methods import Method
@@ -48,12 +47,11 @@ def count_limbs(
     There are no rows for a body without triangles, and none of what is pushed out of a body that is
     not closed.
     """
-    store, pinned = bones.store, np.asarray(bones.store.pinned, bool)
+    store, subject = bones.store, bones.subject
     if not len(store.body.faces):
         return []
-    push = None
-    if is_closed(store.body.faces):
-        push = OutwardPush(store.body, store.faces, store.rest, pinned=pinned)
+    pinned = ~np.isin(np.arange(store.n_vertices), subject.free)
+    push = push_of(subject)
     depths: dict[str, list[NDArray[np.float64]]] = {}
 
     def count(name: str, clip: Clip, vertices: NDArray[np.floating]) -> None:
