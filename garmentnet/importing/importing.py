@@ -112,6 +112,7 @@ def import_clips(
         store.sweep()
         if o.fps not in (None, store.fps):
             raise InputError("fps", f"{store.fps:g}, as the store has", o.fps)
+    moved: dict[bytes, str] = {}
     for (cloth_file, rig_file), name in zip(pairs, names, strict=True):
         files = Path(cloth_file), Path(rig_file)
         try:
@@ -125,6 +126,9 @@ def import_clips(
             raise InputError(error.argument, error.expected, f"{error.got} ({name})") from error
         if warning:
             say(f"{name}: {warning}")
+        other = moved.setdefault(hashlib.sha256(rig.joints.tobytes()).digest(), name)
+        if other != name:
+            say(f"{name}: warning: its rig moves as that of {other} does")
         if store is None:
             store = _create(target, cloth, rig, o, rest, say)
         _add(store, name, vertices, rig.joints, o, files, say)

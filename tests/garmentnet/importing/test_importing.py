@@ -145,6 +145,7 @@ def test_triangles_that_face_the_body_are_turned_round(files, tmp_path):
     away = (a + b + c) / 3 * [1, 0, 1]  # from the axis of the tube
     assert (np.einsum("tc,tc->t", np.cross(b - a, c - a), away) > 0).all()
     assert sum("turned round" in text for text in said) <= 1
+    assert "other: warning: its rig moves as that of one does" in said
     assert len(store.names()) == 6
 
 
