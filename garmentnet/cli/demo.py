@@ -35,7 +35,9 @@ def made_dance(
     names = default_body().skeleton.names
     if subject.skeleton.names != names:
         raise InputError(
-            "motion", "a file, for a body of these joints", list(subject.skeleton.names)
+            "motion",
+            "a file, for a body of these joints (dances are made for the one that ships)",
+            ", ".join(subject.skeleton.names),
         )
     return dance(
         subject.skeleton,

@@ -17,7 +17,7 @@ def export(
     output: Annotated[Path, typer.Option("--output", "-o", help="dress.onnx, .glb or .gltf")],
     bits: Annotated[int, typer.Option(help="Of an .onnx: of stored weights, 32, 16 or 8.")] = 32,
     motion: Annotated[
-        Path | None, typer.Option(help="Of a .glb: .bvh, .npz or a clip; else a made dance.")
+        Path | None, typer.Option(help="Of a .glb: a file as for predict; else a made dance.")
     ] = None,
     shapes: Annotated[int, typer.Option(help="Of a .glb: morph targets, at most.")] = 8,
     push_out: Annotated[

@@ -110,7 +110,9 @@ def evaluate(
 
 def predict(
     checkpoint: Annotated[Path, typer.Argument(metavar="CHECKPOINT")],
-    motion: Annotated[Path, typer.Argument(metavar="MOTION", help=".bvh, .npz or a clip.")],
+    motion: Annotated[
+        Path, typer.Argument(metavar="MOTION", help=".bvh, .glb, .fbx, .usd, .npz or a clip.")
+    ],
     output: Annotated[
         list[Path],
         typer.Option("--output", "-o", help="out.{html,mp4,gif,png,glb,usda,pc2,npz}; repeatable."),

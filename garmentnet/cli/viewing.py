@@ -34,7 +34,7 @@ def view(
     ],
     motions: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[MOTION...]", help=".bvh, .npz or a clip; else three dances."),
+        typer.Argument(metavar="[MOTION...]", help="Files as for predict; else three dances."),
     ] = None,
     output: Annotated[
         Path | None,

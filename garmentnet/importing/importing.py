@@ -8,7 +8,7 @@ import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,19 +112,23 @@ def import_clips(
         store.sweep()
         if o.fps not in (None, store.fps):
             raise InputError("fps", f"{store.fps:g}, as the store has", o.fps)
+    moved: dict[bytes, str] = {}
     for (cloth_file, rig_file), name in zip(pairs, names, strict=True):
         files = Path(cloth_file), Path(rig_file)
         try:
             cloth, rig = _read(*files, o, o.fps if store is None else store.fps, name, say)
             if store is not None:
-                _check_faces(cloth, store.faces)
+                _check_mesh("cloth", cloth, store.faces, len(store.rest))
                 rig = rig.matched(store.skeleton, store.body)
             vertices = np.asarray(cloth.vertices, np.float32)
-            warning = rig.check_cloth(vertices, scales=(o.cloth.scale, o.rig.scale))
+            warning = rig.check_cloth(vertices, o.cloth, o.rig)
         except InputError as error:
             raise InputError(error.argument, error.expected, f"{error.got} ({name})") from error
         if warning:
             say(f"{name}: {warning}")
+        other = moved.setdefault(hashlib.sha256(rig.joints.tobytes()).digest(), name)
+        if other != name:
+            say(f"{name}: warning: its rig moves as that of {other} does")
         if store is None:
             store = _create(target, cloth, rig, o, rest, say)
         _add(store, name, vertices, rig.joints, o, files, say)
@@ -152,10 +156,18 @@ def _read(
     return cut, dataclasses.replace(rig, joints=rig.joints[first + start : stop + start])
 
 
-def _check_faces(cloth: MeshSequence, faces: NDArray[np.int32]) -> None:
-    if not any(np.array_equal(cloth.faces, some) for some in (faces, faces[:, ::-1])):
-        expected = f"the {len(faces)} triangles of the first clip"
-        raise InputError("cloth", expected, f"{len(cloth.faces)} or others")
+def _check_mesh(argument: str, mesh: MeshSequence, faces: NDArray[np.int32], count: int) -> None:
+    """Raise an error unless a mesh has the triangles, turned round or not, of a first clip."""
+    if mesh.n_vertices == count and any(
+        np.array_equal(mesh.faces, some) for some in (faces, faces[:, ::-1])
+    ):
+        return
+    own, first = (mesh.n_vertices, len(mesh.faces)), (count, len(faces))
+    raise InputError(
+        argument,
+        f"the mesh of the first clip, {first[0]} vertices and {first[1]} triangles",
+        "as many in another order" if own == first else f"{own[0]} and {own[1]}",
+    )
 
 
 def _create(
@@ -163,7 +175,7 @@ def _create(
 ) -> ClipStore:
     if rest_file is not None:
         mesh = read_cloth(Path(rest_file), o.cloth, None, say)
-        _check_faces(mesh, cloth.faces)
+        _check_mesh("rest", mesh, cloth.faces, cloth.n_vertices)
         rest = np.asarray(mesh.vertices[0])
     else:
         root = rig.joints[:, 0]
@@ -172,7 +184,7 @@ def _create(
         angle = np.arccos(cosine.clip(-1, 1)).mean(axis=1)
         t = int((angle <= angle.min() + _BIND_POSE).argmax())
         rest = (np.asarray(cloth.vertices[t]) - root[t, :, 3]) @ root[t, :, :3]
-        off = f", off by {np.degrees(angle[t]):.0f}° a joint: better give a rest"
+        off = f", off by {np.degrees(angle[t]):.0f}° a joint: better give --rest"
         say(
             f"the cloth at rest is that of frame {t}, whose pose is closest to the bind pose"
             f"{off if angle[t] > _BIND_POSE else ''}"
@@ -188,7 +200,8 @@ def _create(
     if not 0.2 < size < 20:
         say(f"warning: the skeleton is {size:.3g} m large; --rig-scale makes metres of its unit")
     if rig.is_lying():
-        say("warning: the skeleton is longest along z; if it should stand, --rig-up z")
+        up = "y" if o.rig.up == "z" else "z"
+        say(f"warning: the skeleton is longest along z; if it should stand, --rig-up {up}")
     return ClipStore.create(
         path,
         rest=rest,
@@ -213,6 +226,20 @@ def _parts(name: str, count: int, o: ImportOptions) -> list[tuple[str, Split, sl
     return [(f"{name}-train" if cut else name, "train", slice(0, ends[-1])), *last]
 
 
+def _check_splits(store: ClipStore, name: str, parts: list[tuple[str, Split, slice]]) -> None:
+    """Raise an error if a store has a cloth in other splits, where its frames would be twice."""
+    known = [part for part in (name, *(f"{name}-{s}" for s in get_args(Split))) if part in store]
+    clips = [clip for clip in map(store.clip, known) if clip.motion == name]
+    there = {clip.name: clip.split for clip in clips}
+    if there.items() - {(part, split) for part, split, _ in parts}:
+        text = ", ".join(f"{part} for {split}" for part, split in there.items())
+        raise InputError(
+            "test, validation",
+            f"the splits in which the store has {name} ({text})",
+            "others, for which make a new store",
+        )
+
+
 def _add(
     store: ClipStore,
     name: str,
@@ -225,6 +252,7 @@ def _add(
     parameters = o.parameters or SimulationParameters()
     made = {"cloth": files[0].name, "rig": files[1].name, "parameter_set": "imported"}
     parts = _parts(name, len(vertices), o)
+    _check_splits(store, name, parts)
     for part, split, frames in parts:
         v, m = vertices[frames], joints[frames].astype(np.float32)
         provenance = made | {"sha256": hashlib.sha256(v.tobytes() + m.tobytes()).hexdigest()}

@@ -15,6 +15,7 @@ from ssdr.hierarchy.transforms import parents_first, rest_diagonal
 from ssdr.rigid import nearest_rotation
 
 from ..data.skeleton import Skeleton
+from .scene_files import Source
 
 # Largest difference of an entry from the nearest rotation's that counts as rounding.
 _ROUNDING = 0.02
@@ -62,15 +63,15 @@ class MovingBody:
         return float((np.cross(b - a, c - a) * away).sum()) < 0
 
     def check_cloth(
-        self, vertices: NDArray[np.float32], *, scales: tuple[float, float] = (1.0, 1.0)
+        self, vertices: NDArray[np.float32], cloth_source: Source, rig_source: Source
     ) -> str | None:
         """A warning if another unit or axis fits a cloth ``(F, V, 3)`` much better, else None.
 
         Parameters
         ----------
         vertices : (F, V, 3) array
-        scales : (float, float)
-            Factors of lengths with which cloth and rig were read; those in messages replace them.
+        cloth_source, rig_source : Source
+            Units and axes with which both were read; those in messages replace them.
 
         Raises
         ------
@@ -95,17 +96,23 @@ class MovingBody:
             return float(far), large, misfit
 
         far, large, own = measure(cloth)
-        lying = self.is_lying()
-        # A quarter turn about x, from y up to z up or back.
-        turned = cloth[..., [0, 2, 1]] * ((1, -1, 1) if lying else (1, 1, -1))
+        # A quarter turn of the cloth about x, or back, is one of the rig in the other direction.
+        turned = cloth[..., [0, 2, 1]]
+        to_y = "rig-up y" if rig_source.up == "z" else "cloth-up z"
+        to_z = "cloth-up y" if cloth_source.up == "z" and not self.is_lying() else "rig-up z"
+        ways = (("", cloth), (to_y, turned * (1, 1, -1)), (to_z, turned * (1, -1, 1)))
         found = []
-        for axis, v in (("", cloth), ("rig-up z" if lying else "cloth-up z", turned)):
+        for axis, v in ways:
             for factor in _FACTORS:
                 misfit = measure(factor * v)[2]
                 if misfit < math.inf and (axis or factor != 1):
                     of_rig = size > _HUGE
-                    which, by = ("rig", 1 / factor) if of_rig else ("cloth", factor)
-                    scale = f"{which}-scale {by * scales[of_rig]:g}" if factor != 1 else ""
+                    which, by, source = (
+                        ("rig", 1 / factor, rig_source)
+                        if of_rig
+                        else ("cloth", factor, cloth_source)
+                    )
+                    scale = f"{which}-scale {by * source.scale:g}" if factor != 1 else ""
                     found.append((misfit, " and ".join(filter(None, (axis, scale)))))
         best, hint = min(found, default=(math.inf, ""))
         if own == math.inf:

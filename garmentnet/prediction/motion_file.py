@@ -17,6 +17,8 @@ from ..data.retarget import retarget
 from ..data.skeleton import check_joints
 from ..data.store import ClipStore
 from ..data.subject import Subject
+from ..importing.rig import rig_of
+from ..importing.scene_files import SAMPLED, Source, read_rig
 
 
 def read_motion(path: Path | str, subject: Subject) -> tuple[NDArray[np.float64], Clip | None]:
@@ -26,7 +28,8 @@ def read_motion(path: Path | str, subject: Subject) -> tuple[NDArray[np.float64]
     ----------
     path : path
         ``.bvh`` or ``.bvh.gz``, retargeted by the names of its joints; ``.npz`` with an array
-        ``joints`` ``(F, J, 3, 4)``; or the folder of a clip in a store.
+        ``joints`` ``(F, J, 3, 4)``; the folder of a clip in a store; or a ``.fbx``, ``.glb`` or
+        ``.usd*`` whose rig has the joints and the bind pose of the network's.
 
     Returns
     -------
@@ -37,8 +40,8 @@ def read_motion(path: Path | str, subject: Subject) -> tuple[NDArray[np.float64]
     Raises
     ------
     InputError
-        If there is no such file, or a clip is of another garment, body or frame rate than the
-        network.
+        If there is no such file, a clip is of another garment, body or frame rate than the
+        network, or a rig is another.
     FormatError
         If the file is damaged, of an unknown kind, or has the joints of another body.
     """
@@ -53,8 +56,17 @@ def read_motion(path: Path | str, subject: Subject) -> tuple[NDArray[np.float64]
         subject.check_fits(store)
         clip = store.clip(file.name)
         return np.asarray(clip.joints, np.float64), clip
+    if file.suffix.lower() in SAMPLED and file.suffix.lower() != ".abc":
+        try:
+            rig = rig_of(read_rig(file, Source(), subject.fps, file.stem, lambda _: None))
+            return rig.matched(subject.skeleton, subject.body).joints, None
+        except InputError as error:
+            raise InputError("motion", error.expected, f"{error.got} ({file.name})") from error
     if file.suffix.lower() != ".npz":
-        raise FormatError(f"{file}: a motion is a .bvh, a .npz with joints, or a clip of a store")
+        raise FormatError(
+            f"{file}: a motion is a .bvh, a .fbx, .glb or .usd with the rig, a .npz with joints, "
+            "or a clip of a store"
+        )
     joints = np.asarray(read_arrays(file, required=("joints",))["joints"], np.float64)
     with reading(file):
         return check_joints(joints, subject.skeleton.n_joints), None

@@ -189,9 +189,15 @@ def read_pivot(arrays: dict[str, Any], k: int, record: NetworkRecord, subject: S
     """
     config = record.config
     if config.low.rotation != "sixd":
-        raise FormatError(f"low.rotation {config.low.rotation!r}; only 'sixd' is run here")
+        raise FormatError(
+            f"low.rotation {config.low.rotation!r}; only 'sixd' is run here: train the preset "
+            "rooted, or with --set low.rotation=sixd"
+        )
     if record.high and config.high.kind != "basis":
-        raise FormatError(f"high.kind {config.high.kind!r}; only 'basis' is run here")
+        raise FormatError(
+            f"high.kind {config.high.kind!r}; only 'basis' is run here: train the preset rooted, "
+            "or with --set high.kind=basis --set high.collision=0"
+        )
     name, b = f"network.{k}.", subject.garment.n_bones
     mean = arrays[f"{name}features.mean"]
     theta = 3 if config.data.condition else 0

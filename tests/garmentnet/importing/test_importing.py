@@ -145,6 +145,7 @@ def test_triangles_that_face_the_body_are_turned_round(files, tmp_path):
     away = (a + b + c) / 3 * [1, 0, 1]  # from the axis of the tube
     assert (np.einsum("tc,tc->t", np.cross(b - a, c - a), away) > 0).all()
     assert sum("turned round" in text for text in said) <= 1
+    assert "other: warning: its rig moves as that of one does" in said
     assert len(store.names()) == 6
 
 
@@ -166,6 +167,18 @@ def test_clips_go_to_named_splits_and_are_added_once(files, tmp_path):
     ssdr.save(rig(motion(seed=9)), tmp_path / "run.glb")
     with pytest.raises(InputError, match="clip run is of"):
         import_clips(pairs[1:2], tmp_path / "a.clips", ImportOptions(test=("run",)))
+
+
+@pytest.mark.parametrize("first", [{}, {"test": ("walk",)}])
+def test_a_clip_is_in_a_store_in_one_way_alone(files, tmp_path, first):
+    """Imported once more in other splits, frames for testing would be trained on."""
+    store = import_clips([files], tmp_path / "a.clips", ImportOptions(**first))
+    names = store.names()
+    for other in ({}, {"test": ("walk",)}, {"validation": ("walk",)}):
+        if other != first:
+            with pytest.raises(InputError, match=r"the splits in which the store has walk \(walk"):
+                import_clips([files], tmp_path / "a.clips", ImportOptions(**other))
+        assert ClipStore.open(store.path).names() == names
 
 
 def test_another_rate_is_resampled_and_said(files, tmp_path):
@@ -203,6 +216,11 @@ def test_units_and_axes_are_applied_or_hinted_at(files, tmp_path):
             [(source, files[1])], tmp_path / f"{k}.clips", ImportOptions(cloth=right)
         )
         np.testing.assert_allclose(store.rest, cloth().vertices[0], atol=1e-5)
+    ssdr.save(cloth(), tmp_path / "c.npz")
+    for kind in ("cloth", "rig"):
+        wrong = ImportOptions(**{kind: Source(up="z")})
+        with pytest.raises(InputError, match=f"away from it; {kind}-up y would fit"):
+            import_clips([(tmp_path / "c.npz", files[1])], tmp_path / "a.clips", wrong)
     ssdr.save(
         MeshSequence(cloth().vertices + np.float32(3), cloth().faces, FPS), tmp_path / "far.npz"
     )
@@ -299,11 +317,19 @@ def test_other_skeletons_topologies_and_times_are_refused(files, tmp_path):
         "joints that turn and move, got leg_r scaled", new_rig=rig(scaled, bone_model="similarity")
     )
     fewer = MeshSequence(cloth().vertices, cloth().faces[:-1], FPS)
-    refused(r"expected the 80 triangles of the first clip, got 79 or others \(other\)", fewer)
+    first = "cloth: expected the mesh of the first clip, 50 vertices and 80 triangles"
+    refused(rf"{first}, got 50 and 79 \(other\)", fewer)
+    other_order = MeshSequence(cloth().vertices, cloth().faces[::2].tolist() * 2, FPS)
+    refused(f"{first}, got as many in another order", other_order)
+    loose = np.concatenate([cloth().vertices, cloth().vertices[:, :1]], axis=1)
+    refused(f"{first}, got 51 and 80", MeshSequence(loose, cloth().faces, FPS))
     refused("a time that cloth and rig have in common, got 60 frames of cloth", offset=2.5)
     refused("expected some of other, got walk", test=("walk",))
     with pytest.raises(InputError, match="different names"):
         import_clips([files, files], tmp_path / "b.clips")
+    ssdr.save(MeshSequence(cloth().vertices[:1], cloth().faces[:-1]), tmp_path / "cut.npz")
+    with pytest.raises(InputError, match="rest: expected the mesh of the first clip"):
+        import_clips([files], tmp_path / "b.clips", rest=tmp_path / "cut.npz")
 
 
 def test_only_common_frames_are_taken(files, tmp_path):

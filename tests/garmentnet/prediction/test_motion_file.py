@@ -2,12 +2,15 @@
 
 # ruff: noqa: E402
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
 
 
+import ssdr
 from garmentnet.prediction.motion_file import read_motion
 from ssdr.errors import FormatError, InputError
 
@@ -23,9 +26,25 @@ def test_motion_files(toy_network, toy_store, joints, tmp_path):
     np.savez(tmp_path / "none.npz", other=joints)
     np.savez(tmp_path / "pickled.npz", joints=np.array([{}, 1], dtype=object))
     (tmp_path / "broken.npz").write_bytes(b"PK\x03\x04 no")
-    (tmp_path / "m.fbx").write_bytes(b"x")
-    for name in ("few.npz", "none.npz", "pickled.npz", "broken.npz", "m.fbx"):
+    (tmp_path / "m.c3d").write_bytes(b"x")
+    for name in ("few.npz", "none.npz", "pickled.npz", "broken.npz", "m.c3d"):
         with pytest.raises(FormatError, match=name):
             read_motion(tmp_path / name, toy_network.subject)
     with pytest.raises(InputError, match="motion"):
         read_motion(tmp_path / "nothing.bvh", toy_network.subject)
+
+
+def test_the_motion_of_a_rig_with_the_same_joints(toy_network, joints, tmp_path):
+    """Whatever the order of the joints, as glTF files have another."""
+    subject = toy_network.subject
+    tree = subject.skeleton
+    fields = {"parents": tree.parents, "joint_positions": tree.rest, "fps": subject.fps}
+    moving = dataclasses.replace(subject.body, transforms=joints, bone_names=tree.names, **fields)
+    ssdr.save(moving, tmp_path / "m.glb")
+    found, clip = read_motion(tmp_path / "m.glb", subject)
+    np.testing.assert_allclose(found, joints, atol=1e-5)
+    assert clip is None
+    names = ("other", *tree.names[1:])
+    ssdr.save(dataclasses.replace(moving, bone_names=names), tmp_path / "o.glb")
+    with pytest.raises(InputError, match=r"motion: expected the joints .*other.* \(o\.glb\)"):
+        read_motion(tmp_path / "o.glb", subject)

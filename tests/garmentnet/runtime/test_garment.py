@@ -37,6 +37,16 @@ def play(garment, joints, parameters=None):
     return np.stack(frames)
 
 
+def test_what_only_torch_runs_is_refused_with_what_to_train_instead(
+    toy_run, toy_faithful, tmp_path
+):
+    with pytest.raises(FormatError, match=r"--set high\.kind=basis --set high\.collision=0"):
+        load_live(toy_run / "checkpoint.safetensors")
+    save_checkpoint(toy_faithful, tmp_path / "f.safetensors")
+    with pytest.raises(FormatError, match=r"--set low\.rotation=sixd"):
+        load_live(tmp_path / "f.safetensors")
+
+
 def test_it_needs_no_torch():
     code = "import sys, garmentnet.runtime; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
