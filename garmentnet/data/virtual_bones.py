@@ -201,6 +201,9 @@ def _body_bound(bones: VirtualBones, names: Sequence[str]) -> BodyBound | None:
 
     def make() -> dict[str, Any]:
         found = find_body_bound(bones.store, names, bones.smoother)
+        count = 0 if found is None else len(found.index)
+        text = "%d of %d vertices move with the body; the others are predicted"
+        _logger.info(text, count, bones.store.n_vertices)
         return {k: np.zeros(0) if found is None else getattr(found, k) for k in fields}
 
     found = kept(bones.folder / f"bound-{_BOUND_VERSION}.npz", make)
