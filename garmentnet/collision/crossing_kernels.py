@@ -69,15 +69,17 @@ def straddles(a, i, b, j):
 
 
 @inline
-def _meets(px, py, pz, qx, qy, qz, c, j):
-    """Heights of both ends of a segment above the plane of triangle c[j], times the length of its
-    normal, and the square of this length; 0 if the segment does not cross the triangle.
+def edge_meets(a, i, k, b, j):
+    """Heights of the ends of edge k of triangle a[i] above the plane of triangle b[j], times the
+    length of its normal, and the square of this length; 0 if they do not cross.
     """
-    ax, ay, az = c[j, 0], c[j, 1], c[j, 2]
-    ux, uy, uz = c[j, 3] - ax, c[j, 4] - ay, c[j, 5] - az
-    vx, vy, vz = c[j, 6] - ax, c[j, 7] - ay, c[j, 8] - az
+    k, m = 3 * k, 3 * ((k + 1) % 3)
+    ox, oy, oz = b[j, 0], b[j, 1], b[j, 2]
+    ux, uy, uz = b[j, 3] - ox, b[j, 4] - oy, b[j, 5] - oz
+    vx, vy, vz = b[j, 6] - ox, b[j, 7] - oy, b[j, 8] - oz
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    px, py, pz, qx, qy, qz = px - ax, py - ay, pz - az, qx - ax, qy - ay, qz - az
+    px, py, pz = a[i, k] - ox, a[i, k + 1] - oy, a[i, k + 2] - oz
+    qx, qy, qz = a[i, m] - ox, a[i, m + 1] - oy, a[i, m + 2] - oz
     p, q = nx * px + ny * py + nz * pz, nx * qx + ny * qy + nz * qz
     if (p > 0.0) == (q > 0.0):
         return p, q, 0.0
@@ -90,16 +92,6 @@ def _meets(px, py, pz, qx, qy, qz, c, j):
     if second < 0.0 or third < 0.0 or second + third > square:
         return p, q, 0.0
     return p, q, square
-
-
-@inline
-def edge_meets(a, i, k, b, j):
-    """Heights of the ends of edge k of triangle a[i] above the plane of triangle b[j], times the
-    length of its normal, and the square of this length; 0 if they do not cross.
-    """
-    m = 3 * ((k + 1) % 3)
-    k = 3 * k
-    return _meets(a[i, k], a[i, k + 1], a[i, k + 2], a[i, m], a[i, m + 1], a[i, m + 2], b, j)
 
 
 @inline

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from ssdr.kernels.closest import gap_to_box, push_children
 from ssdr.kernels.policy import inline, kernel
 
 from .crossing_kernels import normal_of
@@ -68,31 +69,6 @@ def closest(px, py, pz, corners, i):
         s, t = vb / (va + vb + vc), vc / (va + vb + vc)
     x, y, z = s * ux + t * vx, s * uy + t * vy, s * uz + t * vz
     return (wx - x) ** 2 + (wy - y) ** 2 + (wz - z) ** 2, ax + x, ay + y, az + z
-
-
-@inline
-def gap(px, py, pz, boxes, i):
-    """Squared distance to a box."""
-    x = max(0.0, max(boxes[i, 0] - px, px - boxes[i, 3]))
-    y = max(0.0, max(boxes[i, 1] - py, py - boxes[i, 4]))
-    z = max(0.0, max(boxes[i, 2] - pz, pz - boxes[i, 5]))
-    return x * x + y * y + z * z
-
-
-@inline
-def push_children(px, py, pz, node, best, boxes, nodes, gaps, top):
-    """Push the children of a box that are nearer than `best`, the nearer one last; the new top."""
-    left, right = 2 * node + 1, 2 * node + 2
-    near, far = gap(px, py, pz, boxes, left), gap(px, py, pz, boxes, right)
-    if near > far:
-        left, right, near, far = right, left, far, near
-    if far < best:
-        nodes[top], gaps[top] = right, far
-        top += 1
-    if near < best:
-        nodes[top], gaps[top] = left, near
-        top += 1
-    return top
 
 
 @inline
@@ -179,7 +155,7 @@ def _nearest(px, py, pz, limit, hint, free, scene, nodes, gaps):
         d, x, y, z = closest(px, py, pz, corners, hint)
         if d < best:
             best, which, cx, cy, cz = d, hint, x, y, z
-    nodes[0], gaps[0], top = 0, gap(px, py, pz, boxes, 0), 1
+    nodes[0], gaps[0], top = 0, gap_to_box(px, py, pz, boxes, 0), 1
     while top > 0:
         top -= 1
         if gaps[top] >= best:
@@ -197,7 +173,9 @@ def _nearest(px, py, pz, limit, hint, free, scene, nodes, gaps):
                             continue
                     best, which, cx, cy, cz = d, t, x, y, z
             continue
-        top = push_children(px, py, pz, node, best, boxes, nodes, gaps, top)
+        left = gap_to_box(px, py, pz, boxes, 2 * node + 1)
+        right = gap_to_box(px, py, pz, boxes, 2 * node + 2)
+        top = push_children(node, left, right, best, nodes, gaps, top)
     return best, which, cx, cy, cz
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ssdr.kernels.closest import gap_to_box, push_children
 from ssdr.kernels.policy import inline, kernel
 
 from .crossing_kernels import (
@@ -22,7 +23,7 @@ from .crossing_kernels import (
     normal_of,
     straddles,
 )
-from .kernels import closest, gap, push_children, spread, winding
+from .kernels import closest, spread, winding
 
 # Cosine of the angle to the cloth's normal from which skin faces the way out.
 _FACING = 0.4
@@ -46,7 +47,7 @@ def _skin_that_faces(px, py, pz, limit, gx, gy, gz, scene, nodes, gaps):
     corners, depth, boxes = scene
     count, base = len(corners), (1 << depth) - 1
     best, cx, cy, cz, fx, fy, fz = limit, px, py, pz, 0.0, 0.0, 0.0
-    nodes[0], gaps[0], top = 0, gap(px, py, pz, boxes, 0), 1
+    nodes[0], gaps[0], top = 0, gap_to_box(px, py, pz, boxes, 0), 1
     while top > 0:
         top -= 1
         if gaps[top] >= best:
@@ -64,7 +65,9 @@ def _skin_that_faces(px, py, pz, limit, gx, gy, gz, scene, nodes, gaps):
                     best, cx, cy, cz = d, x, y, z
                     fx, fy, fz = nx / size, ny / size, nz / size
             continue
-        top = push_children(px, py, pz, node, best, boxes, nodes, gaps, top)
+        left = gap_to_box(px, py, pz, boxes, 2 * node + 1)
+        right = gap_to_box(px, py, pz, boxes, 2 * node + 2)
+        top = push_children(node, left, right, best, nodes, gaps, top)
     return best, cx, cy, cz, fx, fy, fz
 
 
