@@ -49,12 +49,19 @@ def fit_triangles(
 
 
 @inline
+def normal_of(corners, i):
+    """Normal of a triangle, twice as long as its area is large."""
+    ax, ay, az = corners[i, 0], corners[i, 1], corners[i, 2]
+    ux, uy, uz = corners[i, 3] - ax, corners[i, 4] - ay, corners[i, 5] - az
+    vx, vy, vz = corners[i, 6] - ax, corners[i, 7] - ay, corners[i, 8] - az
+    return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+
+
+@inline
 def straddles(a, i, b, j):
     """Whether corners of triangle a[i] lie on both sides of the plane of triangle b[j]."""
     ox, oy, oz = b[j, 0], b[j, 1], b[j, 2]
-    ux, uy, uz = b[j, 3] - ox, b[j, 4] - oy, b[j, 5] - oz
-    vx, vy, vz = b[j, 6] - ox, b[j, 7] - oy, b[j, 8] - oz
-    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    nx, ny, nz = normal_of(b, j)
     first = nx * (a[i, 0] - ox) + ny * (a[i, 1] - oy) + nz * (a[i, 2] - oz) > 0.0
     second = nx * (a[i, 3] - ox) + ny * (a[i, 4] - oy) + nz * (a[i, 5] - oz) > 0.0
     third = nx * (a[i, 6] - ox) + ny * (a[i, 7] - oy) + nz * (a[i, 8] - oz) > 0.0
@@ -62,15 +69,17 @@ def straddles(a, i, b, j):
 
 
 @inline
-def _meets(px, py, pz, qx, qy, qz, c, j):
-    """Heights of both ends of a segment above the plane of triangle c[j], times the length of its
-    normal, and the square of this length; 0 if the segment does not cross the triangle.
+def edge_meets(a, i, k, b, j):
+    """Heights of the ends of edge k of triangle a[i] above the plane of triangle b[j], times the
+    length of its normal, and the square of this length; 0 if they do not cross.
     """
-    ax, ay, az = c[j, 0], c[j, 1], c[j, 2]
-    ux, uy, uz = c[j, 3] - ax, c[j, 4] - ay, c[j, 5] - az
-    vx, vy, vz = c[j, 6] - ax, c[j, 7] - ay, c[j, 8] - az
+    k, m = 3 * k, 3 * ((k + 1) % 3)
+    ox, oy, oz = b[j, 0], b[j, 1], b[j, 2]
+    ux, uy, uz = b[j, 3] - ox, b[j, 4] - oy, b[j, 5] - oz
+    vx, vy, vz = b[j, 6] - ox, b[j, 7] - oy, b[j, 8] - oz
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    px, py, pz, qx, qy, qz = px - ax, py - ay, pz - az, qx - ax, qy - ay, qz - az
+    px, py, pz = a[i, k] - ox, a[i, k + 1] - oy, a[i, k + 2] - oz
+    qx, qy, qz = a[i, m] - ox, a[i, m + 1] - oy, a[i, m + 2] - oz
     p, q = nx * px + ny * py + nz * pz, nx * qx + ny * qy + nz * qz
     if (p > 0.0) == (q > 0.0):
         return p, q, 0.0
@@ -86,65 +95,10 @@ def _meets(px, py, pz, qx, qy, qz, c, j):
 
 
 @inline
-def edge_meets(a, i, k, b, j):
-    """Heights of the ends of edge k of triangle a[i] above the plane of triangle b[j], times the
-    length of its normal, and the square of this length; 0 if they do not cross.
-    """
-    m = 3 * ((k + 1) % 3)
-    k = 3 * k
-    return _meets(a[i, k], a[i, k + 1], a[i, k + 2], a[i, m], a[i, m + 1], a[i, m + 2], b, j)
-
-
-@inline
 def _depth(a, i, k, b, j):
     """Distance from the plane of the nearer end of an edge that crosses; negative: none does."""
     p, q, square = edge_meets(a, i, k, b, j)
     return min(abs(p), abs(q)) / np.sqrt(square) if square > 0.0 else -1.0
-
-
-@kernel
-def count_crossings(cloth: Any, corners: Any, depth: int, boxes: Any) -> tuple[int, float]:
-    """Number of pairs of triangles that cross, and the depth of the deepest.
-
-    cloth    (S, 9)                   float64  corners of triangles, in
-    corners  (T, 9)                   float64  of the body's triangles, in the tree's order, in
-    depth                             int      levels of the tree of :mod:`ssdr.kernels.closest`
-    boxes    (2**(depth + 1) - 1, 6)  float64  of its nodes, in
-    """
-    count, base = len(corners), (1 << depth) - 1
-    pairs, deepest = 0, 0.0
-    low, high = np.empty(3), np.empty(3)
-    for i in range(len(cloth)):
-        for c in range(3):
-            low[c] = min(cloth[i, c], cloth[i, 3 + c], cloth[i, 6 + c])
-            high[c] = max(cloth[i, c], cloth[i, 3 + c], cloth[i, 6 + c])
-        node = 0
-        while True:
-            beside = False
-            for c in range(3):
-                beside = beside or low[c] > boxes[node, 3 + c] or high[c] < boxes[node, c]
-            if not beside:
-                if node < base:
-                    node = 2 * node + 1
-                    continue
-                leaf = node - base
-                for j in range((count * leaf) >> depth, (count * (leaf + 1)) >> depth):
-                    if not (straddles(cloth, i, corners, j) and straddles(corners, j, cloth, i)):
-                        continue
-                    most = -1.0
-                    for k in range(3):
-                        most = max(most, _depth(cloth, i, k, corners, j))
-                        most = max(most, _depth(corners, j, k, cloth, i))
-                    if most >= 0.0:
-                        pairs += 1
-                        deepest = max(deepest, most)
-            # A right child has an even index: the subtrees that end with it are done.
-            while node > 0 and node & 1 == 0:
-                node = (node - 1) >> 1
-            if node == 0:
-                break
-            node += 1
-    return pairs, deepest
 
 
 @inline
@@ -177,6 +131,44 @@ def beside(box, b, j):
         or box[2] > b[j, 5]
         or box[5] < b[j, 2]
     )
+
+
+@kernel
+def count_crossings(cloth: Any, corners: Any, depth: int, boxes: Any) -> tuple[int, float]:
+    """Number of pairs of triangles that cross, and the depth of the deepest.
+
+    cloth    (S, 9)                   float64  corners of triangles, in
+    corners  (T, 9)                   float64  of the body's triangles, in the tree's order, in
+    depth                             int      levels of the tree of :mod:`ssdr.kernels.closest`
+    boxes    (2**(depth + 1) - 1, 6)  float64  of its nodes, in
+    """
+    count, base = len(corners), (1 << depth) - 1
+    pairs, deepest = 0, 0.0
+    for i in range(len(cloth)):
+        box, node = box_of(cloth, i), 0
+        while True:
+            if not beside(box, boxes, node):
+                if node < base:
+                    node = 2 * node + 1
+                    continue
+                leaf = node - base
+                for j in range((count * leaf) >> depth, (count * (leaf + 1)) >> depth):
+                    if not (straddles(cloth, i, corners, j) and straddles(corners, j, cloth, i)):
+                        continue
+                    most = -1.0
+                    for k in range(3):
+                        most = max(most, _depth(cloth, i, k, corners, j))
+                        most = max(most, _depth(corners, j, k, cloth, i))
+                    if most >= 0.0:
+                        pairs += 1
+                        deepest = max(deepest, most)
+            # A right child has an even index: the subtrees that end with it are done.
+            while node > 0 and node & 1 == 0:
+                node = (node - 1) >> 1
+            if node == 0:
+                break
+            node += 1
+    return pairs, deepest
 
 
 @inline

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ssdr import Skinning, skin
+from ssdr import Skinning
 from ssdr.checks import check_faces, check_mask
-from ssdr.kernels.closest import tree_order
 from ssdr.parallel import chunk_bounds, run_chunks
 
-from .crossing_kernels import count_crossings, fit_triangles
+from .body_tree import BodyTree
+from .crossing_kernels import count_crossings
 
 # Metres from which a crossing can be seen: edges of a coarse mesh graze a body without harm.
 DEEP = 5e-3
 _FRAMES = 8
-_LEAF = 4  # approximate number of triangles in a leaf of the tree
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -96,20 +94,14 @@ def find_crossings(
     fixed = check_mask(pinned, "pinned", count)
     if fixed is not None:
         cloth = cloth[~fixed[cloth].all(axis=1)]
-    rest = np.asarray(body.rest, np.float64)
-    depth = max(0, math.ceil(math.log2(max(1, len(body.faces)) / _LEAF)))
-    triangles = np.ascontiguousarray(body.faces[tree_order(rest, body.faces, depth)], np.int32)
-    every = np.ones(len(triangles), bool)
+    tree = BodyTree(body)
     pairs, deepest = np.zeros(len(v), np.int64), np.zeros(len(v))
 
     def measure(_: int, start: int, stop: int) -> None:
-        posed = skin(body.rest, body.indices, body.weights, m[start:stop], dtype=np.float64)
-        boxes, corners = np.empty((2 ** (depth + 1) - 1, 6)), np.empty((len(triangles), 9))
-        for t in range(start, stop):
-            fit_triangles(posed[t - start], triangles, every, depth, corners, boxes)
+        for t, scene in enumerate(tree.scenes(m[start:stop]), start):
             own = v[t].take(cloth, axis=0).reshape(-1, 9)
-            pairs[t], deepest[t] = count_crossings(own, corners, depth, boxes)
+            pairs[t], deepest[t] = count_crossings(own, *scene)
 
-    if len(cloth) and len(triangles):
+    if len(cloth) and len(tree.triangles):
         run_chunks(measure, chunk_bounds(len(v), _FRAMES))
     return Crossings(pairs, deepest)

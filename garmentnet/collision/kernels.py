@@ -19,7 +19,10 @@ from typing import Any
 
 import numpy as np
 
+from ssdr.kernels.closest import gap_to_box, push_children
 from ssdr.kernels.policy import inline, kernel
+
+from .crossing_kernels import normal_of
 
 # Least gain of distance, metres, by which a step counts, and tolerance of the margin.
 _GAIN = 1e-6
@@ -66,31 +69,6 @@ def closest(px, py, pz, corners, i):
         s, t = vb / (va + vb + vc), vc / (va + vb + vc)
     x, y, z = s * ux + t * vx, s * uy + t * vy, s * uz + t * vz
     return (wx - x) ** 2 + (wy - y) ** 2 + (wz - z) ** 2, ax + x, ay + y, az + z
-
-
-@inline
-def gap(px, py, pz, boxes, i):
-    """Squared distance to a box."""
-    x = max(0.0, max(boxes[i, 0] - px, px - boxes[i, 3]))
-    y = max(0.0, max(boxes[i, 1] - py, py - boxes[i, 4]))
-    z = max(0.0, max(boxes[i, 2] - pz, pz - boxes[i, 5]))
-    return x * x + y * y + z * z
-
-
-@inline
-def push_children(px, py, pz, node, best, boxes, nodes, gaps, top):
-    """Push the children of a box that are nearer than `best`, the nearer one last; the new top."""
-    left, right = 2 * node + 1, 2 * node + 2
-    near, far = gap(px, py, pz, boxes, left), gap(px, py, pz, boxes, right)
-    if near > far:
-        left, right, near, far = right, left, far, near
-    if far < best:
-        nodes[top], gaps[top] = right, far
-        top += 1
-    if near < best:
-        nodes[top], gaps[top] = left, near
-        top += 1
-    return top
 
 
 @inline
@@ -177,7 +155,7 @@ def _nearest(px, py, pz, limit, hint, free, scene, nodes, gaps):
         d, x, y, z = closest(px, py, pz, corners, hint)
         if d < best:
             best, which, cx, cy, cz = d, hint, x, y, z
-    nodes[0], gaps[0], top = 0, gap(px, py, pz, boxes, 0), 1
+    nodes[0], gaps[0], top = 0, gap_to_box(px, py, pz, boxes, 0), 1
     while top > 0:
         top -= 1
         if gaps[top] >= best:
@@ -195,7 +173,9 @@ def _nearest(px, py, pz, limit, hint, free, scene, nodes, gaps):
                             continue
                     best, which, cx, cy, cz = d, t, x, y, z
             continue
-        top = push_children(px, py, pz, node, best, boxes, nodes, gaps, top)
+        left = gap_to_box(px, py, pz, boxes, 2 * node + 1)
+        right = gap_to_box(px, py, pz, boxes, 2 * node + 2)
+        top = push_children(node, left, right, best, nodes, gaps, top)
     return best, which, cx, cy, cz
 
 
@@ -214,12 +194,9 @@ def _signed(px, py, pz, margin, hint, scene, nodes, gaps):
 
 
 @inline
-def _normal(corners, i):
+def _unit_normal(corners, i):
     """Unit normal of a triangle; 0 if it has none."""
-    ax, ay, az = corners[i, 0], corners[i, 1], corners[i, 2]
-    ux, uy, uz = corners[i, 3] - ax, corners[i, 4] - ay, corners[i, 5] - az
-    vx, vy, vz = corners[i, 6] - ax, corners[i, 7] - ay, corners[i, 8] - az
-    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    x, y, z = normal_of(corners, i)
     length = np.sqrt(x * x + y * y + z * z)
     if length == 0.0:
         return 0.0, 0.0, 0.0
@@ -248,7 +225,7 @@ def _move_out(px, py, pz, margin, farthest, hint, scene, nodes, gaps):
         elif d > 0.0:
             ux, uy, uz = (px - x) / d, (py - y) / d, (pz - z) / d
         else:
-            ux, uy, uz = _normal(scene[0], which)
+            ux, uy, uz = _unit_normal(scene[0], which)
             if ux == 0.0 and uy == 0.0 and uz == 0.0:
                 break
         # Between two parts of the body that nearly touch, the full margin does not fit.
@@ -278,6 +255,38 @@ def signed_distances(points: Any, scene: Any, limit: float, out: Any) -> None:
     nodes, gaps = np.empty(2 * scene[1] + 2, np.int64), np.empty(2 * scene[1] + 2, np.float64)
     for i in range(len(points)):
         out[i] = _signed(points[i, 0], points[i, 1], points[i, 2], limit, -1, scene, nodes, gaps)[0]
+
+
+@inline
+def spread(sweeps, queue, starts, neighbours, wanted, length, field, other):
+    """Write the `field` of displacements: Jacobi sweeps over the queued points; others do not move.
+
+    Each point gets the mean of its neighbours, and at least what is wanted along that direction.
+    """
+    field[:], other[:] = 0.0, 0.0
+    for v in queue:
+        if length[v] > 0.0:
+            for c in range(3):
+                field[v, c] = wanted[v, c]
+    for _ in range(sweeps):
+        for v in queue:
+            x, y, z = 0.0, 0.0, 0.0
+            count = starts[v + 1] - starts[v]
+            if count > 0:
+                for k in range(starts[v], starts[v + 1]):
+                    u = neighbours[k]
+                    x, y, z = x + field[u, 0], y + field[u, 1], z + field[u, 2]
+                share = 1.0 / count
+                x, y, z = x * share, y * share, z * share
+            if length[v] > 0.0:
+                wx, wy, wz = wanted[v, 0], wanted[v, 1], wanted[v, 2]
+                lack = 1.0 - (wx * x + wy * y + wz * z) / length[v] ** 2
+                if lack > 0.0:
+                    x, y, z = x + lack * wx, y + lack * wy, z + lack * wz
+            other[v, 0], other[v, 1], other[v, 2] = x, y, z
+        for v in queue:
+            for c in range(3):
+                field[v, c] = other[v, c]
 
 
 @kernel
@@ -339,47 +348,16 @@ def push_frame(
         any_moved = any_moved or length[i] > 0.0
     if not any_moved:
         return
-    field, other = wanted.copy(), np.zeros((n, 3))
-    for _ in range(sweeps):
-        for i in range(n):
-            x, y, z = 0.0, 0.0, 0.0
-            if not fixed[i] and starts[i + 1] > starts[i]:
-                for k in range(starts[i], starts[i + 1]):
-                    j = neighbours[k]
-                    x += field[j, 0]
-                    y += field[j, 1]
-                    z += field[j, 2]
-                share = 1.0 / (starts[i + 1] - starts[i])
-                x, y, z = x * share, y * share, z * share
-            if length[i] > 0.0:
-                wx, wy, wz = wanted[i, 0], wanted[i, 1], wanted[i, 2]
-                lack = 1.0 - (wx * x + wy * y + wz * z) / length[i] ** 2
-                if lack > 0.0:
-                    x, y, z = x + lack * wx, y + lack * wy, z + lack * wz
-            other[i, 0], other[i, 1], other[i, 2] = x, y, z
-        field, other = other, field
+    field, other = np.empty((n, 3)), np.empty((n, 3))
+    spread(sweeps, np.flatnonzero(~fixed), starts, neighbours, wanted, length, field, other)
     for i in range(n):
         fx, fy, fz = field[i, 0], field[i, 1], field[i, 2]
         if fx == 0.0 and fy == 0.0 and fz == 0.0:
             continue
-        if clear[i] - np.sqrt(fx * fx + fy * fy + fz * fz) >= margin:
-            out[i, 0], out[i, 1], out[i, 2] = (
-                points[i, 0] + fx,
-                points[i, 1] + fy,
-                points[i, 2] + fz,
-            )
-            continue
-        px, py, pz, s = _move_out(
-            points[i, 0] + fx,
-            points[i, 1] + fy,
-            points[i, 2] + fz,
-            margin,
-            farthest,
-            hints[i],
-            scene,
-            nodes,
-            gaps,
-        )
-        if s < min(before[i], margin - _GAIN):
-            continue
+        px, py, pz = points[i, 0] + fx, points[i, 1] + fy, points[i, 2] + fz
+        if clear[i] - np.sqrt(fx * fx + fy * fy + fz * fz) < margin:
+            hint = hints[i]
+            px, py, pz, s = _move_out(px, py, pz, margin, farthest, hint, scene, nodes, gaps)
+            if s < min(before[i], margin - _GAIN):
+                continue
         out[i, 0], out[i, 1], out[i, 2] = px, py, pz

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -11,11 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 from ssdr import Skinning
 from ssdr.checks import check_faces, check_whole
 from ssdr.errors import InputError
-from ssdr.kernels.closest import tree_order
 
 from ..data.subject import Subject
+from .body_tree import Scene, tree_of
 from .outward_kernels import push_outward
-from .push_out import MARGIN, PushOut, is_closed
+from .push_out import PushOut, is_closed
 
 # The farthest skin to which a vertex is moved, metres: more than half a thigh.
 _REACH = 0.12
@@ -36,7 +35,7 @@ class OutwardPush(PushOut):
 
     Parameters
     ----------
-    body, faces, margin, pinned
+    body, faces, pinned
         As of :class:`~garmentnet.collision.push_out.PushOut`; the triangles of the garment face
         outwards, too.
     rest : (V, 3) array
@@ -74,25 +73,21 @@ class OutwardPush(PushOut):
         faces: ArrayLike,
         rest: ArrayLike,
         *,
-        margin: float = MARGIN,
         pinned: ArrayLike | None = None,
         sweeps: int = 8,
         rounds: int = 8,
     ) -> None:
         shape = np.asarray(rest, np.float64)
-        super().__init__(
-            body, faces, margin=margin, pinned=pinned, sweeps=sweeps, n_vertices=len(shape)
-        )
+        super().__init__(body, faces, pinned=pinned, sweeps=sweeps, n_vertices=len(shape))
         self.rounds = check_whole(rounds, "rounds", 1)
         every = np.ascontiguousarray(check_faces(faces, self.n_vertices), np.int32)
         movable = every[~self.fixed[every].all(axis=1)]
         if not len(movable):
             raise InputError("pinned", "a triangle that can move", "all corners")
-        depth = max(0, math.ceil(math.log2(max(1, len(movable)) / self._leaf)))
-        cloth = np.ascontiguousarray(movable[tree_order(shape, movable, depth)])
-        n = self.n_vertices
-        sources = np.repeat(np.arange(n), np.diff(self._starts))
-        keys = np.minimum(sources, self._neighbours) * n + np.maximum(sources, self._neighbours)
+        cloth, depth = tree_of(shape, movable)
+        n, (starts, others) = self.n_vertices, self._near
+        sources = np.repeat(np.arange(n), np.diff(starts))
+        keys = np.minimum(sources, others) * n + np.maximum(sources, others)
         known, numbers = np.unique(keys, return_inverse=True)
         ends = cloth.astype(np.int64), np.roll(cloth, -1, axis=1)
         edges = np.searchsorted(known, np.minimum(*ends) * n + np.maximum(*ends))
@@ -103,8 +98,8 @@ class OutwardPush(PushOut):
             depth,
             edges.astype(np.int32),
             self.fixed,
-            self._starts,
-            self._neighbours,
+            starts,
+            others,
             numbers.reshape(-1).astype(np.int32),
             firsts.astype(np.int32),
             (of_vertex // 3).astype(np.int32),
@@ -116,12 +111,12 @@ class OutwardPush(PushOut):
 
         It does what a call does, for one frame and without checks.
         """
-        posed = self._posed(np.asarray(pose, np.float64)[None])[0]
+        (scene,) = self._tree.scenes(np.asarray(pose, np.float64)[None])
         points = np.array(vertices, np.float64, order="C")
-        return self._pushed(points, self._scene(posed), np.empty(0, np.int32))
+        return self._pushed(points, scene, np.empty(0, np.int32))
 
     def _pushed(
-        self, points: NDArray[np.float64], scene: tuple[Any, ...], hints: NDArray[np.int32]
+        self, points: NDArray[np.float64], scene: Scene, hints: NDArray[np.int32]
     ) -> NDArray[np.float64]:
         moved, reach = points.copy(), _REACH
         push_outward(moved, self._garment, scene, self.margin, reach, self.sweeps, self.rounds)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ssdr.kernels.closest import gap_to_box, push_children
 from ssdr.kernels.policy import inline, kernel
 
 from .crossing_kernels import (
@@ -19,9 +20,10 @@ from .crossing_kernels import (
     edge_meets,
     fit_triangles,
     meeting_leaves,
+    normal_of,
     straddles,
 )
-from .kernels import closest, gap, push_children, winding
+from .kernels import closest, spread, winding
 
 # Cosine of the angle to the cloth's normal from which skin faces the way out.
 _FACING = 0.4
@@ -45,7 +47,7 @@ def _skin_that_faces(px, py, pz, limit, gx, gy, gz, scene, nodes, gaps):
     corners, depth, boxes = scene
     count, base = len(corners), (1 << depth) - 1
     best, cx, cy, cz, fx, fy, fz = limit, px, py, pz, 0.0, 0.0, 0.0
-    nodes[0], gaps[0], top = 0, gap(px, py, pz, boxes, 0), 1
+    nodes[0], gaps[0], top = 0, gap_to_box(px, py, pz, boxes, 0), 1
     while top > 0:
         top -= 1
         if gaps[top] >= best:
@@ -54,10 +56,7 @@ def _skin_that_faces(px, py, pz, limit, gx, gy, gz, scene, nodes, gaps):
         if node >= base:
             j = node - base
             for t in range((count * j) >> depth, (count * (j + 1)) >> depth):
-                ax, ay, az = corners[t, 0], corners[t, 1], corners[t, 2]
-                ux, uy, uz = corners[t, 3] - ax, corners[t, 4] - ay, corners[t, 5] - az
-                vx, vy, vz = corners[t, 6] - ax, corners[t, 7] - ay, corners[t, 8] - az
-                nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+                nx, ny, nz = normal_of(corners, t)
                 size = np.sqrt(nx * nx + ny * ny + nz * nz)
                 if nx * gx + ny * gy + nz * gz <= _FACING * size:
                     continue
@@ -66,7 +65,9 @@ def _skin_that_faces(px, py, pz, limit, gx, gy, gz, scene, nodes, gaps):
                     best, cx, cy, cz = d, x, y, z
                     fx, fy, fz = nx / size, ny / size, nz / size
             continue
-        top = push_children(px, py, pz, node, best, boxes, nodes, gaps, top)
+        left = gap_to_box(px, py, pz, boxes, 2 * node + 1)
+        right = gap_to_box(px, py, pz, boxes, 2 * node + 2)
+        top = push_children(node, left, right, best, nodes, gaps, top)
     return best, cx, cy, cz, fx, fy, fz
 
 
@@ -138,11 +139,8 @@ def _find(points, garment, scene, margin, work, hot, crossed, inside, beyond, wa
                         rise = high / size + margin
                         if high > -_NEARER * low:
                             rise = low / size - margin
-                        ax, ay, az = own[i, 0], own[i, 1], own[i, 2]
-                        ux, uy, uz = own[i, 3] - ax, own[i, 4] - ay, own[i, 5] - az
-                        vx, vy, vz = own[i, 6] - ax, own[i, 7] - ay, own[i, 8] - az
                         rise /= size
-                        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+                        x, y, z = normal_of(own, i)
                         for e in range(3):
                             _want(cloth[i, e], rise * x, rise * y, rise * z, fixed, wanted, length)
     return found
@@ -256,11 +254,10 @@ def push_outward(
                 x, y, z = x + margin * nx - px, y + margin * ny - py, z + margin * nz - pz
                 _want(v, x, y, z, fixed, wanted, length)
         # Later rounds correct what is left, for which near neighbours are enough.
-        spread = sweeps if turn == 0 else min(2, sweeps)
-        tail = _rings(spread, fixed, starts, neighbours, length, ring, queue)
-        _spread(spread, tail, queue, starts, neighbours, wanted, length, field, other)
-        for at in range(tail):
-            v = queue[at]
+        width = sweeps if turn == 0 else min(2, sweeps)
+        near = queue[: _rings(width, fixed, starts, neighbours, length, ring, queue)]
+        spread(width, near, starts, neighbours, wanted, length, field, other)
+        for v in near:
             for c in range(3):
                 points[v, c] += field[v, c]
         for i in range(len(cloth)):
@@ -290,33 +287,3 @@ def _rings(width, fixed, starts, neighbours, length, ring, queue):
                     ring[u], queue[tail] = ring[v] + 1, u
                     tail += 1
     return tail
-
-
-@inline
-def _spread(sweeps, count, queue, starts, neighbours, wanted, length, field, other):
-    """Jacobi sweeps of the displacements over the queued vertices; others do not move."""
-    field[:], other[:] = 0.0, 0.0
-    for at in range(count):
-        v = queue[at]
-        if length[v] > 0.0:
-            for c in range(3):
-                field[v, c] = wanted[v, c]
-    for _ in range(sweeps):
-        for at in range(count):
-            v = queue[at]
-            x, y, z = 0.0, 0.0, 0.0
-            for k in range(starts[v], starts[v + 1]):
-                u = neighbours[k]
-                x, y, z = x + field[u, 0], y + field[u, 1], z + field[u, 2]
-            share = 1.0 / (starts[v + 1] - starts[v])
-            x, y, z = x * share, y * share, z * share
-            if length[v] > 0.0:
-                wx, wy, wz = wanted[v, 0], wanted[v, 1], wanted[v, 2]
-                lack = 1.0 - (wx * x + wy * y + wz * z) / length[v] ** 2
-                if lack > 0.0:
-                    x, y, z = x + lack * wx, y + lack * wy, z + lack * wz
-            other[v, 0], other[v, 1], other[v, 2] = x, y, z
-        for at in range(count):
-            v = queue[at]
-            for c in range(3):
-                field[v, c] = other[v, c]

@@ -16,19 +16,18 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ssdr import Skinning, skin
+from ssdr import Skinning
 from ssdr.checks import check_faces, check_mask, check_whole
 from ssdr.errors import InputError, is_real
-from ssdr.kernels.closest import tree_order
 from ssdr.parallel import chunk_bounds, run_chunks
 
+from ..data.outfit import neighbours
 from ..data.skeleton import check_finite
-from .crossing_kernels import fit_triangles
+from .body_tree import BodyTree, Scene
 from .kernels import push_frame, signed_distances
 
 # Metres below the skin from which a vertex counts as inside, as for simulated clips.
@@ -110,8 +109,6 @@ class PushOut:
     ([-0.01, 0.2, 0.2], 0.03)
     """
 
-    _leaf = 4  # approximate number of triangles in a leaf of the tree
-
     def __init__(
         self,
         body: Skinning,
@@ -131,15 +128,10 @@ class PushOut:
         if not is_closed(body.faces):
             expected = "a closed mesh with triangles that face one way"
             raise InputError("body", expected, "an open one")
-        self.body, self.margin = body, float(margin)
+        self._tree, self.margin = BodyTree(body), float(margin)
         self.sweeps = check_whole(sweeps, "sweeps", 0)
-        self._starts, self._neighbours = _neighbours(triangles, self.n_vertices)
-        rest = np.asarray(body.rest, np.float64)
-        self._depth = max(0, math.ceil(math.log2(max(1, len(body.faces)) / self._leaf)))
-        self._triangles = np.ascontiguousarray(
-            body.faces[tree_order(rest, body.faces, self._depth)], dtype=np.int32
-        )
-        self._every = np.ones(len(self._triangles), bool)
+        # Where the neighbours of each vertex begin, and all of them.
+        self._near = neighbours(triangles, count)
 
     def __call__(self, vertices: ArrayLike, joints: ArrayLike) -> PushedOut:
         """Move the vertices that are inside the body out of it.
@@ -166,32 +158,20 @@ class PushOut:
         distance = np.empty((frames, count))
 
         def push(_: int, start: int, stop: int) -> None:
-            bodies = self._posed(m[start:stop])
             hints = np.full(count, -1, np.int32)
-            for t in range(start, stop):
+            for t, scene in enumerate(self._tree.scenes(m[start:stop]), start):
                 points = np.ascontiguousarray(v[t], dtype=np.float64)
-                out[t] = moved = self._pushed(points, self._scene(bodies[t - start]), hints)
+                out[t] = moved = self._pushed(points, scene, hints)
                 distance[t] = np.sqrt(((moved - points) ** 2).sum(axis=1))
 
         run_chunks(push, chunk_bounds(frames, _FRAMES))
         return PushedOut(out, distance)
 
     def _pushed(
-        self, points: NDArray[np.float64], scene: tuple[Any, ...], hints: NDArray[np.int32]
+        self, points: NDArray[np.float64], scene: Scene, hints: NDArray[np.int32]
     ) -> NDArray[np.float64]:
-        moved = np.empty_like(points)
-        push_frame(
-            points,
-            self.fixed,
-            self._starts,
-            self._neighbours,
-            self.sweeps,
-            self.margin,
-            _FARTHEST,
-            scene,
-            hints,
-            moved,
-        )
+        moved, limits = np.empty_like(points), (self.margin, _FARTHEST)
+        push_frame(points, self.fixed, *self._near, self.sweeps, *limits, scene, hints, moved)
         return moved
 
     def signed_distance(
@@ -206,10 +186,9 @@ class PushOut:
         out = np.empty(v.shape[:2])
 
         def measure(_: int, start: int, stop: int) -> None:
-            bodies = self._posed(m[start:stop])
-            for t in range(start, stop):
+            for t, scene in enumerate(self._tree.scenes(m[start:stop]), start):
                 points = np.ascontiguousarray(v[t], dtype=np.float64)
-                signed_distances(points, self._scene(bodies[t - start]), limit, out[t])
+                signed_distances(points, scene, limit, out[t])
 
         run_chunks(measure, chunk_bounds(len(v), _FRAMES))
         return out
@@ -224,32 +203,12 @@ class PushOut:
         if not fits:
             raise InputError("vertices", f"shape (F, {self.n_vertices}, 3)", f"shape {v.shape}")
         m = np.asarray(joints, np.float64)
-        shape = (len(v), self.body.n_bones, 3, 4)
+        shape = (len(v), self._tree.body.n_bones, 3, 4)
         if m.shape != shape:
             raise InputError("joints", f"shape {shape}", f"shape {m.shape}")
         check_finite(v, "vertices")
         check_finite(m, "joints")
         return v, m
-
-    def _posed(self, joints: NDArray[np.float64]) -> NDArray[np.float64]:
-        b = self.body
-        return np.asarray(skin(b.rest, b.indices, b.weights, joints, dtype=np.float64))
-
-    def _scene(self, body: NDArray[np.float64]) -> tuple[Any, ...]:
-        """The posed body as the kernels need it."""
-        boxes = np.empty((2 ** (self._depth + 1) - 1, 6))
-        corners = np.empty((len(self._triangles), 9))
-        fit_triangles(body, self._triangles, self._every, self._depth, corners, boxes)
-        return corners, self._depth, boxes
-
-
-def _neighbours(
-    triangles: NDArray[np.integer], count: int
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    pairs = np.concatenate([triangles[:, [a, b]] for a in range(3) for b in range(3) if a != b])
-    pairs = np.unique(pairs, axis=0)
-    starts = np.searchsorted(pairs[:, 0], np.arange(count + 1)).astype(np.int32)
-    return starts, np.ascontiguousarray(pairs[:, 1], dtype=np.int32)
 
 
 def is_closed(faces: ArrayLike) -> bool:

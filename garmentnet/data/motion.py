@@ -23,8 +23,6 @@ CLASSES = (
     *("stand", "walk", "sway", "spin", "kick", "squat", "jump", "stop"),
     *("recorded", "turn", "shift"),
 )
-# Horizontal length of the unit vector to the front below which the heading is not determined.
-_NO_HEADING = 1e-3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -123,11 +121,7 @@ def lead_in(
     """
     root, local = skeleton.pose(joints[:1])
     forward = local[0, 0] @ [0.0, 0.0, 1.0]
-    # A body that looks straight up or down has no heading; its own x axis then gives one.
     heading = math.atan2(forward[0], forward[2])
-    if math.hypot(forward[0], forward[2]) < _NO_HEADING:
-        side = local[0, 0] @ [1.0, 0.0, 0.0]
-        heading = math.atan2(-side[2], side[0])
     rest_root = np.array([root[0, 0], skeleton.rest[0, 1], root[0, 2]])
     rest_local = np.broadcast_to(np.eye(3), local.shape[1:]).copy()
     rest_local[0] = Rotation.from_euler("y", heading).as_matrix()

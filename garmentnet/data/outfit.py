@@ -71,6 +71,22 @@ def is_mirror(mirror: NDArray[np.integer], faces: NDArray[np.integer], count: in
     return own == turned and np.array_equal(mirror[mirror], np.arange(count))
 
 
+def neighbours(faces: Any, count: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Neighbours of `count` vertices by the mesh's edges: where those of each begin, and all.
+
+    Examples
+    --------
+    >>> starts, others = neighbours([[0, 1, 2]], 4)
+    >>> starts.tolist(), others.tolist()
+    ([0, 2, 4, 6, 6], [1, 2, 0, 2, 0, 1])
+    """
+    f = np.asarray(faces)
+    pairs = np.concatenate([f[:, [a, b]] for a in range(3) for b in range(3) if a != b])
+    pairs = np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0)
+    starts = np.searchsorted(pairs[:, 0], np.arange(count + 1)).astype(np.int32)
+    return starts, np.ascontiguousarray(pairs[:, 1], dtype=np.int32)
+
+
 def body_identity(body: Skinning, skeleton: Skeleton) -> str:
     """Hash of a body's mesh, weights and skeleton."""
     mesh, names = (body.rest, body.indices, body.weights, body.faces), ",".join(skeleton.names)

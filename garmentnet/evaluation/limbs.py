@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..collision.crossings import DEEP, find_crossings
+from ..collision.crossings import Crossings, find_crossings
 from ..collision.outward import push_of
 from ..data.clip import Clip
 from ..data.virtual_bones import VirtualBones
@@ -52,13 +52,11 @@ def count_limbs(
         return []
     pinned = ~np.isin(np.arange(store.n_vertices), subject.free)
     push = push_of(subject)
-    depths: dict[str, list[NDArray[np.float64]]] = {}
+    found: dict[str, list[Crossings]] = {}
 
     def count(name: str, clip: Clip, vertices: NDArray[np.floating]) -> None:
-        found = find_crossings(store.body, store.faces, vertices, clip.joints, pinned=pinned)
-        # Crossings of no depth count, too.
-        depth = np.where(found.pairs > 0, np.maximum(found.depth, 1e-12), 0.0)
-        depths.setdefault(name, []).append(depth)
+        here = find_crossings(store.body, store.faces, vertices, clip.joints, pinned=pinned)
+        found.setdefault(name, []).append(here)
 
     for clip in map(store.clip, names):
         count("simulation", clip, np.asarray(clip.sequence.frames(slice(None))))
@@ -69,10 +67,10 @@ def count_limbs(
                 moved = push(low + high, clip.joints).vertices
                 count(f"{method.name}, pushed out", clip, moved)
     rows = []
-    for name, parts in depths.items():
-        depth = np.concatenate(parts)
-        crossed, deep = float((depth > 0).mean()), float((depth > DEEP).mean())
-        rows.append(Limbs(name, len(depth), crossed, deep, 1e3 * float(depth.max())))
+    for name, parts in found.items():
+        pairs, depth = (np.concatenate([getattr(c, k) for c in parts]) for k in ("pairs", "depth"))
+        whole = Crossings(pairs, depth)
+        rows.append(Limbs(name, len(depth), whole.any, whole.deep, 1e3 * float(depth.max())))
     return rows
 
 

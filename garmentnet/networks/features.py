@@ -204,7 +204,12 @@ def transforms_in_frame(transforms: Any, frame: Array) -> Array:
     >>> transforms_in_frame(np.eye(3, 4)[None, None], frame)[0, 0, :, 3].tolist()
     [-1.0, -1.0, -1.0]
     """
+    return relative(transforms, frame[:, None])
+
+
+def relative(transforms: Any, base: Array) -> Array:
+    """N with M = J N, of transforms M ``(..., 3, 4)`` and rigid ones J that broadcast to them."""
     m = np.array(transforms, np.float64)
-    m[..., 3] -= frame[:, None, :, 3]
-    moved: Array = frame[:, None, :, :3].swapaxes(-1, -2) @ m
+    m[..., 3] -= base[..., 3]
+    moved: Array = base[..., :3].swapaxes(-1, -2) @ m
     return moved

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from ..configs.config import HighOptions
+from ..data.outfit import neighbours
 from .gru import GRU
 
 
@@ -25,17 +26,11 @@ def neighbour_table(faces: Any, n_vertices: int) -> Tensor:
     >>> neighbour_table([[0, 1, 2]], 4).tolist()
     [[1, 2], [0, 2], [0, 1], [3, 3]]
     """
-    faces = np.asarray(faces, dtype=np.int64)
-    ends = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    ends = np.unique(np.concatenate([ends, ends[:, ::-1]]), axis=0)
-    ends = ends[ends[:, 0] != ends[:, 1]]
-    degree = np.bincount(ends[:, 0], minlength=n_vertices)[:, None]
-    first = np.cumsum(degree)[:, None] - degree
-    slots = first + np.minimum(np.arange(max(1, int(degree.max(initial=0)))), degree - 1)
-    own = np.arange(n_vertices)[:, None]
-    # The appended row stands for a mesh without edges; a vertex without any reads no row.
-    others = np.append(ends[:, 1], 0)[np.minimum(slots, len(ends))]
-    table = np.where(degree > 0, others, own)
+    starts, others = neighbours(faces, n_vertices)
+    degree, own = np.diff(starts)[:, None], np.arange(n_vertices)[:, None]
+    slots = np.minimum(np.arange(max(1, int(degree.max(initial=0)))), degree - 1)
+    # The appended number stands for a mesh without edges; a vertex without any reads none.
+    table = np.where(degree > 0, np.append(others, 0)[starts[:-1, None] + slots], own)
     return torch.from_numpy(table)
 
 

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from ssdr.errors import InputError
 from ssdr.rigid import sixd_from_matrix
 
+from .features import relative, transforms_in_frame
 from .gru import GRULinear
 from .skinning import matrix_from_euler, matrix_from_sixd
 
@@ -89,7 +90,7 @@ class BoneCode(nn.Module):
             centres = self.centres.double().cpu().numpy()
             spread = []
             for base in _bases(joints).swapaxes(0, 1):
-                n = _relative(base[:, None], m)
+                n = transforms_in_frame(m, base)
                 place = np.einsum("fbij,bj->fbi", n[..., :3], centres) + n[..., 3]
                 turned = REACH**2 * n[..., :3].var(axis=0).sum(axis=(1, 2))
                 spread.append(place.var(axis=0).sum(axis=1) + turned)
@@ -107,7 +108,7 @@ class BoneCode(nn.Module):
         if m.shape[1:] != (self.shape[0], 3, 4):
             raise InputError("transforms", f"shape (F, {self.shape[0]}, 3, 4)", m.shape)
         if self.followed is not None:
-            m = _relative(_bases(joints)[:, self.followed.cpu().numpy()], m)
+            m = relative(m, _bases(joints)[:, self.followed.cpu().numpy()])
         r = m[..., :3]
         if self.rotation == "sixd":
             code = np.asarray(sixd_from_matrix(r))
@@ -141,13 +142,6 @@ def _bases(joints: Any) -> NDArray[np.float64]:
     """Joints ``(F, J, 3, 4)``, and behind them the moving frame."""
     still = np.tile(np.eye(3, 4), (len(joints), 1, 1, 1))
     return np.concatenate([np.asarray(joints, np.float64), still], axis=1)
-
-
-def _relative(base: NDArray[np.float64], m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """N with M = J N, of rigid transforms J and M ``(..., 3, 4)``."""
-    back = base[..., :3].swapaxes(-1, -2)
-    shift = back @ (m[..., 3:] - base[..., 3:])
-    return np.concatenate([back @ m[..., :3], shift], axis=-1)
 
 
 class LowFrequency(GRULinear):

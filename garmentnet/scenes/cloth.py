@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ssdr.checks import LARGEST
 from ssdr.errors import InputError
-from ssdr.kernels.closest import tree_order
 
+from ..collision.body_tree import tree_of
 from ..data.motion import interpolate
 from ..data.parameters import SimulationParameters
 from ..io.tables import check_numbers
@@ -26,8 +26,6 @@ from .xpbd.policy import INDEX, REAL
 
 # Density at which `drag` is stated, kg/m².
 _DENSITY = 0.2
-# Approximate number of triangles in a leaf of the body's tree.
-_LEAF = 4
 # Joints of one side that move the trunk, so that their triangles do not count as a limb.
 _TRUNK = ("collar_l", "collar_r")
 
@@ -183,8 +181,8 @@ class Cloth:
 
 def _clusters(rest: NDArray[np.float64], free: NDArray[np.intp]) -> NDArray[np.int64]:
     """Clusters ``(C, CLUSTER)`` of free vertices that are near each other at rest."""
-    depth = max(0, math.ceil(math.log2(max(1, len(free)) / CLUSTER)))
-    ordered = free[tree_order(rest, free[:, None].astype(np.int32), depth)]
+    tree, depth = tree_of(rest, free[:, None].astype(np.int32), CLUSTER)
+    ordered = tree[:, 0]
     ends = len(free) * np.arange(2**depth + 1) >> depth
     parts = [ordered[a:b] for a, b in itertools.pairwise(ends) if b > a]
     filled = [np.append(p, np.full(CLUSTER - len(p), p[0])) for p in parts]
@@ -201,9 +199,7 @@ def _skin(rest: ArrayLike, indices: ArrayLike, weights: ArrayLike) -> tuple[NDAr
 
 def _body_arrays(body: Body) -> BodyArrays:
     rig = body.skinning
-    depth = max(0, math.ceil(math.log2(len(rig.faces) / _LEAF)))
-    order = tree_order(rig.rest.astype(np.float64), rig.faces, depth)
-    triangles = np.ascontiguousarray(rig.faces[order], np.int32)
+    triangles, depth = tree_of(rig.rest, rig.faces)
     opposite = {
         (int(f[k]), int(f[(k + 1) % 3])): t for t, f in enumerate(triangles) for k in range(3)
     }
@@ -215,18 +211,18 @@ def _body_arrays(body: Body) -> BodyArrays:
         triangles=triangles,
         corners=3 * triangles.astype(INDEX),
         beside=np.array(beside, np.int32),
-        sides=_sides(body)[order],
+        sides=_sides(body, triangles),
         depth=depth,
     )
 
 
-def _sides(body: Body) -> NDArray[np.int8]:
-    """1 for the triangles of the left arm and leg, -1 for the right ones, 0 for the others."""
+def _sides(body: Body, triangles: NDArray[np.int32]) -> NDArray[np.int8]:
+    """1 for triangles of the left arm and leg, -1 for those of the right ones, 0 for the others."""
     dense = body.skinning.dense_weights()
     names = body.skinning.names()
     limbs = [
         (dense[:, [n.endswith(end) and n not in _TRUNK for n in names]].sum(axis=1) > 0.5)[
-            body.skinning.faces
+            triangles
         ].all(axis=1)
         for end in ("_l", "_r")
     ]

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import trimesh
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import coo_array, csr_array
 from scipy.spatial import cKDTree
 
 import ssdr
@@ -69,12 +68,6 @@ class Garment:
         """Unique edges ``(E, 2)``."""
         pairs = np.sort(self.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
         return np.asarray(np.unique(pairs, axis=0), dtype=np.int32)
-
-    def adjacency(self) -> csr_array:
-        """``(V, V)``, 1 where two vertices share an edge."""
-        (a, b), n = self.edges().T, self.n_vertices
-        one = coo_array((np.ones(len(a)), (a, b)), (n, n)).tocsr()
-        return csr_array(one + one.T)
 
     def edge_length(self) -> float:
         """Mean length of an edge, metres."""

@@ -10,10 +10,12 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from ssdr.errors import InputError
 
 from ..data.motion import Motion, lead_in
+from ..data.outfit import neighbours
 from ..data.parameters import SimulationParameters
 from .cloth import Cloth
 from .garments import Garment
@@ -93,14 +95,15 @@ def simulate(
 def perturbation_field(garment: Garment, size: float, seed: int) -> NDArray[np.float32]:
     """Smooth random displacements ``(V, 3)`` of free vertices; their RMS length is `size`."""
     rng = np.random.default_rng([seed, 0xC4A05])
-    noise = rng.normal(size=(garment.n_vertices, 3))
-    near = garment.adjacency()
-    degree = np.asarray(near.sum(axis=1), np.float64).ravel()[:, None]
+    n = garment.n_vertices
+    noise = rng.normal(size=(n, 3))
+    starts, others = neighbours(garment.faces, n)
+    near, degree = csr_array((np.ones(len(others)), others, starts), (n, n)), np.diff(starts)
     free = ~garment.pinned
     for _ in range(_SMOOTHINGS):
         # Displacements of single vertices would only stretch edges and vanish at once; smooth ones
         # change folds.
-        noise = 0.5 * noise + 0.5 * np.asarray(near @ noise) / degree
+        noise = 0.5 * noise + 0.5 * np.asarray(near @ noise) / degree[:, None]
         noise[~free] = 0.0
     noise *= size / math.sqrt(float((noise[free] ** 2).sum(axis=1).mean()))
     return noise.astype(np.float32)

@@ -8,6 +8,7 @@ of threads.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 import logging
 from collections.abc import Sequence
@@ -34,7 +35,7 @@ from ..networks.symmetry import reflected_inputs, tie_mirrored
 from .batches import load_tracks
 from .high_frequency import DetailObjective, HighFrequencyObjective
 from .linear import resolve_relative_to
-from .loop import TrainingObjective, fit
+from .loop import fit
 from .low_frequency import LowFrequencyObjective
 from .targets import LowTargets
 
@@ -217,22 +218,10 @@ def train(
     tracks = load_tracks(network, bones, learned)
     validation = load_tracks(network, bones, held)
 
-    history = {}
-
-    def learn(objective: TrainingObjective, name: str, epochs: int, rate: float) -> None:
-        history[name] = fit(
-            objective,
-            o,
-            name=name,
-            epochs=epochs,
-            learning_rate=rate,
-            folder=folder,
-            progress=progress,
-        )
-
     targets = LowTargets(bones, network.features, learned)
-    objective: TrainingObjective = LowFrequencyObjective(network, targets, tracks, validation)
-    learn(objective, "low", o.epochs, o.learning_rate)
+    low_loss = LowFrequencyObjective(network, targets, tracks, validation)
+    learn = functools.partial(fit, options=o, folder=folder, progress=progress)
+    history = {"low": learn(low_loss, name="low", epochs=o.epochs, learning_rate=o.learning_rate)}
     if o.high_epochs:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(o.seed + 1)
@@ -243,8 +232,9 @@ def train(
             load_weights(network, begun, "high")
         every = max(1, sum(t.n_frames for t in tracks) // _DETAIL_FRAMES)
         kind = DetailObjective if config.high.kind == "basis" else HighFrequencyObjective
-        objective = kind(network, tracks[::every], validation, start=begun is not None)
-        learn(objective, "high", o.high_epochs, o.high_learning_rate)
+        high_loss = kind(network, tracks[::every], validation, start=begun is not None)
+        epochs, rate = o.high_epochs, o.high_learning_rate
+        history["high"] = learn(high_loss, name="high", epochs=epochs, learning_rate=rate)
     found = {k: [e["rmse"] for e in h if e["rmse"] is not None] for k, h in history.items()}
     errors = {f"{k}, validation": min(v) for k, v in found.items() if v}
     path = save_checkpoint(

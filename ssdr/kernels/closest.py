@@ -61,13 +61,31 @@ def _triangle(p, vertices, triangle):
 
 
 @inline
-def _box(p, box):
+def gap_to_box(px, py, pz, boxes, i):
     """Squared distance of a point to an axis-aligned box."""
-    total = 0.0
-    for c in range(3):
-        gap = max(0.0, max(box[c] - p[c], p[c] - box[3 + c]))
-        total += gap * gap
-    return total
+    x = max(0.0, max(boxes[i, 0] - px, px - boxes[i, 3]))
+    y = max(0.0, max(boxes[i, 1] - py, py - boxes[i, 4]))
+    z = max(0.0, max(boxes[i, 2] - pz, pz - boxes[i, 5]))
+    return x * x + y * y + z * z
+
+
+@inline
+def push_children(node, left, right, best, nodes, gaps, top):
+    """Push the children of a node that are nearer than `best`, the nearer one last; the new top.
+
+    `left` and `right` are the squared distances to their boxes.
+    """
+    if left > right:
+        near, far, first, last = right, left, 2 * node + 2, 2 * node + 1
+    else:
+        near, far, first, last = left, right, 2 * node + 1, 2 * node + 2
+    if far < best:
+        nodes[top], gaps[top] = last, far
+        top += 1
+    if near < best:
+        nodes[top], gaps[top] = first, near
+        top += 1
+    return top
 
 
 def tree_order(
@@ -147,7 +165,7 @@ def farthest(
         best = _triangle(p, vertices, triangles[hints[i]])
         if best <= worst:
             continue
-        stack_node[0], stack_gap[0], top = 0, _box(p, boxes[0]), 1
+        stack_node[0], stack_gap[0], top = 0, gap_to_box(p[0], p[1], p[2], boxes, 0), 1
         while top > 0 and best > worst:
             top -= 1
             if stack_gap[top] >= best:
@@ -161,16 +179,9 @@ def farthest(
                         best = gap
                         hints[i] = t
                 continue
-            left, right = 2 * node + 1, 2 * node + 2
-            near, far = _box(p, boxes[left]), _box(p, boxes[right])
-            if near > far:
-                left, right, near, far = right, left, far, near
-            if far < best:
-                stack_node[top], stack_gap[top] = right, far
-                top += 1
-            if near < best:
-                stack_node[top], stack_gap[top] = left, near
-                top += 1
+            left = gap_to_box(p[0], p[1], p[2], boxes, 2 * node + 1)
+            right = gap_to_box(p[0], p[1], p[2], boxes, 2 * node + 2)
+            top = push_children(node, left, right, best, stack_node, stack_gap, top)
         if best > worst:
             worst, where = best, i
     return worst, where

@@ -117,7 +117,8 @@ def _choreograph(
             order.insert(0, "stop")
         kind = order.pop(0)
         low, high, move = MOVES[kind]
-        tempo = _tempo(rng, kind)
+        # Within the move's range, uniform on a logarithmic scale.
+        tempo = math.exp(rng.uniform(*np.log(TEMPI[kind]))) if kind in TEMPI else 1.0
         length = float(rng.uniform(low, high)) / tempo
         abrupt = bool(order) and order[0] == "stop"
         # Seconds; a stop must come suddenly.
@@ -143,13 +144,6 @@ def _choreograph(
         start, fade_in, last = end, fade_out, kind
     weight_sum = np.maximum(weight_sum, 1e-3)
     return {name: values / weight_sum for name, values in total.items()}, label
-
-
-def _tempo(rng: np.random.Generator, kind: str) -> float:
-    """Random tempo of a move within its range, uniform on a logarithmic scale."""
-    if kind not in TEMPI:
-        return 1.0
-    return math.exp(rng.uniform(*np.log(TEMPI[kind])))
 
 
 def _add_arms(rng: np.random.Generator, controls: Controls) -> None:

@@ -204,7 +204,8 @@ def _leg(
     along = way / distance[:, None]
     # The knee points in the direction of the foot, and outward when it bends (radians).
     bent = np.clip(1 - reach / longest, 0, 0.5)
-    pole_yaw = yaw + _wrap(foot.yaw - yaw) * 0.7 + sign * (0.1 + 0.9 * bent)
+    turn = (foot.yaw - yaw + np.pi) % (2 * np.pi) - np.pi
+    pole_yaw = yaw + turn * 0.7 + sign * (0.1 + 0.9 * bent)
     pole = np.stack([np.sin(pole_yaw), np.zeros_like(yaw), np.cos(pole_yaw)], axis=1)
     pole = _unit(pole - (pole * along).sum(axis=1, keepdims=True) * along)
     cosine = np.clip((upper**2 + reach**2 - lower**2) / (2 * upper * reach), -1, 1)
@@ -275,10 +276,6 @@ def _turn(yaw: Float, x: Float, z: Float) -> Float:
     """Vectors ``(n, 2)``, x and z, rotated from the heading's frame to the world."""
     sine, cosine = np.sin(yaw), np.cos(yaw)
     return np.stack([cosine * x + sine * z, cosine * z - sine * x], axis=1)
-
-
-def _wrap(angle: Float) -> Float:
-    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
 def _unit(v: Float) -> Float:

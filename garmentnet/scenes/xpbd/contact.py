@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from ssdr.kernels.closest import push_children
+
 from .policy import ONE, REAL, THREE, TINY, TWO, kernel, ordered_kernel
 
 # Vertices that search the tree together; a multiple of every SIMD width.
@@ -162,16 +164,8 @@ def _search(lanes, box, farthest, tree, nodes, gaps):
             for n in range(4 * CLUSTER + 1, 5 * CLUSTER):
                 farthest = max(farthest, lanes[n])
             continue
-        left, right = 2 * node + 1, 2 * node + 2
-        near, far = _gap(box, boxes, left), _gap(box, boxes, right)
-        if near > far:
-            left, right, near, far = right, left, far, near
-        if far < farthest:
-            nodes[top], gaps[top] = right, far
-            top += 1
-        if near < farthest:
-            nodes[top], gaps[top] = left, near
-            top += 1
+        left, right = _gap(box, boxes, 2 * node + 1), _gap(box, boxes, 2 * node + 2)
+        top = push_children(node, left, right, farthest, nodes, gaps, top)
 
 
 @ordered_kernel
