@@ -43,8 +43,7 @@ def measure(store_path: Path, network: str, pattern: str) -> dict[str, Any]:
 
     store, garment = ClipStore.open(store_path), load_live(network)
     s = garment.subject
-    pinned = np.ones(s.garment.n_vertices, bool)
-    pinned[s.free] = False
+    pinned = s.carried
     short = PushOut(s.body, s.garment.faces, pinned=pinned)
     outward = push_of(s)
     assert outward is not None

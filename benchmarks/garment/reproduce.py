@@ -322,7 +322,7 @@ def _table4(run: Reproduction) -> str:
 
     roles = parameter_roles(store)
     large = override(config, ["data.condition=true"])
-    # An epoch of all sets has as many steps as one of a pivot has for each set.
+    # Its epoch of all sets has the steps of an epoch of every pivot together.
     sets = sum(role == "train" for role in roles.values())
     short = override(large, [f"train.epochs={max(1, config.train.epochs // sets)}"])
 

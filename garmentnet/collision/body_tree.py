@@ -1,4 +1,4 @@
-"""Triangles in a tree of boxes, as of :mod:`ssdr.kernels.closest`, and a body that poses them."""
+"""Trees of bounding boxes over triangles, and over those of a body in each pose."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ Scene = tuple[NDArray[np.float64], int, NDArray[np.float64]]
 def tree_of(
     points: ArrayLike, faces: NDArray[np.int32], leaf: int = 4
 ) -> tuple[NDArray[np.int32], int]:
-    """Triangles ``(T, 3)`` in the order of a tree, and the tree's levels below the root.
+    """Triangles ``(T, 3)`` sorted for a tree of bounding boxes, and the tree's depth.
 
-    A leaf has at most about `leaf` of them.
+    The tree is binary, as of :mod:`ssdr.kernels.closest`; a leaf has at most about `leaf`
+    triangles.
     """
     depth = max(0, math.ceil(math.log2(max(1, len(faces)) / leaf)))
     order = tree_order(np.asarray(points, np.float64), faces, depth)
@@ -30,7 +31,7 @@ def tree_of(
 
 
 class BodyTree:
-    """Triangles of a body in a tree, which is fitted to each pose.
+    """Tree of bounding boxes over a body's triangles, which is fitted to each pose.
 
     Parameters
     ----------
@@ -43,7 +44,7 @@ class BodyTree:
         self._every = np.ones(len(self.triangles), bool)
 
     def scenes(self, joints: NDArray[np.float64]) -> Iterator[Scene]:
-        """The body in each of some poses ``(F, J, 3, 4)``, as the kernels of the folder take it."""
+        """Corners, depth and boxes of the body in each of the poses ``(F, J, 3, 4)``."""
         b = self.body
         for posed in skin(b.rest, b.indices, b.weights, joints, dtype=np.float64):
             boxes = np.empty((2 ** (self.depth + 1) - 1, 6))

@@ -50,7 +50,7 @@ def fit_triangles(
 
 @inline
 def normal_of(corners, i):
-    """Normal of a triangle, twice as long as its area is large."""
+    """Normal of triangle corners[i]; its length is twice the area."""
     ax, ay, az = corners[i, 0], corners[i, 1], corners[i, 2]
     ux, uy, uz = corners[i, 3] - ax, corners[i, 4] - ay, corners[i, 5] - az
     vx, vy, vz = corners[i, 6] - ax, corners[i, 7] - ay, corners[i, 8] - az

@@ -195,7 +195,7 @@ def _signed(px, py, pz, margin, hint, scene, nodes, gaps):
 
 @inline
 def _unit_normal(corners, i):
-    """Unit normal of a triangle; 0 if it has none."""
+    """Unit normal of triangle corners[i]; 0 if the triangle has no area."""
     x, y, z = normal_of(corners, i)
     length = np.sqrt(x * x + y * y + z * z)
     if length == 0.0:
@@ -259,9 +259,10 @@ def signed_distances(points: Any, scene: Any, limit: float, out: Any) -> None:
 
 @inline
 def spread(sweeps, queue, starts, neighbours, wanted, length, field, other):
-    """Write the `field` of displacements: Jacobi sweeps over the queued points; others do not move.
+    """Smooth the wanted displacements over the queued vertices by Jacobi sweeps, into `field`.
 
-    Each point gets the mean of its neighbours, and at least what is wanted along that direction.
+    Each vertex gets the mean of its neighbours, and at least what is wanted along that direction;
+    vertices that are not queued do not move.
     """
     field[:], other[:] = 0.0, 0.0
     for v in queue:

@@ -127,6 +127,5 @@ def push_of(subject: Subject) -> OutwardPush | None:
     """What moves a garment out of its body; None without a closed mesh of the body."""
     if not is_closed(subject.body.faces):
         return None
-    g, held = subject.garment, np.ones(subject.garment.n_vertices, bool)
-    held[subject.free] = False
-    return OutwardPush(subject.body, g.faces, g.rest, pinned=held)
+    g = subject.garment
+    return OutwardPush(subject.body, g.faces, g.rest, pinned=subject.carried)

@@ -72,7 +72,9 @@ def is_mirror(mirror: NDArray[np.integer], faces: NDArray[np.integer], count: in
 
 
 def neighbours(faces: Any, count: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Neighbours of `count` vertices by the mesh's edges: where those of each begin, and all.
+    """Neighbours of every vertex along the mesh's edges, in compressed rows.
+
+    Those of vertex v are ``others[starts[v] : starts[v + 1]]``; `count` is the number of vertices.
 
     Examples
     --------

@@ -46,6 +46,11 @@ class Subject:
         every = np.arange(self.garment.n_vertices)
         return every if self.bound is None else np.setdiff1d(every, self.bound.index)
 
+    @property
+    def carried(self) -> NDArray[np.bool_]:
+        """Which vertices ``(V,)`` the body carries: those that a network does not predict."""
+        return ~np.isin(np.arange(self.garment.n_vertices), self.free)
+
     def skin(self, *, smooth: bool) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
         """Rest pose, bones and weights of all vertices, those that the body carries too.
 

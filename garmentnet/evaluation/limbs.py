@@ -50,8 +50,7 @@ def count_limbs(
     store, subject = bones.store, bones.subject
     if not len(store.body.faces):
         return []
-    pinned = ~np.isin(np.arange(store.n_vertices), subject.free)
-    push = push_of(subject)
+    pinned, push = subject.carried, push_of(subject)
     found: dict[str, list[Crossings]] = {}
 
     def count(name: str, clip: Clip, vertices: NDArray[np.floating]) -> None:
@@ -68,9 +67,11 @@ def count_limbs(
                 count(f"{method.name}, pushed out", clip, moved)
     rows = []
     for name, parts in found.items():
-        pairs, depth = (np.concatenate([getattr(c, k) for c in parts]) for k in ("pairs", "depth"))
-        whole = Crossings(pairs, depth)
-        rows.append(Limbs(name, len(depth), whole.any, whole.deep, 1e3 * float(depth.max())))
+        whole = Crossings(
+            np.concatenate([c.pairs for c in parts]), np.concatenate([c.depth for c in parts])
+        )
+        deepest = 1e3 * float(whole.depth.max())
+        rows.append(Limbs(name, len(whole.depth), whole.any, whole.deep, deepest))
     return rows
 
 

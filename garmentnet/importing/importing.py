@@ -157,7 +157,10 @@ def _read(
 
 
 def _check_mesh(argument: str, mesh: MeshSequence, faces: NDArray[np.int32], count: int) -> None:
-    """Raise an error unless a mesh has the triangles, turned round or not, of a first clip."""
+    """Raise an error unless a mesh has the vertices and triangles of the first clip.
+
+    Its triangles may all face the other way.
+    """
     if mesh.n_vertices == count and any(
         np.array_equal(mesh.faces, some) for some in (faces, faces[:, ::-1])
     ):
@@ -227,7 +230,7 @@ def _parts(name: str, count: int, o: ImportOptions) -> list[tuple[str, Split, sl
 
 
 def _check_splits(store: ClipStore, name: str, parts: list[tuple[str, Split, slice]]) -> None:
-    """Raise an error if a store has a cloth in other splits, where its frames would be twice."""
+    """Raise an error if a store has this clip in other splits: it would have its frames twice."""
     known = [part for part in (name, *(f"{name}-{s}" for s in get_args(Split))) if part in store]
     clips = [clip for clip in map(store.clip, known) if clip.motion == name]
     there = {clip.name: clip.split for clip in clips}

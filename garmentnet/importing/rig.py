@@ -101,17 +101,13 @@ class MovingBody:
         to_y = "rig-up y" if rig_source.up == "z" else "cloth-up z"
         to_z = "cloth-up y" if cloth_source.up == "z" and not self.is_lying() else "rig-up z"
         ways = (("", cloth), (to_y, turned * (1, 1, -1)), (to_z, turned * (1, -1, 1)))
+        which, source = ("rig", rig_source) if size > _HUGE else ("cloth", cloth_source)
         found = []
         for axis, v in ways:
             for factor in _FACTORS:
                 misfit = measure(factor * v)[2]
                 if misfit < math.inf and (axis or factor != 1):
-                    of_rig = size > _HUGE
-                    which, by, source = (
-                        ("rig", 1 / factor, rig_source)
-                        if of_rig
-                        else ("cloth", factor, cloth_source)
-                    )
+                    by = 1 / factor if which == "rig" else factor
                     scale = f"{which}-scale {by * source.scale:g}" if factor != 1 else ""
                     found.append((misfit, " and ".join(filter(None, (axis, scale)))))
         best, hint = min(found, default=(math.inf, ""))

@@ -18,8 +18,10 @@ Say = Callable[[str], None]
 Model = TypeVar("Model", MeshSequence, Skinning)
 _USD = (".usd", ".usda", ".usdc")
 _GLTF = (".glb", ".gltf")
+# Files that hold rigs.
+RIGS = (*_USD, *_GLTF, ".fbx")
 # Files that state times in seconds and can be sampled at any rate.
-SAMPLED = (*_USD, *_GLTF, ".abc", ".fbx")
+_SAMPLED = (*_USD, *_GLTF, ".abc", ".fbx")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,7 +85,7 @@ def read_rig(path: Path, source: Source, rate: float | None, take: str, say: Say
     If the file has several clips, the one with the name `take` is read, or the first without such a
     name.  Other arguments and errors are those of :func:`read_cloth`.
     """
-    alone: dict[str, Any] = {"joints_alone": True} if path.suffix.lower() in SAMPLED else {}
+    alone: dict[str, Any] = {"joints_alone": True} if path.suffix.lower() in _SAMPLED else {}
 
     def read(fps: float | None) -> Skinning:
         model = ssdr.load_skinning(path, fps=fps, **source.options(), **alone)
@@ -103,8 +105,8 @@ def _at_rate(
     found = read(None)
     if rate is None or math.isclose(found.fps, rate, rel_tol=1e-4):
         return found
-    if suffix not in SAMPLED:
-        text = f"{found.fps:g}; only {', '.join(SAMPLED)} are resampled"
+    if suffix not in _SAMPLED:
+        text = f"{found.fps:g}; only {', '.join(_SAMPLED)} are resampled"
         raise InputError(path.name, f"{rate:g} frames a second", text)
     say(f"{path.name}: resampled from {found.fps:g} to {rate:g} frames a second")
     return read(rate)

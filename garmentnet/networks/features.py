@@ -208,7 +208,7 @@ def transforms_in_frame(transforms: Any, frame: Array) -> Array:
 
 
 def relative(transforms: Any, base: Array) -> Array:
-    """N with M = J N, of transforms M ``(..., 3, 4)`` and rigid ones J that broadcast to them."""
+    """Transforms M ``(..., 3, 4)`` relative to rigid ones J, which broadcast: N with M = J N."""
     m = np.array(transforms, np.float64)
     m[..., 3] -= base[..., 3]
     moved: Array = base[..., :3].swapaxes(-1, -2) @ m

@@ -18,7 +18,7 @@ from ..data.skeleton import check_joints
 from ..data.store import ClipStore
 from ..data.subject import Subject
 from ..importing.rig import rig_of
-from ..importing.scene_files import SAMPLED, Source, read_rig
+from ..importing.scene_files import RIGS, Source, read_rig
 
 
 def read_motion(path: Path | str, subject: Subject) -> tuple[NDArray[np.float64], Clip | None]:
@@ -56,7 +56,7 @@ def read_motion(path: Path | str, subject: Subject) -> tuple[NDArray[np.float64]
         subject.check_fits(store)
         clip = store.clip(file.name)
         return np.asarray(clip.joints, np.float64), clip
-    if file.suffix.lower() in SAMPLED and file.suffix.lower() != ".abc":
+    if file.suffix.lower() in RIGS:
         try:
             rig = rig_of(read_rig(file, Source(), subject.fps, file.stem, lambda _: None))
             return rig.matched(subject.skeleton, subject.body).joints, None

@@ -217,7 +217,7 @@ def _body_arrays(body: Body) -> BodyArrays:
 
 
 def _sides(body: Body, triangles: NDArray[np.int32]) -> NDArray[np.int8]:
-    """1 for triangles of the left arm and leg, -1 for those of the right ones, 0 for the others."""
+    """Side of every triangle: 1 for the left arm and leg, -1 for the right ones, 0 elsewhere."""
     dense = body.skinning.dense_weights()
     names = body.skinning.names()
     limbs = [

@@ -62,7 +62,7 @@ def _triangle(p, vertices, triangle):
 
 @inline
 def gap_to_box(px, py, pz, boxes, i):
-    """Squared distance of a point to an axis-aligned box."""
+    """Squared distance of a point to the axis-aligned box boxes[i]."""
     x = max(0.0, max(boxes[i, 0] - px, px - boxes[i, 3]))
     y = max(0.0, max(boxes[i, 1] - py, py - boxes[i, 4]))
     z = max(0.0, max(boxes[i, 2] - pz, pz - boxes[i, 5]))
@@ -71,9 +71,10 @@ def gap_to_box(px, py, pz, boxes, i):
 
 @inline
 def push_children(node, left, right, best, nodes, gaps, top):
-    """Push the children of a node that are nearer than `best`, the nearer one last; the new top.
+    """Push the children of a tree's node that are nearer than `best` onto the stack of a search.
 
-    `left` and `right` are the squared distances to their boxes.
+    The nearer one comes last, to be visited first.  `left` and `right` are the squared distances
+    to the children's boxes; the new height of the stack is returned.
     """
     if left > right:
         near, far, first, last = right, left, 2 * node + 2, 2 * node + 1

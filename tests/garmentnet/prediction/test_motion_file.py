@@ -26,8 +26,9 @@ def test_motion_files(toy_network, toy_store, joints, tmp_path):
     np.savez(tmp_path / "none.npz", other=joints)
     np.savez(tmp_path / "pickled.npz", joints=np.array([{}, 1], dtype=object))
     (tmp_path / "broken.npz").write_bytes(b"PK\x03\x04 no")
-    (tmp_path / "m.c3d").write_bytes(b"x")
-    for name in ("few.npz", "none.npz", "pickled.npz", "broken.npz", "m.c3d"):
+    for name in ("m.c3d", "m.glb"):
+        (tmp_path / name).write_bytes(b"x")
+    for name in ("few.npz", "none.npz", "pickled.npz", "broken.npz", "m.c3d", "m.glb"):
         with pytest.raises(FormatError, match=name):
             read_motion(tmp_path / name, toy_network.subject)
     with pytest.raises(InputError, match="motion"):
