@@ -105,7 +105,7 @@ def _files(option: str, words: list[str]) -> list[Path]:
     """
     found: list[Path] = []
     for word in words:
-        numbered = Path(word).suffix.lower() in (".obj", ".ply", ".off", ".stl")
+        numbered = Path(word).suffix.lower() in (".obj", ".ply")
         if Path(word).exists() or numbered or not glob.has_magic(word):
             found.append(Path(word))
             continue

@@ -5,13 +5,11 @@ from __future__ import annotations
 from .load_save import list_clips, list_meshes, load, load_skinning, save
 from .registry import FORMATS, SaveReport
 from .spaces import in_space
-from .tables import SkinWeights, read_weights
 from .whole_files import copy, left_out
 
 __all__ = [
     "FORMATS",
     "SaveReport",
-    "SkinWeights",
     "copy",
     "in_space",
     "left_out",
@@ -19,6 +17,5 @@ __all__ = [
     "list_meshes",
     "load",
     "load_skinning",
-    "read_weights",
     "save",
 ]

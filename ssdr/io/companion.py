@@ -14,7 +14,7 @@ from ..sequence import MeshSequence
 from .arrays.archive import read_array
 from .registry import reading
 
-_SUFFIXES = (".obj", ".ply", ".off", ".npz")
+_SUFFIXES = (".obj", ".ply", ".npz")
 
 
 def over_mesh(vertices: Any, path: Path, given: Any, fps: float | None) -> MeshSequence:

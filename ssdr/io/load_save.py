@@ -54,8 +54,8 @@ def load(
     Parameters
     ----------
     path : path
-        A file, a folder of numbered meshes or a pattern of them
-        (``frame_%04d.obj``, ``frame_*.ply``, ``mesh_*.glb``).
+        A file, a folder of numbered meshes or a pattern of them (``frame_%04d.obj``,
+        ``frame_*.ply``).
     clip : str or int, optional
         Name or index of the clip; the first by default. If there are several, the log lists them.
     weld : bool

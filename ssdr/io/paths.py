@@ -26,10 +26,7 @@ def readable_path(
     if not format_.has(function):
         able = ", ".join(sorted(s for s, f in FORMATS.items() if f.has(function)))
         what = "mesh" if function == "read" else "skinning"
-        hint = "; ssdr.io.read_weights reads skin weights" if format_ is FORMATS[".csv"] else ""
-        raise FormatError(
-            f"{source}: no {what} can be read from {source.suffix}, only from {able}{hint}"
-        )
+        raise FormatError(f"{source}: no {what} can be read from {source.suffix}, only from {able}")
     if not (function == "read" and is_many(source)) and not source.exists():
         raise FileNotFoundError(f"{source}: no such file")
     if source.is_dir() and format_.module not in (FORMATS[".obj"].module, FORMATS[".zarr"].module):

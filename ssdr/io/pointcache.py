@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import SsdrWarning
+from ..errors import InputError, SsdrWarning
 from ..sequence import MeshSequence
 from .atomic import atomic_path
 from .companion import over_mesh
-from .registry import SaveReport, check, reading, seconds, written_vertices
+from .registry import SaveReport, check, reading, seconds
 from .signatures import describe
 from .storage_error import StorageError
 
@@ -98,9 +98,17 @@ def write_sequence(sequence: MeshSequence, path: Path, *, unweld: bool = False) 
     Raises
     ------
     InputError
-        If a coordinate is beyond the range of float32.
+        If a coordinate is beyond the range of float32, or `unweld` is true and `sequence` was not
+        welded.
     """
-    index, note = written_vertices(sequence, unweld)
+    index, note, before = np.arange(sequence.n_vertices), "", sequence.vertex_map
+    if unweld:
+        if before is None:
+            raise InputError("unweld", "a mesh that was welded", "one without vertex_map")
+        index = before
+    elif before is not None:
+        held = f"holds the {len(index)} welded vertices"
+        note = f"{held}; unweld=True writes the {len(before)} of the mesh before"
     count = sequence.n_frames
     if path.suffix.lower() == ".pc2":
         header, kind = _PC2.pack(b"POINTCACHE2\0", 1, len(index), 0.0, 1.0, count), "<f4"

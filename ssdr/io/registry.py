@@ -151,11 +151,8 @@ FORMATS: dict[str, Format] = {
     ".zarr": Format("zarr store", "arrays.zarr_store", _CACHE, "zarr"),
     ".obj": Format("numbered Wavefront OBJ", "meshes.numbered", _CACHE),
     ".ply": Format("numbered PLY", "meshes.numbered", _CACHE),
-    ".off": Format("numbered OFF", "meshes.numbered", _READ),
-    ".stl": Format("numbered STL", "meshes.numbered", _READ),
     ".pc2": Format("PC2 point cache", "pointcache", _CACHE),
     ".mdd": Format("MDD point cache", "pointcache", _CACHE),
-    ".csv": Format("skin weights, CSV", "tables", frozenset({"write_skinning"}), space=UNKNOWN),
     ".glb": _GLTF,
     ".gltf": _GLTF,
     ".usd": _USD,
@@ -204,7 +201,7 @@ def format_to_read(path: Path) -> Format:
         If the suffix is not in `FORMATS`.
     """
     stated = FORMATS.get(path.suffix.lower(), _NUMBERED)
-    if is_many(path) and (stated is _GLTF or stated.module == _NUMBERED.module):
+    if is_many(path) and stated.module == _NUMBERED.module:
         return _NUMBERED
     return format_of(path)[1]
 
@@ -295,28 +292,6 @@ def bake(skinning: Skinning) -> MeshSequence:
         vertex_map=skinning.vertex_map,
         space=skinning.space,
     )
-
-
-def written_vertices(
-    thing: MeshSequence | Skinning, unweld: bool
-) -> tuple[NDArray[np.integer], str]:
-    """Indices of the vertices to write, and a note on them for the user.
-
-    Without `unweld`, they are all vertices of `thing`. With it, there is one index for each vertex
-    that the mesh had before it was welded.
-
-    Raises
-    ------
-    InputError
-        If `unweld` is true and `thing` was not welded.
-    """
-    n, before = thing.n_vertices, thing.vertex_map
-    if not unweld:
-        note = f"holds the {n} welded vertices; unweld=True writes the {{}} of the mesh before"
-        return np.arange(n), "" if before is None else note.format(len(before))
-    if before is None:
-        raise InputError("unweld", "a mesh that was welded", "one without vertex_map")
-    return before, ""
 
 
 @contextlib.contextmanager

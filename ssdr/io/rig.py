@@ -35,7 +35,6 @@ from ..storage.stretch import steady_axes
 from .registry import SaveReport
 from .sampling import off_frames
 from .storage_error import StorageError, frame_blocks
-from .tables import weight_rows
 
 # frames per second in use in film, television and motion capture
 _RATES = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 100.0, 120.0)
@@ -320,8 +319,15 @@ def _in_float32(shapes: Shapes) -> Shapes:
 
 
 def _sorted_weights(skinning: Skinning) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """Indices and weights (V, K) with sum 1, largest weight first, and no bone twice in a row."""
     matrix = skinning.sparse_weights().astype(np.float64).tocoo()
-    indices, weights = weight_rows(matrix.row, matrix.col, matrix.data)
+    order = np.lexsort((matrix.col, -matrix.data, matrix.row))
+    count = np.bincount(matrix.row)
+    row, start = matrix.row[order], np.cumsum(count) - count
+    place = np.arange(len(order)) - start[row]
+    indices = np.zeros((len(count), count.max()), dtype=np.int32)
+    weights = np.zeros(indices.shape)
+    indices[row, place], weights[row, place] = matrix.col[order], matrix.data[order]
     return indices, weights / weights.sum(axis=1, keepdims=True)
 
 

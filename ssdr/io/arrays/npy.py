@@ -24,8 +24,8 @@ def read(
         Frames per second; by default those of the mesh in `faces`, or 24 if it states none.
     faces : (T, 3) int array, path, MeshSequence or "none", optional
         Faces, a mesh, or the path of a mesh file or of a ``.npy`` file of faces. By default the
-        first existing of ``<stem>.faces.npy``, ``<stem>.obj``, ``.ply``, ``.off`` and ``.npz`` in
-        the same folder. "none" makes a point cloud.
+        first existing of ``<stem>.faces.npy``, ``<stem>.obj``, ``.ply`` and ``.npz`` in the
+        same folder. "none" makes a point cloud.
     mmap : bool
         Map the file into memory instead of reading it.
     """

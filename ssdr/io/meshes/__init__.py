@@ -1,1 +1,1 @@
-"""Sequences of numbered mesh files: OBJ, PLY, OFF and STL."""
+"""Sequences of numbered mesh files: OBJ and PLY."""

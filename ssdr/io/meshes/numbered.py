@@ -1,8 +1,7 @@
-"""Sequences of numbered mesh files: OBJ, PLY, OFF, STL and glTF."""
+"""Sequences of numbered OBJ or PLY files."""
 
 from __future__ import annotations
 
-import logging
 import re
 import warnings
 from collections.abc import Callable
@@ -12,15 +11,11 @@ import numpy as np
 
 from ...errors import FormatError, InputError, SsdrWarning
 from ...sequence import MeshSequence
-from ...space import METRES_Y_UP, UNKNOWN
 from ..mesh_names import natural_key
 from ..registry import SaveReport, check, reading
-from .obj import ObjWriter, parse_obj
-from .off_stl import parse_off, parse_stl
+from .obj import obj_lines, parse_obj, write_obj
 from .ply import parse_ply, write_ply
 from .polygons import Mesh
-
-_log = logging.getLogger(__name__)
 
 _PRINTF = re.compile(r"%0?([0-9]{0,2})d")
 
@@ -29,15 +24,12 @@ def read(path: Path, *, fps: float | None = None) -> MeshSequence:
     """Read a mesh file, or a folder or pattern of numbered files with one frame each.
 
     Frames follow the natural order of the files' names (2 before 10). Polygons are cut into fans of
-    triangles. Because triangles in STL share no vertices, corners that coincide in every frame
-    become one vertex, and `vertex_map` (3T,) holds the vertex of each corner. A glTF file must hold
-    one frame. UVs, normals and materials are those of the first file.
+    triangles. UVs, normals and names of materials are those of the first file.
 
     Parameters
     ----------
     path : Path
-        A file, a folder, a glob (``frame_*.ply``) or a printf pattern
-        (``frame_%04d.obj``, ``mesh_*.glb``).
+        A file, a folder, a glob (``frame_*.ply``) or a printf pattern (``frame_%04d.obj``).
     fps : float, optional
         Frames per second; 24 by default, because such files state no rate.
 
@@ -52,28 +44,21 @@ def read(path: Path, *, fps: float | None = None) -> MeshSequence:
     files = _files(path)
     parse = _PARSERS[files[0].suffix.lower()]
     first = parse(files[0], None)
-    frames = [first.vertices]
+    frames, mesh = [first.vertices], first
     for file in files[1:]:
-        mesh = parse(file, first)
+        mesh = parse(file, mesh)  # of two files with the same text, the faces are parsed once
         _compare(file, mesh, files[0], first)
         frames.append(mesh.vertices)
     with reading(files[0] if len(files) == 1 else path):
-        sequence = MeshSequence(
-            np.stack(frames),
-            first.faces,
-            fps or 24.0,
-            name=_name(path),
-            surface=first.surface,
-            space=METRES_Y_UP if parse is _parse_gltf else UNKNOWN,
+        return MeshSequence(
+            np.stack(frames), first.faces, fps or 24.0, name=_name(path), surface=first.surface
         )
-    if files[0].suffix.lower() == ".stl":
-        sequence, report = sequence.weld(0.0)
-        _log.info("%s: %d corners became %d vertices", path, report.before, report.after)
-    return sequence
 
 
 def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> SaveReport:
-    """Write one OBJ or PLY file per frame, without loss.
+    """Write one OBJ or PLY file per frame, with vertices and faces without loss.
+
+    OBJ keeps UVs, the normals of the first frame and the names of materials.
 
     Parameters
     ----------
@@ -99,12 +84,12 @@ def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> Sav
         raise InputError("start", "a number >= 0", start)
     if several:
         path.parent.mkdir(parents=True, exist_ok=True)
-    stem = _PRINTF.sub("", path.stem) if several else path.stem
-    size, note = 0, ""
+    size, note, obj = 0, "", path.suffix.lower() == ".obj"
     written: set[str] = set()
-    writer = None
-    if path.suffix.lower() == ".obj":
-        writer = ObjWriter(sequence.faces, sequence.surface, path.parent, stem)
+    if obj:
+        lines = obj_lines(sequence.faces, sequence.surface)
+        if sequence.surface is not None and sequence.surface.materials:
+            note = "of materials, only the names are kept"
     elif sequence.surface is not None:
         note = "PLY has no seams: texture coordinates, normals and materials are not kept"
     for k, block in sequence.chunks():
@@ -112,16 +97,16 @@ def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> Sav
             name = _PRINTF.sub(lambda m, t=t: m.group() % (start + t), path.name)  # type: ignore[misc]
             file = path.with_name(name)
             written.add(name)
-            if writer is None:
-                size += write_ply(file, vertices, sequence.faces)
+            if obj:
+                size += write_obj(file, vertices, lines[t > 0])
             else:
-                writer.write(file, vertices, first=t == 0)
+                size += write_ply(file, vertices, sequence.faces)
     older = sorted({file.name for file in _matching(path)} - written) if several else []
     if older:
         text = f"{path}: beside the new files lie {len(older)} older ones of such names"
         said = f"{text}, as {older[0]}, which readers take for frames"
         warnings.warn(said, SsdrWarning, stacklevel=2)
-    return SaveReport(path=path, bytes=size if writer is None else writer.bytes, note=note)
+    return SaveReport(path=path, bytes=size, note=note)
 
 
 def _matching(path: Path) -> list[Path]:
@@ -195,20 +180,7 @@ def _compare(file: Path, mesh: Mesh, first_file: Path, first: Mesh) -> None:
         )
 
 
-def _parse_gltf(path: Path, _like: Mesh | None = None) -> Mesh:
-    from ..gltf import reader
-
-    frame = reader.read(path)
-    problem = f"{path}: an animation of {len(frame)} frames, where each file is one frame"
-    check(len(frame) == 1, problem)
-    return Mesh(vertices=frame.vertices[0], faces=frame.faces, surface=frame.surface)
-
-
 _PARSERS: dict[str, Callable[[Path, Mesh | None], Mesh]] = {
     ".obj": parse_obj,
     ".ply": parse_ply,
-    ".off": parse_off,
-    ".stl": parse_stl,
-    ".glb": _parse_gltf,
-    ".gltf": _parse_gltf,
 }

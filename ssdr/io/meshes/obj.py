@@ -1,4 +1,4 @@
-"""Wavefront OBJ files, read in their order of vertices, and their MTL materials.
+"""Wavefront OBJ files, read in their order of vertices; of materials, only the names.
 
 trimesh is not used here because it splits vertices at seams of texture coordinates. Here vertices
 are not split, and the coordinates are stored at the corners of triangles.
@@ -16,13 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import FormatError
-from ...normals import corner_normals
 from ...surface import Material, Surface
 from ..atomic import write_bytes
-from ..references import find_inside
 from ..registry import check, read_file, reading
-from ..signatures import PICTURE_SUFFIXES, describe, picture_type
-from .polygons import Mesh, fan, vertex_rows
+from ..signatures import describe
+from .polygons import Mesh, fan
 
 _log = logging.getLogger(__name__)
 
@@ -44,13 +42,21 @@ def parse_obj(path: Path, like: Mesh | None = None) -> Mesh:
         lines = [line.replace(b"\t", b" ") for line in lines if line and line[0] != 35]
         rows = [line.split()[1:] for line in lines if line.startswith(b"v ")]
         check(rows, f"no vertices: {describe(data[:64])}")
-        vertices = vertex_rows(rows)
+        vertices = _vertex_rows(rows)
         topology = b"\n".join(line for line in lines if line.startswith(b"f "))
         # Negative indices count back from their line, so equal text may name other vertices.
         if like is not None and topology == like.topology and b"-" not in topology:
             return Mesh(vertices=vertices, faces=like.faces, topology=topology)
         faces, surface = _faces(path, lines, with_surface=like is None)
         return Mesh(vertices=vertices, faces=faces, surface=surface, topology=topology)
+
+
+def _vertex_rows(rows: list[list[bytes]]) -> NDArray[np.float64]:
+    """Coordinates ``(V, 3)`` from the words of each line; words after the third are ignored."""
+    if any(len(row) < 3 for row in rows):
+        short = next(k for k, row in enumerate(rows) if len(row) < 3)
+        raise FormatError(f"vertex {short} has {len(rows[short])} coordinates")
+    return np.array([row[:3] for row in rows], dtype=np.float64).reshape(-1, 3)
 
 
 def _faces(
@@ -60,7 +66,6 @@ def _faces(
     corners = array.array("q")  # a list for each would take five times the memory
     counts: list[int] = []
     materials: dict[str, int] = {}  # in the order in which they are named
-    libraries: list[str] = []
     used: list[int] = []
     material = 0
     for line in lines:
@@ -76,8 +81,6 @@ def _faces(
         elif key == b"usemtl":
             name = rest.strip().decode("utf-8", "replace")
             material = materials.setdefault(name, len(materials))
-        elif key == b"mtllib":
-            libraries.append(rest.strip().decode("utf-8", "replace"))
     index = np.array(corners, dtype=np.int64).reshape(-1, 3)
     triangles, polygon = fan(np.array(counts, dtype=np.int64))
     for table, column, least in zip(tables, index.T, (0, -1, -1), strict=True):
@@ -90,14 +93,14 @@ def _faces(
     if not with_surface:
         return faces, None
     uv = np.array([[*row, b"0"][:2] for row in tables[b"vt"]], dtype=np.float32)
-    normals = vertex_rows(tables[b"vn"]).astype(np.float32)
+    normals = _vertex_rows(tables[b"vn"]).astype(np.float32)
     surface = Surface(
         uv=_at_corners(path, uv, index[:, 1][triangles], "uv"),
         normals=_at_corners(path, normals, index[:, 2][triangles], "normals"),
         material_index=np.array(used, dtype=np.int32)[polygon] if len(materials) > 1 else None,
-        materials=_materials(path, libraries, list(materials)),
+        materials=tuple(Material(name=name) for name in materials),
     )
-    bare = surface.uv is None and surface.normals is None and not surface.materials
+    bare = surface.uv is None and surface.normals is None and not materials
     return faces, None if bare else surface
 
 
@@ -124,128 +127,42 @@ def _at_corners(
     return np.asarray(np.where(index[..., None] >= 0, table[index], np.float32(0)))
 
 
-def _materials(path: Path, libraries: list[str], names: list[str]) -> tuple[Material, ...]:
-    known: dict[str, Material] = {}
-    for library in libraries:
-        spelled = [name.replace("\\", "/") for name in (library, *library.split())]
-        file = find_inside(path, "material library", spelled)
-        if file is not None:
-            known.update(_parse_mtl(file))
-    return tuple(known.get(name, Material(name=name)) for name in names)
+def obj_lines(faces: NDArray[np.int32], surface: Surface | None) -> tuple[bytes, bytes]:
+    """Lines after the vertices, of the first OBJ file of a sequence and of each further one.
 
-
-def _parse_mtl(path: Path) -> dict[str, Material]:
-    with reading(path):
-        found: dict[str, dict[str, str]] = {}
-        current: dict[str, str] = {}
-        for line in read_file(path).decode("utf-8", "replace").splitlines():
-            key, _, value = line.strip().partition(" ")
-            if key == "newmtl":
-                current = found.setdefault(value.strip(), {})
-            else:
-                current[key] = value.strip()
-        return {name: _material(path, name, words) for name, words in found.items()}
-
-
-def _material(path: Path, name: str, words: dict[str, str]) -> Material:
-    def numbers(key: str, default: list[float]) -> list[float]:
-        given = [min(1.0, max(0.0, float(word))) for word in words.get(key, "").split()]
-        return given if len(given) >= len(default) else default
-
-    opacity = numbers("d", [1 - numbers("Tr", [0.0])[0]])
-    texture, kind = _texture(path, words["map_Kd"]) if words.get("map_Kd") else (None, "image/png")
-    return Material(
-        name=name,
-        base_color=(*numbers("Kd", [0.8, 0.8, 0.8])[:3], opacity[0]),  # type: ignore[arg-type]
-        metallic=numbers("Pm", [0.0])[0],
-        roughness=numbers("Pr", [0.9])[0],
-        texture=texture,
-        texture_type=kind,
-    )
-
-
-def _texture(path: Path, value: str) -> tuple[bytes | None, str]:
-    value = value.replace("\\", "/")
-    # Options such as "-s 1 1 1" come before the name, which may hold spaces itself.
-    file = find_inside(path, "texture", (value, value.split()[-1], Path(value).name))
-    if file is not None:
-        with reading(file):
-            data = read_file(file)
-        kind = picture_type(data)
-        if kind is not None:
-            return data, kind
-        _log.warning("%s: the texture %s is neither PNG nor JPEG; left out", path, file.name)
-    return None, "image/png"
-
-
-class ObjWriter:
-    """Writer of a mesh as one OBJ file per frame.
-
-    Lines that are the same in all files (faces, texture coordinates, materials) are formatted only
-    once.
+    The normals of a surface belong to one frame, so that only the first file has them.
     """
-
-    def __init__(
-        self, faces: NDArray[np.int32], surface: Surface | None, folder: Path, stem: str
-    ) -> None:
-        self._faces = faces
-        self._surface = surface or Surface()
-        stem = re.sub(r"[^A-Za-z0-9]+$", "", re.sub(r"\s+", "_", stem)) or "materials"
-        self.bytes = 0
-        self._head = self._vt = b""
-        if self._surface.materials:
-            self._head = f"mtllib {stem}.mtl\n".encode()
-            self._write_materials(folder, stem)
-        columns, corner = [faces.astype(np.int64) + 1], "%d"
-        if self._surface.uv is not None:
-            table, index = np.unique(self._surface.uv.reshape(-1, 2), axis=0, return_inverse=True)
-            self._vt = _rows("vt", table)
-            columns.append(index.reshape(-1, 3) + 1)
-            corner += "/%d"
-        if self._surface.normals is not None:
-            # Corners of one vertex and one normal share a normal in every frame: hard edges stay.
-            key = [faces.reshape(-1, 1), self._surface.normals.reshape(-1, 3)]
-            _, self._first, index = np.unique(
-                np.concatenate(key, axis=1), axis=0, return_index=True, return_inverse=True
-            )
-            columns.append(index.reshape(-1, 3) + 1)
-            corner += "/%d" if self._vt else "//%d"
-        rows = np.stack(columns, axis=2).reshape(len(faces), 3 * len(columns)).tolist()
-        lines = [f"f {corner} {corner} {corner}" % tuple(row) for row in rows]
-        if self._surface.materials:
-            material = self._surface.material_index
-            material = np.zeros(len(faces), dtype=np.int32) if material is None else material
-            for k in np.flatnonzero(np.diff(material, prepend=-1)):
-                name = _word(self._surface.materials[material[k]].name)
-                lines[k] = f"usemtl {name}\n{lines[k]}"
-        self._f = "".join(f"{line}\n" for line in lines).encode()
-
-    def write(self, path: Path, vertices: NDArray[Any], *, first: bool) -> None:
-        """Write one frame, with the normals of the surface if `first`, else of `vertices`."""
-        parts = [self._head, _rows("v", vertices), self._vt]
-        normals = self._surface.normals
-        if normals is not None:
-            if not first:
-                normals = corner_normals(vertices, self._faces, self._surface)
-            parts.append(_rows("vn", normals.reshape(-1, 3)[self._first]))
-        self.bytes += write_bytes(path, b"".join([*parts, self._f]), flush=False)
-
-    def _write_materials(self, folder: Path, stem: str) -> None:
-        lines = []
-        for k, m in enumerate(self._surface.materials):
-            r, g, b, a = m.base_color
-            lines += [f"newmtl {_word(m.name)}", f"Kd {r:.9g} {g:.9g} {b:.9g}", f"d {a:.9g}"]
-            lines += [f"Pr {m.roughness:.9g}", f"Pm {m.metallic:.9g}"]
-            if m.texture is not None:
-                file = f"{stem}_texture_{k}{PICTURE_SUFFIXES.get(m.texture_type, '.png')}"
-                lines.append(f"map_Kd {file}")
-                self.bytes += write_bytes(folder / file, m.texture)
-        text = "\n".join(lines) + "\n"
-        self.bytes += write_bytes(folder / f"{stem}.mtl", text.encode())
+    surface = surface or Surface()
+    columns, corner, uv = [faces.astype(np.int64) + 1], "%d", b""
+    if surface.uv is not None:
+        table, index = np.unique(surface.uv.reshape(-1, 2), axis=0, return_inverse=True)
+        uv = _rows("vt", table)
+        columns.append(index.reshape(-1, 3) + 1)
+        corner += "/%d"
+    later = uv + _face_lines(columns, corner, surface)
+    if surface.normals is None:
+        return later, later
+    table, index = np.unique(surface.normals.reshape(-1, 3), axis=0, return_inverse=True)
+    columns.append(index.reshape(-1, 3) + 1)
+    corner += "/%d" if uv else "//%d"
+    return uv + _rows("vn", table) + _face_lines(columns, corner, surface), later
 
 
-def _word(name: str) -> str:
-    return re.sub(r"\s+", "_", name.strip()) or "material"
+def _face_lines(columns: list[NDArray[np.int64]], corner: str, surface: Surface) -> bytes:
+    rows = np.stack(columns, axis=2).reshape(len(columns[0]), 3 * len(columns)).tolist()
+    lines = [f"f {corner} {corner} {corner}\n" % tuple(row) for row in rows]
+    if surface.materials:
+        index = surface.material_index
+        index = np.zeros(len(lines), dtype=np.int32) if index is None else index
+        for k in np.flatnonzero(np.diff(index, prepend=-1)):
+            name = re.sub(r"\s+", "_", surface.materials[index[k]].name.strip()) or "material"
+            lines[k] = f"usemtl {name}\n{lines[k]}"
+    return "".join(lines).encode()
+
+
+def write_obj(path: Path, vertices: NDArray[Any], lines: bytes) -> int:
+    """Write one frame, with `lines` after its vertices, and return the file's size in bytes."""
+    return write_bytes(path, _rows("v", vertices) + lines, flush=False)
 
 
 def _rows(key: str, table: NDArray[Any]) -> bytes:

@@ -89,11 +89,3 @@ def value_index(
         "uniform": np.repeat(polygon[:, None], 3, axis=1),
         "constant": np.zeros_like(faces),
     }.get(interpolation)
-
-
-def vertex_rows(rows: list[list[bytes]]) -> NDArray[np.float64]:
-    """Coordinates ``(V, 3)`` from the words of each line; words after the third are ignored."""
-    if any(len(row) < 3 for row in rows):
-        short = next(k for k, row in enumerate(rows) if len(row) < 3)
-        raise FormatError(f"vertex {short} has {len(rows[short])} coordinates")
-    return np.array([row[:3] for row in rows], dtype=np.float64).reshape(-1, 3)
