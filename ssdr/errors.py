@@ -89,7 +89,7 @@ class Cancelled(SsdrError):
     --------
     >>> dancer = ssdr.samples.load("dancer_small")
     >>> try:
-    ...     ssdr.parsimony.curve(dancer, bones=2, callback=lambda progress: True)
+    ...     ssdr.smallest(dancer, tolerance="1%", callback=lambda progress: True)
     ... except ssdr.Cancelled:
     ...     print("stopped")
     stopped

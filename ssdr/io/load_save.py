@@ -18,13 +18,12 @@ from .atomic import check_beside
 from .paths import as_path, readable_path, writable
 from .references import trusting
 from .registry import (
-    FORMATS,
     SaveReport,
     bake,
     call,
     format_of,
 )
-from .spaces import in_space, ready_to_write, scaled, with_space
+from .spaces import ready_to_write, scaled, with_space
 
 if TYPE_CHECKING:
     from ..skinning import Skinning
@@ -346,17 +345,3 @@ def save(
     bare = _BARE if suffix in _SHOWN and not len(thing.faces) else ""
     notes = [note for note in (bare, said, report.note, joined) if note]
     return dataclasses.replace(report, note="; ".join(notes))
-
-
-def compact_size(
-    skinning: Skinning, *, units: float | None = None, up: Up | None = None, **options: Any
-) -> tuple[int, Skinning]:
-    """Size in bytes of a skinning's compact ``.glb``, and the skinning that a reader decodes.
-
-    `units`, `up` and `options` are those of :func:`save`. The decoded skinning is in the space of
-    `skinning` and has no hierarchy.
-    """
-    given = with_space(skinning, skinning.space.but(Space(units, up)))
-    ready = ready_to_write(given, "glTF", FORMATS[".glb"].space)[0]
-    size, decoded = call(FORMATS[".glb"], "compact_size", ready, **options)
-    return size, in_space(decoded, given.space)

@@ -91,11 +91,10 @@ class Format:
     functions : frozenset of str
         Those of ``read``, ``read_skinning``, ``write_sequence`` and ``write_skinning`` that the
         format supports.  With ``list_clips`` a file can hold several clips, and ``read`` takes the
-        option `clip`; with ``list_meshes`` it can hold several meshes, and ``read`` takes `meshes`;
-        ``compact_size`` returns the size of a compact file without saving it.  With ``copy``, files
-        can be copied with all contents and can be templates: ``write_skinning`` takes `template`,
-        and ``template_problem`` returns the reason why a file cannot be one; ``left_out`` lists
-        what is not read.
+        option `clip`; with ``list_meshes`` it can hold several meshes, and ``read`` takes `meshes`.
+        With ``copy``, files can be copied with all contents and can be templates:
+        ``write_skinning`` takes `template`, and ``template_problem`` returns the reason why a file
+        cannot be one; ``left_out`` lists what is not read.
     extra : str or None
         Extra of ssdr that the format needs.
     space : Space or None
@@ -128,7 +127,7 @@ _NUMBERED = Format("numbered meshes", "meshes.numbered", _READ)
 _GLTF = Format(
     "glTF 2.0",
     "gltf",
-    _READ_MESHES | _PASSES | {"write_skinning", "compact_size"},
+    _READ_MESHES | _PASSES | {"write_skinning"},
     space=METRES_Y_UP,
 )
 _USD = Format(

@@ -18,8 +18,6 @@ from ..search.descent import Descent
 from ..search.steps import polish
 from .models_by_bones import ModelsByBones, merge_down, move_some, search_long, start_merged
 
-__all__ = ["Bounds", "fewest_bones", "merge_and_polish", "polish_fewest", "start_and_polish"]
-
 _GROWTH = 1.5  # next number of bones, relative to one that misses the tolerance
 # Number of bones, relative to the proven bound, up to which a large error may be that of a bad
 # local minimum.

@@ -12,31 +12,22 @@ from ..progress import Record, Stop
 from ..search.bone_steps import merge, move_bones, search
 from ..search.descent import Descent, Schedule
 from ..search.starts import merged_start
-from ..search.steps import alternate, polish, return_to_best, solve_normals
+from ..search.steps import alternate, polish, return_to_best
 from ..search.tree_steps import attach, remove_bones, search_trees
 from ..solver.model import Lowest, Model
 from .report import Attempt
 from .solved_frames import SolvedFrames
 
-__all__ = [
-    "PRUNING",
-    "ModelsByBones",
-    "merge_down",
-    "move_some",
-    "search_long",
-    "start_merged",
-]
-
 # Factor by which the objective has to fall before the error is measured again, since a measurement
-# takes as long as a step, and that of normals as many.
-_RECHECK, _RECHECK_NORMALS = 0.97, 0.5
+# takes as long as a step.
+_RECHECK = 0.97
 # Lawson's reweighting: number of rounds, least factor by which a round scales the importance of a
 # vertex, and largest error, relative to the tolerance, at which the reweighting is tried.
 _LEVEL_ROUNDS, _LEVEL_FLOOR, _LEVELLED = 6, 0.05, 2.0
-# For the estimate of the work that is done: the fraction at which pruning begins, and the least
-# number of attempts among which the work that is left until then is divided equally.
-PRUNING, _FOLLOWING = 0.95, 4
-
+# For the estimate of the work that is done: the fraction at which pruning begins, the number of
+# attempts that usually come before, and the least number of attempts among which the work that is
+# left until then is divided equally.
+PRUNING, _EXPECTED, _FOLLOWING = 0.95, 12, 4
 
 # Called with the phase of a step, and whether there is a model to return; may raise Stop.
 Report = Callable[[str, bool], None]
@@ -90,12 +81,6 @@ def search_long(d: Descent, moves: int, trials: int) -> None:
     search(d, steps=trials, gain=0.0)
 
 
-def solve_normals_lightly(d: Descent) -> None:
-    """Polish briefly with normals in the objective."""
-    solve_normals(d)
-    polish(d, steps=12, gain=0.005)
-
-
 def polish_reweighted(d: Descent) -> None:
     """Make a few steps after the importance of vertices has changed."""
     if not d.rigid_joints:
@@ -113,8 +98,6 @@ class ModelsByBones:
         Called with the phase of a step, and whether there is a model to return; may raise Stop.
     tolerance : float
         In the mesh's units; an attempt ends once its error is within the tolerance.
-    expected : int
-        Estimated number of attempts.
 
     Attributes
     ----------
@@ -131,16 +114,9 @@ class ModelsByBones:
         Estimated fraction of the work that is done.
     """
 
-    def __init__(
-        self,
-        frames: SolvedFrames,
-        report: Report,
-        *,
-        tolerance: float = 0.0,
-        expected: int = 12,
-    ) -> None:
+    def __init__(self, frames: SolvedFrames, report: Report, *, tolerance: float) -> None:
         self.frames, self.report = frames, report
-        self.tolerance, self.expected, self.fraction = tolerance, expected, 0.0
+        self.tolerance, self.fraction = tolerance, 0.0
         self.best: dict[int, Lowest] = {}
         self.attempts: list[Attempt] = []
         self.held: list[Model] = []
@@ -200,7 +176,7 @@ class ModelsByBones:
         d, before = frames.descent(bones, initial=initial), self.iteration
         if start is not None:
             d.begin_with(start)
-        following = max(self.expected - len(self.attempts), _FOLLOWING)
+        following = max(_EXPECTED - len(self.attempts), _FOLLOWING)
         done, work = self.fraction, (PRUNING - self.fraction) / following
         # The largest error is at least the RMSE, so that neither measure can be within `until`
         # unless the squared error is within this bound.
@@ -209,8 +185,7 @@ class ModelsByBones:
         def after_step(phase: str) -> None:
             nonlocal worth_checking
             if d.best_error <= worth_checking:
-                recheck = _RECHECK_NORMALS if frames.degree else _RECHECK
-                worth_checking = recheck * d.best_error
+                worth_checking = _RECHECK * d.best_error
                 if frames.error(d.best.model) <= until:
                     raise Stop("held")
             ready = d.best.exists or bool(self.best)
@@ -224,19 +199,8 @@ class ModelsByBones:
             self._keep(d, name)
         frames.problem.monitor.raise_if_stopped()
         error = self.best[bones].value
-        if error <= self.tolerance:
-            return
-        if frames.degree and frames.error(d.best.model, frames.measure) <= self.tolerance:
-            self._fit_normals(d.best.model)
-        elif frames.measure == "max" and error <= _LEVELLED * self.tolerance:
+        if frames.measure == "max" and self.tolerance < error <= _LEVELLED * self.tolerance:
             self._reweight(d.best.model)
-
-    def _fit_normals(self, model: Model) -> None:
-        """Polish with normals in the objective; the other attempts fit positions alone."""
-        d = self.frames.descent(model.n_bones, data=self.frames.tolerant)
-        d.begin_with(model.with_restarted_support())
-        d.follow(solve_normals_lightly)
-        self._keep(d, "normals")
 
     def _reweight(self, model: Model) -> None:
         """Lower the largest error: each round scales importance by vertex errors (Lawson 1961)."""
@@ -259,9 +223,7 @@ class ModelsByBones:
         self.iteration += d.iteration
         if not d.best.exists:
             return
-        # without rest normals, which bones and weights determine
-        model = dataclasses.replace(d.best.model, normals=d.best.model.normals[:, :0])
-        fewest = self.fewest
+        model, fewest = d.best.model, self.fewest
         error, bones = self.frames.error(model), model.n_bones
         self.attempts.append(Attempt(bones, error, d.iteration, name))
         self.best.setdefault(bones, Lowest()).offer(model, error)

@@ -7,7 +7,6 @@ the weights of a vertex or the keys of a bone, the one of least squared error + 
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Iterator
 from typing import Literal, NamedTuple
@@ -21,14 +20,11 @@ from ..search.steps import solve_normals, unfold
 from ..skinning import Skinning
 from ..solver.gauss_newton import GaussNewton
 from ..solver.model import Constraints, Model
-from ..solver.objective import normal_length
 from ..solver.trajectories import Trajectories
 from ..storage.keyframes import Tracks
 from ..storage.size import influence_bytes
 from .report import Pruning
 from .solved_frames import SolvedFrames
-
-__all__ = ["FewerInfluences", "estimated_bytes", "prune", "record"]
 
 # Number of prices to try: enough to come within a fifth of the best price.  For streamed frames,
 # where each trial is a pass over all frames, it is just enough to find one at which it holds.
@@ -61,7 +57,7 @@ class FewerInfluences:
         Model m has at most K − m influences per vertex.  From one to the next, each vertex loses
         the influence whose removal raises its error least.
     errors : (K, V) float64
-        Squared error of each vertex in each model, with that of its normal if `data` has normals.
+        Squared error of each vertex in each model.
     counts : (K, V) int
         Number of influences of each vertex in each model.
     """
@@ -73,9 +69,7 @@ class FewerInfluences:
             fewer = self.models[-1].copy()
             drop_influence(data, fewer, constraints)
             self.models.append(fewer.with_influences(fewer.n_influences - 1))
-        share = normal_length(data, self.models[0]) ** 2
-        self.errors = np.stack([m.error + share * m.normal_error for m in self.models])
-        self.errors = np.maximum(self.errors, 0.0)
+        self.errors = np.maximum(np.stack([m.error for m in self.models]), 0.0)
         self.counts = np.stack([(m.weights > 0).sum(axis=1) for m in self.models])
 
     def choose(self, price: float) -> tuple[NDArray[np.intp], float]:
@@ -116,10 +110,9 @@ def polish_weights(d: Descent, *, polish_steps: int = _AFTERWARDS) -> Iterator[N
 
 
 class Pruned(NamedTuple):
-    """A skinning with fewer influences, the same with fewer keys as well, and their errors.
+    """A skinning with fewer influences, the same with fewer keys as well, their errors, and bytes.
 
-    `bytes` and `kept_error` are those of the skinning with fewer keys or, if a file is described,
-    of its file.
+    The bytes are those of the skinning with fewer keys.
     """
 
     fewer: Skinning
@@ -127,11 +120,10 @@ class Pruned(NamedTuple):
     error: float
     keyed_error: float
     bytes: int
-    kept_error: float
 
     @property
     def largest_error(self) -> float:
-        return max(self.error, self.kept_error)
+        return max(self.error, self.keyed_error)
 
 
 def prune(
@@ -144,9 +136,9 @@ def prune(
     """Drop influences and keyframes of a model while its error stays within the tolerance.
 
     It searches for the largest λ at which the minimum of squared error + λ · bytes still meets the
-    tolerance, and returns the smallest model that it found: if a file is described, the one whose
-    file is the smallest.  At the end normals are solved, too, and flipped triangles of the rest
-    pose are unfolded, if the tolerance still holds with about as few bytes.
+    tolerance, and returns the smallest model that it found.  At the end normals are solved, too,
+    and flipped triangles of the rest pose are unfolded, if the tolerance still holds with about as
+    few bytes.
 
     Parameters
     ----------
@@ -165,15 +157,15 @@ def prune(
     list of Pruning
         Records of the prunings of influences and of keyframes.
     """
-    fewer = FewerInfluences(*frames.with_normals(model), frames.problem.constraints)
+    fewer = FewerInfluences(frames.data, model, frames.problem.constraints)
 
     def pruned(price: float, schedule: Schedule) -> Pruned:
         return _pruned(frames, fewer, tolerance, price, schedule, skinning_of_all)
 
     usual, endings = _schedules(frames)
     before = frames.error_of_all(skinning)
-    best = Pruned(skinning, skinning, before, before, *frames.kept(skinning, before, tolerance))
-    price, low, high = _first_price(frames, fewer, tolerance, skinning)[0], None, None
+    best = Pruned(skinning, skinning, before, before, frames.size(skinning).total)
+    price, low, high = _first_price(frames, fewer, tolerance, skinning), None, None
     streamed = frames.scan is not None
     for _ in range(_FEW_PRICES if streamed else _PRICES):
         trial = pruned(price, usual)
@@ -197,8 +189,8 @@ def prune(
             best = trial
             break
     return best.keyed, [
-        record(frames, "influences", skinning, best.fewer, before, best.error),
-        record(frames, "keyframes", best.fewer, best.keyed, best.error, best.keyed_error),
+        _record(frames, "influences", skinning, best.fewer, before, best.error),
+        _record(frames, "keyframes", best.fewer, best.keyed, best.error, best.keyed_error),
     ]
 
 
@@ -211,8 +203,6 @@ def _schedules(frames: SolvedFrames) -> tuple[Schedule, list[Schedule]]:
     polishes = frames.measure == "rmse"  # a polish may raise the largest error
 
     def usual(d: Descent) -> None:
-        if frames.degree:
-            solve_normals(d)
         if polishes:
             polish_weights(d)
 
@@ -234,8 +224,8 @@ def _with_normals(d: Descent) -> None:
 
 def _first_price(
     frames: SolvedFrames, fewer: FewerInfluences, tolerance: float, skinning: Skinning
-) -> tuple[float, int]:
-    """First price of a byte to try, and the estimated bytes at that price.
+) -> float:
+    """First price of a byte to try.
 
     It is the highest price at which the estimated error holds the tolerance.  The estimate is the
     sum of the squared errors that dropping influences and dropping keys would add.
@@ -254,17 +244,7 @@ def _first_price(
         added = (fewer.choose(price * influence)[1] - least) * unit
         holds = added + tracks.choose(price)[1] <= budget
         low, high = (price, high) if holds else (low, price)
-    kept = np.take_along_axis(fewer.counts, fewer.choose(low * influence)[0][None], axis=0)
-    whole = frames.size(dataclasses.replace(skinning, keyframes=tracks.choose(low)[0]))
-    each = influence_bytes(skinning.n_bones, frames.problem.storage)
-    weights = skinning.n_vertices + each * int(kept.sum())
-    return low, whole.total - whole.weights + weights
-
-
-def estimated_bytes(frames: SolvedFrames, model: Model, tolerance: float) -> int:
-    """Bytes that are left after pruning a model of all frames, estimated without a new solve."""
-    fewer = FewerInfluences(*frames.with_normals(model), frames.problem.constraints)
-    return _first_price(frames, fewer, tolerance, frames.skinning(model))[1]
+    return low
 
 
 def _pruned(
@@ -279,21 +259,19 @@ def _pruned(
     storage = frames.problem.storage
     influence = influence_bytes(fewer.models[0].n_bones, storage) / frames.data.scale**2
     model = fewer.build(fewer.choose(price * influence)[0])
-    d = frames.descent(model.n_bones, data=frames.tolerant)
+    d = frames.descent(model.n_bones)
     d.begin_with(model)
     d.follow(schedule)
     skinning = skinning_of_all(d.best.model, d.data)
     error = frames.error_of_all(skinning)
     if error > tolerance:
-        return Pruned(skinning, skinning, error, error, 0, error)
+        return Pruned(skinning, skinning, error, error, 0)
     tracks = Tracks(skinning, frames.problem.offsets)
     keyed = tracks.play(tracks.choose(price)[0])
-    keyed_error = frames.error_of_all(keyed)
-    kept = frames.kept(keyed, keyed_error, tolerance)
-    return Pruned(skinning, keyed, error, keyed_error, *kept)
+    return Pruned(skinning, keyed, error, frames.error_of_all(keyed), frames.size(keyed).total)
 
 
-def record(
+def _record(
     frames: SolvedFrames,
     what: Literal["influences", "keyframes"],
     a: Skinning,

@@ -9,8 +9,6 @@ import numpy as np
 from ..parallel import serial_blas
 from ..solver.trajectories import Trajectories, truncated_basis
 
-__all__ = ["rank_bound", "rank_of", "reduced"]
-
 _SPECTRUM = 2000  # size of the largest Gram matrix whose eigenvalues are computed
 _NOISE = 1e-12  # sum of squares that counts as rounding errors, relative to that of all entries
 _TAIL = 1e-4  # squared error that the compression may add, relative to the allowed one

@@ -8,8 +8,6 @@ from typing import Literal
 from ..result import Decomposition
 from ..storage.size import Size
 
-__all__ = ["Attempt", "FileSize", "Measure", "Parsimony", "Pruning", "Smallest"]
-
 Measure = Literal["rmse", "max"]
 
 
@@ -21,9 +19,7 @@ class Attempt:
     ----------
     bones : int
     error : float
-        Error of the attempt's best model in the mesh's units, by the measure of the tolerance.  If
-        normals have a tolerance, too, it is at least the tolerance of positions times the ratio of
-        the mean angle of normals to the tolerance of that angle.
+        Error of the attempt's best model in the mesh's units, by the measure of the tolerance.
     iterations : int
         Number of alternations and polish steps.
     start : str
@@ -48,8 +44,7 @@ class Pruning:
 
     Attributes
     ----------
-    what : {"bones", "more bones", "affine bones", "shapes", "influences", "keyframes"}
-        "more bones", "affine bones" and "shapes" take the place of the fewest bones.
+    what : {"bones", "influences", "keyframes"}
     before, after : int
         Number of bones, of influences of all vertices, or of keys of all bones.
     bytes_before, bytes_after : int
@@ -79,33 +74,6 @@ class Pruning:
 
 
 @dataclasses.dataclass(frozen=True)
-class FileSize:
-    """Bytes of the compact file of a model, and the errors of what the file holds.
-
-    Attributes
-    ----------
-    bytes : int
-        Bytes of the whole file, with its triangles and textures.
-    error : float
-        Error of the vertices in the file, measured on all frames of the input, in the mesh's units,
-        by the measure of the tolerance.  It is inf, and `bytes` is 0, if the weights of the file
-        are too coarse for its own tolerance.
-    normals : float or None
-        Mean angle, in degrees, between the normals that engines draw of the file and those of the
-        input; None if the input has none.
-
-    Examples
-    --------
-    >>> ssdr.parsimony.FileSize(bytes=4000, error=0.25).bytes
-    4000
-    """
-
-    bytes: int
-    error: float
-    normals: float | None = None
-
-
-@dataclasses.dataclass(frozen=True)
 class Parsimony:
     """Size and error of the smallest model, and how it was found.
 
@@ -114,13 +82,10 @@ class Parsimony:
     tolerance : float
         Requested tolerance, in the mesh's units.
     measure : {"rmse", "max"}
-    normals_tolerance : float or None
-        Tolerance of the mean angle of drawn normals, in degrees; that angle is `normals.mean` of
-        the result.
     error : float
         Error of the result, measured on all frames.
     held : bool
-        Whether all tolerances hold, also in the `file` if there is one.
+        Whether the tolerance holds.
     bones, influences : int
         Number of bones of the result, and largest number of influences at a vertex.
     least_bones : int
@@ -128,13 +93,10 @@ class Parsimony:
         motion.
     size : Size
     prunings : tuple of Pruning
-        Prunings of bones, influences and keyframes, in this order.  A model that takes fewer bytes
-        than the fewest bones is recorded before the influences.  If the search was stopped, the
-        last prunings are missing.
+        Prunings of bones, influences and keyframes, in this order.  If the search was stopped, the
+        last of them are missing.
     attempts : tuple of Attempt
         All attempts, in order.
-    file : FileSize or None
-        Size of the compact file for which the model was chosen; None if no file was described.
 
     Examples
     --------
@@ -148,7 +110,6 @@ class Parsimony:
 
     tolerance: float
     measure: Measure
-    normals_tolerance: float | None
     error: float
     held: bool
     bones: int
@@ -157,7 +118,6 @@ class Parsimony:
     size: Size
     prunings: tuple[Pruning, ...]
     attempts: tuple[Attempt, ...]
-    file: FileSize | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)

@@ -1,4 +1,4 @@
-"""Search for the smallest model: the fewest bones that hold a tolerance, then the fewest bytes."""
+"""Search for the smallest model: the fewest bones that hold a tolerance, then pruning."""
 
 from __future__ import annotations
 
@@ -20,19 +20,15 @@ from ..search.tree_steps import attach_unattached
 from ..skinning import Skinning
 from ..solver.model import Model
 from ..solver.trajectories import Trajectories
-from .fewer_bytes import fewer_bytes
 from .fewest_bones import Bounds, fewest_bones, polish_fewest
 from .models_by_bones import PRUNING, ModelsByBones
 from .pruning import prune
 from .rank import rank_bound, rank_of, reduced
 from .report import Measure, Parsimony, Pruning, Smallest
-from .solved_frames import SolvedFrames, Written
-
-__all__ = ["find_smallest"]
+from .solved_frames import SolvedFrames
 
 _ROUNDING = 1e-13  # error that counts as zero, relative to the largest coordinate
 _LOOSE = 10.0  # largest tolerance in use, relative to the scale of the frames
-_RIGID = 0.5  # share of the work before fewer bytes are looked for
 _RETRIES = 4  # most searches on representative frames, each with a stricter tolerance
 
 
@@ -41,9 +37,6 @@ def find_smallest(
     *,
     asked: float,
     measure: Measure,
-    written: Written | None = None,
-    angle: float | None = None,
-    bytes_first: bool = False,
 ) -> Smallest:
     """Find the smallest model that holds a tolerance; if none does, that of least error.
 
@@ -54,26 +47,16 @@ def find_smallest(
     asked : float
         The tolerance, in the mesh's units.
     measure : {"rmse", "max"}
-    written : Written, optional
-        Counts the bytes of a file that is to hold the tolerance, too, and decodes it.
-    angle : float, optional
-        Tolerance of the mean angle of drawn normals, in degrees.
-    bytes_first : bool
-        Whether fewer bytes are better than fewer bones.
 
     Raises
     ------
     Cancelled
         If the callback stopped the search before there was a model.
     """
-    frames, monitor = SolvedFrames(problem, measure, written), problem.monitor
+    frames, monitor = SolvedFrames(problem, measure), problem.monitor
     tolerance = _usable_tolerance(frames, asked)
     allowed, (least, exact) = frames.squared(tolerance), _least_bones(frames, tolerance)
     frames.data = reduced(frames.data, allowed)
-    if angle is not None:
-        frames.degree, frames.slack = tolerance / angle, allowed
-
-    part = (0.0, _RIGID if bytes_first else 1.0)  # of the work, that `models.fraction` is about
 
     def report(phase: str, ready: bool = True) -> None:
         held = models.fewest
@@ -83,29 +66,27 @@ def find_smallest(
             phase,
             iteration=models.iteration,
             rmse=math.inf if held is None else models.best[held].value,
-            fraction=part[0] + part[1] * models.fraction,
+            fraction=models.fraction,
             ready=ready,
         )
 
     def on_all_frames() -> None:
         report("all frames")
 
-    def pruned(
-        model: Model, data: Trajectories | None = None, frames: SolvedFrames = frames
-    ) -> Skinning:
+    def pruned(model: Model, data: Trajectories) -> Skinning:
         report("pruning")
         return frames.skinning_of_all(model, passes=1, entering=0, report=on_all_frames, data=data)
 
     models = ModelsByBones(frames, report, tolerance=tolerance)
     models.fraction = 0.0 if frames.scan is None else SCANNED
-    bounds = proven = Bounds(min(least, problem.bones), problem.bones, exact)
+    bounds = Bounds(min(least, problem.bones), problem.bones, exact)
     skinning, reason, prunings = None, "tolerance held", list[Pruning]()
     try:
         if problem.start is not None:
             bones = problem.start.n_bones
             models.attempt(bones, _begin_with_model, "given", initial=frames.initial)
         # If frames are streamed, the search solves representative ones, and if weights are stored
-        # in integers or the model in a file, it ignores the rounding.  It is then repeated with a
+        # in integers, it ignores the rounding.  It is then repeated with a
         # stricter tolerance until the rounded model holds the tolerance on all frames.
         for _ in range(_RETRIES):
             fewest_bones(models, bounds, problem.effort)
@@ -116,30 +97,25 @@ def find_smallest(
             model = models.best[held].model
             skinning = frames.skinning_of_all(model, passes=passes, report=on_all_frames)
             monitor.raise_if_stopped()
-            error = _kept_error(frames, skinning, tolerance)
-            if error <= tolerance or frames.are_all_exact or error == math.inf:
+            error = frames.error_of_all(skinning)
+            if error <= tolerance or frames.are_all_exact:
                 break
             models.tolerance *= 0.99 * tolerance / error
             bounds = dataclasses.replace(bounds, least=held)
         if skinning is not None and models.held:
             prunings.append(_fewer_bones(frames, models.held[0], models.held[-1]))
-            if _kept_error(frames, skinning, tolerance) <= tolerance:
+            if frames.error_of_all(skinning) <= tolerance:
                 models.fraction = PRUNING
                 model = models.best[models.fewest or models.held[-1].n_bones].model
                 skinning, more = prune(frames, model, tolerance, skinning, pruned)
                 prunings += more
-                if bytes_first:
-                    models.fraction, part = 0.0, (_RIGID, 1 - _RIGID)
-                    options = problem.effort, tolerance, skinning, pruned
-                    for smaller, more in fewer_bytes(models, proven, *options):
-                        skinning, prunings[1:] = smaller, more
     except Stop as stop:
         reason = str(stop)
     if skinning is None:
         if models.smallest is None:
             raise Cancelled("stopped by the callback before there was any model")
         skinning = frames.skinning_of_all(models.smallest, passes=1, report=on_all_frames)
-    return _result(frames, models, skinning, reason, prunings, asked, tolerance, angle, least)
+    return _result(frames, models, skinning, reason, prunings, asked, tolerance, least)
 
 
 def _usable_tolerance(frames: SolvedFrames, asked: float) -> float:
@@ -168,11 +144,6 @@ def _least_bones(frames: SolvedFrames, tolerance: float) -> tuple[int, int]:
     return least, 0 if exact > 2 * least + 1 else exact
 
 
-def _kept_error(frames: SolvedFrames, skinning: Skinning, tolerance: float) -> float:
-    """Error that decides whether a skinning is kept; see :meth:`SolvedFrames.kept`."""
-    return frames.kept(skinning, frames.error_of_all(skinning), tolerance)[1]
-
-
 def _fewer_bones(frames: SolvedFrames, first: Model, last: Model) -> Pruning:
     counts, stored = (first.n_bones, last.n_bones), (frames.bytes(first), frames.bytes(last))
     return Pruning("bones", *counts, *stored, frames.error(first), frames.error(last))
@@ -186,16 +157,12 @@ def _result(
     prunings: list[Pruning],
     asked: float,
     tolerance: float,
-    angle: float | None,
     least: int,
 ) -> Smallest:
     problem = frames.problem
     skinning, normals = with_normals(problem, skinning)
     error, rmse = (frames.error_of_all(skinning, m) for m in (frames.measure, "rmse"))
-    file, worst = frames.file(skinning), (error, 0.0 if normals is None else normals.mean)
-    if file is not None:
-        worst = max(error, file.error), max(worst[1], file.normals or 0.0)
-    held = frames.larger(*worst) <= tolerance
+    held = error <= tolerance
     if not held and reason == "tolerance held":
         reason = "tolerance out of reach"
     elapsed = problem.monitor.elapsed
@@ -203,7 +170,6 @@ def _result(
     parsimony = Parsimony(
         tolerance=asked,
         measure=frames.measure,
-        normals_tolerance=angle,
         error=error,
         held=held,
         bones=skinning.n_bones,
@@ -212,7 +178,6 @@ def _result(
         size=frames.size(skinning),
         prunings=tuple(prunings),
         attempts=tuple(models.attempts),
-        file=file,
     )
     return Smallest(
         skinning=skinning,
@@ -223,32 +188,28 @@ def _result(
         normals=normals,
         motion=motion_rms(problem.inputs, executor=problem.executor),
         copies=problem.copies,
-        warnings=() if held else (_shortfall(problem, parsimony, worst, reason),),
+        warnings=() if held else (_shortfall(problem, parsimony, reason),),
         parsimony=parsimony,
     )
 
 
-def _shortfall(problem: Problem, found: Parsimony, worst: tuple[float, float], reason: str) -> str:
+def _shortfall(problem: Problem, found: Parsimony, reason: str) -> str:
     """Text of the warning that the tolerance is not held."""
-    if worst[0] == math.inf:
-        return f"stopped ({reason}): the weights of the file are too coarse for its tolerance"
     diagonal = max(s.diagonal() for s in problem.sequences)
 
-    def text(value: float, degrees: float | None) -> str:
+    def text(value: float) -> str:
         share = f" ({100 * value / diagonal:.3g} % of the diagonal)" if diagonal else ""
-        normals = f" and {degrees:.3g}° of normals" if found.normals_tolerance else ""
-        return f"{value:.4g}{share}{normals}"
+        return f"{value:.4g}{share}"
 
-    asked = text(found.tolerance, found.normals_tolerance)
+    asked = text(found.tolerance)
     head = f"stopped ({reason}) before tolerance {asked} was held"
     if reason == "tolerance out of reach":
         head = f"tolerance {asked} is out of reach"
         if found.least_bones > problem.bones:
             head += f", the motion's rank asks for at least {found.least_bones} bones"
     kind = {"rmse": "RMSE", "max": "largest error"}[found.measure]
-    where = "reach a" if found.file is None else "reach in the file a"
     most = f"{found.bones} bones of at most {problem.influences} influences"
-    return f"{head}: {most} {where} {kind} of {text(*worst)}"
+    return f"{head}: {most} reach a {kind} of {text(found.error)}"
 
 
 def _begin_with_model(d: Descent) -> None:

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from ..checks import BoneModel, check_whole, names_arguments, parse_tolerance
-from ..errors import InputError, check_choice, is_real
-from ..io.load_save import compact_size
+from ..errors import InputError, check_choice
 from ..problem.answer import finished
 from ..problem.check import check_problem
 from ..problem.check_start import refuse_parts
 from ..problem.problem import Effort, Problem
-from ..problem.scan import needs_streaming
 from ..progress import Callback
 from ..quantisation import WeightStorage
 from ..result import Decomposition
@@ -27,9 +24,6 @@ from ..solver.rest_surface import RestPose
 from ..start import Skeleton, Start
 from .report import Measure, Smallest
 from .search import find_smallest
-from .solved_frames import Written
-
-__all__ = ["smallest"]
 
 _MOST_BONES = 256  # by default, so that the index of a bone fits into 8 bits
 # Least importance of a vertex, relative to the largest: a solver that ignores a vertex cannot bound
@@ -43,9 +37,7 @@ def smallest(
     faces: Any = None,
     *,
     tolerance: float | str,
-    normals_tolerance: float | None = None,
     measure: Measure = "rmse",
-    fewest: Literal["bones", "bytes"] = "bones",
     bones: int | None = None,
     influences: int | tuple[int, WeightStorage] = 4,
     effort: Effort = "balanced",
@@ -57,7 +49,6 @@ def smallest(
     rest_pose: RestPose = "surface",
     normals: bool = True,
     rng: int | np.random.Generator = 0,
-    file: Mapping[str, Any] | None = None,
     time_limit: float | None = None,
     checkpoint: str | Path | None = None,
     callback: Callback | None = None,
@@ -65,8 +56,7 @@ def smallest(
     """Find the smallest model of an animated mesh that holds a tolerance.
 
     The result has the fewest bones found that hold the tolerance.  Then influences and keyframes
-    are dropped as far as the tolerance allows, which saves bytes (of the `file`, if one is
-    described).  The kind of model is that of :func:`decompose`, unless `fewest` is "bytes".
+    are dropped as far as the tolerance allows, which saves bytes.
 
     Parameters
     ----------
@@ -78,17 +68,10 @@ def smallest(
     tolerance : float or str
         Positive: a length in the mesh's units, or a share of the diagonal such as ``"0.5%"``.  The
         diagonal is that of the bounding box in the frame where it is largest.
-    normals_tolerance : float, optional
-        Positive: a mean angle in degrees, over all frames and vertices, that may lie between the
-        normals that engines draw of the model and those of the input's surface (:func:`normals
-        <ssdr.metrics.normals>`).  By default it is not bounded.
     measure : {"rmse", "max"}
         Error that the tolerance bounds: the root mean square sqrt(Σ|d|² / (F V)) of the distances d
         between model and input over F frames and V vertices, or the largest of these distances.
         The solver minimises squares, so that "max" takes more bones than necessary.
-    fewest : {"bones", "bytes"}
-        With "bytes", the result has more bones with fewer influences, affine bones, or fewer bones
-        and shapes, if these hold the tolerance in fewer bytes.  Frames are then held in memory.
     bones : int, optional
         Largest number of bones; by default 256, or the number of vertices if that is less.
     influences : int or (int, {"uint8", "uint16", "float32"})
@@ -112,15 +95,10 @@ def smallest(
     rest_pose : {"surface", "free"}
         As in :func:`decompose`.
     normals : bool
-        As in :func:`decompose`.  If normals have no tolerance of their own, the last steps solve
-        them only if the result then holds the tolerance and takes no more bytes.
+        As in :func:`decompose`.  The last steps solve normals only if the result then holds the
+        tolerance and takes no more bytes.
     rng : int or numpy.random.Generator
         The same seed gives the same bits, whatever the number of threads.
-    file : mapping, optional
-        Options with which :func:`save` will write a compact ``.glb``, such as ``{"compression":
-        "meshopt", "weights": "uint8", "tolerance": "0.5%"}``.  The tolerances then hold in that
-        file, too, and of the models that pruning tries the one with the smallest file is chosen:
-        each is written to a temporary file, and measured as a reader decodes it.
     time_limit : float, optional
         Most seconds for this call, without compilation.  When they are over, the smallest model so
         far that holds the tolerance is returned without pruning; if none does, the model of least
@@ -142,15 +120,13 @@ def smallest(
     ------
     InputError
         If an argument is not usable, before anything is computed.
-    MissingDependencyError
-        If `file` needs a package that is not installed, before anything is computed.
     Cancelled
         If the callback stopped the search before there was a model.
 
     Warns
     -----
     SsdrWarning
-        If the result does not hold the tolerances.
+        If the result does not hold the tolerance.
 
     References
     ----------
@@ -190,57 +166,13 @@ def smallest(
         n = problem.inputs[0].n_vertices
         most = check_whole(most, "bones", 1, n, " (the number of vertices)")
     check_choice(measure, "measure", Measure)
-    check_choice(fewest, "fewest", Literal["bones", "bytes"])
-    if fewest == "bytes" and needs_streaming(problem.sequences):
-        raise InputError("fewest", "'bones' for frames that are streamed", "'bytes'")
     parse_tolerance(tolerance, 1.0)
-    _check_normals_tolerance(normals_tolerance, problem)
     _check_beside_tolerance(problem, rig, most)
     length = parse_tolerance(tolerance, max(s.diagonal() for s in problem.inputs))
     # a joint that the motion does not determine need not lie near the skin: there is no penalty
     constraints = dataclasses.replace(problem.constraints, near_skin=False)
     sought = dataclasses.replace(problem, bones=most, constraints=constraints)
-    written = None if file is None else _written(file, problem)
-    options: dict[str, Any] = {"written": written, "bytes_first": fewest == "bytes"}
-    find = partial(find_smallest, asked=length, measure=measure, angle=normals_tolerance, **options)
-    return finished(sought, find)
-
-
-def _written(file: Any, problem: Problem) -> Written:
-    """Function that measures a model's file: its bytes, and the model as read back from it.
-
-    `file` are the options with which the file is written.
-
-    To check the options, it is called once here, with bones that do not move.
-    """
-    if not isinstance(file, Mapping) or file.get("compression", "none") == "none":
-        raise InputError("file", "options of ssdr.save, among them a compression", repr(file))
-
-    def written(skinning: Skinning) -> tuple[int, Skinning]:
-        return compact_size(skinning, **file)
-
-    mesh = problem.inputs[0]
-    shape = mesh.n_vertices, problem.influences
-    bones, weights = np.broadcast_to(np.arange(shape[1]), shape), np.full(shape, 1 / shape[1])
-    kept = {name: getattr(mesh, name) for name in ("faces", "surface", "name", "space")}
-    still = np.tile(np.eye(3, 4), (1, shape[1], 1, 1))
-    written(Skinning(mesh.frames(0), bones, weights, still, **kept))
-    return written
-
-
-def _check_normals_tolerance(angle: Any, problem: Problem) -> None:
-    """Raise InputError if the tolerance of normals is not None and no angle > 0, or cannot apply.
-
-    It cannot apply to a mesh without faces or to a search that does not solve normals.
-    """
-    if angle is None:
-        return
-    if not (is_real(angle) and angle > 0):
-        raise InputError("normals_tolerance", "an angle > 0 in degrees, or None", repr(angle))
-    if not len(problem.sequences[0].faces):
-        raise InputError("normals_tolerance", "None for a mesh without faces", angle)
-    if not problem.normals:
-        raise InputError("normals", "True beside a tolerance of normals", False)
+    return finished(sought, partial(find_smallest, asked=length, measure=measure))
 
 
 def _check_beside_tolerance(problem: Problem, rig: Any, most: int) -> None:

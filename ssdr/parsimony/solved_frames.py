@@ -6,18 +6,13 @@ all frames.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from ..errors import InputError
 from ..frames.error import largest_error, rmse
-from ..frames.normals import with_fitted_normals
-from ..metrics.normal_angles import errors_of_model
-from ..metrics.vertex_distances import distances
 from ..problem.answer import skinning_of
 from ..problem.problem import Initial, Problem
 from ..problem.scan import needs_streaming
@@ -27,15 +22,9 @@ from ..search.solve import read_frames, rounded, scan_of
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.model import Model
-from ..solver.rest_normals import with_rest_normals
 from ..solver.trajectories import Trajectories
 from ..storage.size import Size, size
-from .report import FileSize, Measure
-
-__all__ = ["SolvedFrames", "Written"]
-
-# Returns the bytes of the file of a skinning, and the skinning that a reader decodes from it.
-Written = Callable[[Skinning], tuple[int, Skinning]]
+from .report import Measure
 
 
 class SolvedFrames:
@@ -46,8 +35,6 @@ class SolvedFrames:
     problem : Problem
     measure : {"rmse", "max"}
         Error that the tolerance of the search bounds.
-    written : Written, optional
-        Counts the bytes of the file of a skinning, and decodes it.
 
     Attributes
     ----------
@@ -58,21 +45,10 @@ class SolvedFrames:
         Parts that the caller gave, in the solver's space and for the frames in `sequences`.
     scan : Scan or None
         None if all frames are in memory.
-    degree : float
-        Length that counts as much as a degree of the mean angle of drawn normals; 0 if that has no
-        tolerance.
-    slack : float
-        Squared error that the tolerance allows if normals have a tolerance, too; otherwise 0.
     """
 
-    def __init__(
-        self,
-        problem: Problem,
-        measure: Measure,
-        written: Written | None = None,
-    ) -> None:
-        self.problem, self.measure, self.written = problem, measure, written
-        self.degree = self.slack = 0.0
+    def __init__(self, problem: Problem, measure: Measure) -> None:
+        self.problem, self.measure = problem, measure
         self.scan = scan_of(problem) if needs_streaming(problem.sequences) else None
         self.sequences, data, initial = read_frames(problem, self.scan)
         data, self.initial = problem.with_rest_surface(data, initial)
@@ -105,40 +81,12 @@ class SolvedFrames:
 
     @property
     def are_all_exact(self) -> bool:
-        """Whether all frames are solved, and weights and keys returned as solved, not rounded."""
-        return self.scan is None and self.problem.storage == "float32" and self.written is None
-
-    @property
-    def tolerant(self) -> Trajectories:
-        """Trajectories whose errors within the tolerance count for little, so that normals gain."""
-        return dataclasses.replace(self.data, slack=self.slack)
-
-    def with_normals(self, model: Model) -> tuple[Trajectories, Model]:
-        """The trajectories and a model, with normals if these have a tolerance and bones are rigid.
-
-        Otherwise both are returned as they are. The normals are those that
-        :func:`~ssdr.search.steps.solve_normals` adds; the trajectories then also have the `slack`.
-        """
-        if not self.degree or self.problem.constraints.bone_model != "rigid":
-            return self.data, model
-        data = self.tolerant.with_normals()
-        return data, with_rest_normals(data, model)
-
-    def larger(self, error: float, angle: float | None) -> float:
-        """The larger of an error of positions and a mean angle of normals, converted to a length.
-
-        The angle counts only if normals have a tolerance.
-        """
-        return max(error, self.degree * (angle or 0.0))
+        """Whether all frames are solved, and weights returned as solved, not rounded."""
+        return self.scan is None and self.problem.storage == "float32"
 
     def error(self, model: Model, measure: Measure | None = None) -> float:
-        """Error of a model on the frames that the search solves, in the mesh's units.
-
-        If `measure` is given, the error is that of positions alone, by this measure.
-        """
-        if measure is None:
-            error = self.error(model, self.measure)
-            return self._with_angle(error, self._inputs(), self.skinning(model))
+        """Error of a model on the frames that the search solves, in the mesh's units."""
+        measure = measure or self.measure
         if self.scan is not None and measure == "rmse":
             # each representative frame counts as often as there are frames like it
             return math.sqrt(max(model.weighted_error(self.data), 0.0) / self.squared(1.0))
@@ -149,65 +97,10 @@ class SolvedFrames:
         return _error(measure, self.problem.inputs, *self.problem.for_inputs(*skin), transforms)
 
     def error_of_all(self, s: Skinning, measure: Measure | None = None) -> float:
-        """Error of a skinning, measured on all frames; `measure` is that of :meth:`error`."""
-        problem = self.problem
-        if measure is None:
-            error = self.error_of_all(s, self.measure)
-            return self._with_angle(error, problem.inputs, s, executor=problem.executor)
-        if s.shapes is not None:
-            found = distances(np.concatenate([x.frames(slice(None)) for x in problem.inputs]), s)
-            return found.max if measure == "max" else found.rmse
+        """Error of a skinning, measured on all frames."""
         parts = (s.rest, s.indices, s.weights, s.transforms)
-        return _error(measure, problem.inputs, *parts, executor=problem.executor)
-
-    def _inputs(self) -> list[MeshSequence]:
-        """The frames that the search solves, with all vertices of the caller's mesh."""
-        rows, (first, *_) = self.problem.rows, self.problem.inputs
-        if self.scan is None:
-            return self.problem.inputs
-        if rows is None:
-            return self.sequences
-        frames = self.sequences[0].frames(slice(None))[:, rows]
-        return [dataclasses.replace(first, vertices=frames, validate=False)]
-
-    def _with_angle(
-        self, error: float, sequences: list[MeshSequence], s: Skinning, **executor: Any
-    ) -> float:
-        if not self.degree:
-            return error
-        fitted = with_fitted_normals(sequences, s, **executor)
-        found = errors_of_model(sequences, fitted, **executor)
-        return self.larger(error, None if found is None else found.mean)
-
-    def file(self, skinning: Skinning) -> FileSize | None:
-        """Bytes of the file of a skinning, and its errors on all frames.
-
-        Returns None if no file is described.
-        """
-        if self.written is None:
-            return None
-        try:
-            sequences, executor = self.problem.inputs, self.problem.executor
-            fitted = with_fitted_normals(sequences, skinning, executor=executor)
-            size, decoded = self.written(fitted)
-        except InputError as error:
-            if error.argument != "tolerance":
-                raise
-            return FileSize(0, math.inf)
-        found = errors_of_model(sequences, decoded, executor=executor)
-        angle = None if found is None else found.mean
-        return FileSize(size, self.error_of_all(decoded, self.measure), angle)
-
-    def kept(self, skinning: Skinning, error: float, tolerance: float) -> tuple[int, float]:
-        """Bytes and error that decide whether a skinning is kept.
-
-        If `error` holds the tolerance and a file is described, they are those of the file, with an
-        error of at least `error`. Otherwise they are those of the skinning.
-        """
-        file = self.file(skinning) if error <= tolerance else None
-        if file is None:
-            return self.size(skinning).total, error
-        return file.bytes, max(self.larger(file.error, file.normals), error)
+        options = {"executor": self.problem.executor}
+        return _error(measure or self.measure, self.problem.inputs, *parts, **options)
 
     def skinning(self, model: Model) -> Skinning:
         """Convert a model to a skinning of the frames that the search solves."""
@@ -240,9 +133,7 @@ class SolvedFrames:
         data : Trajectories, optional
             Copy of the trajectories with which the model was solved.
         """
-        problem = self.problem
-        if data is None:
-            data, model = self.with_normals(model)
+        problem, data = self.problem, data or self.data
         model, constraints = rounded(problem, data, model, lambda _: report()), problem.constraints
         if problem.storage != "float32":
             constraints = constraints.with_weights(problem.n_vertices)

@@ -25,7 +25,6 @@ from ..solver.trajectories import Array, Trajectories
 
 __all__ = [
     "add_and_merge_bones",
-    "add_bone",
     "alternate_some",
     "drop_influence",
     "exchange_bones",
@@ -152,27 +151,6 @@ def exchange_bones(
         grown = grown.without(np.argsort(cost, kind="stable")[:1])
         polish_steps(data, grown, _FEWEST_STEPS, constraints)
     return _with_fewer_influences(data, grown, constraints, influences=k, steps=steps)
-
-
-def add_bone(
-    data: Trajectories, model: Model, *, alternations: int, constraints: Constraints
-) -> Model:
-    """Add a bone to a copy of the model without raising the error.
-
-    The bone is placed at the patch of vertices with most error.  If that would raise the error, the
-    bone is added without moving any vertex.
-    """
-    before = model.weighted_error(data)
-    error = np.maximum(model.error, 0.0) * data.importance
-    seeds = np.argsort(-error, kind="stable")[:_CANDIDATES]
-    size = data.n_vertices // (2 * model.n_bones)
-    members = _neighbourhood_of_most_error(model.rest, error, seeds, size)
-    grown = _with_patch(data, model.with_restarted_support(), members, constraints)
-    vertex_step(data, grown, constraints=constraints)
-    repeat_alternation(data, grown, alternations, constraints)
-    if grown.weighted_error(data) <= before:
-        return grown
-    return model.with_bone(model.transforms[:, -1])
 
 
 # --- influences --------------------------------------------------------------------------------

@@ -1,6 +1,6 @@
 """The objective that the solver minimises, with a penalty on joints away from the skin.
 
-    [1 + mean_j (d_j² + d_j⁴)] · [1 + c S] · [1 + N/ν] · [E + slack + smoothness]
+    [1 + mean_j (d_j² + d_j⁴)] · [1 + c S] · [1 + N/ν] · [E + smoothness]
 
     E = Σ_i u_i Σ_t s_t² |v_i^t − Σ_j w_ij M_j^t p̃_i|²
     N = mean of |n_i^t − Σ_j w_ij R_j^t n_i|², weighted in the same way
@@ -15,8 +15,7 @@ smoothness are factors, since then a change of one counts as much as the same re
 another, whatever the data.  The smoothness (:class:`WeightSmoothness`) is 0 unless requested.  The
 first bracket is 1 unless ``rig="rigid"`` has to find the joints; d_j² is the squared distance of
 joint j from where the skin of its two bones meets, plus the squared gap there, in the solver's
-unit.  Below, E includes the smoothness and the constant `slack` of the trajectories, which is
-positive only if errors far below a tolerance are worth nothing.
+unit.  Below, E includes the smoothness.
 
 A step does not minimise the product itself: around the present model, each factor 1 + x becomes a
 quadratic term of strength E/(1 + x) beside the error.  Every function that gives such a term, and
@@ -150,7 +149,7 @@ class Objective:
 
     def value(self, data: Trajectories, model: Model) -> float:
         """The objective of a model, in the solver's units."""
-        value = model.weighted_error(data) + data.slack
+        value = model.weighted_error(data)
         if self.smoothness is not None:
             value += self.smoothness.penalty(model)
         value *= _rest_factor(data, model, self.constraints)
@@ -168,7 +167,7 @@ class Objective:
         `joints` (J,) are the indices of the bones whose joints may move.  Without a penalty, the
         stiffness is 0.
         """
-        error = model.weighted_error(data) + data.slack
+        error = model.weighted_error(data)
         factor = dataclasses.replace(self, smoothness=None).value(data, model) / max(error, 1e-300)
         if not self.constraints.near_skin or not len(joints):
             return JointPenalty.none(len(joints), factor)
@@ -211,14 +210,14 @@ class JointPenalty:
 def normal_length(data: Trajectories, model: Model, penalty: float = 0.0) -> float:
     """Scale l of normals n: the squared error of points (l n, 0) stands for the factor of normals.
 
-    It is √(E / (F V (ν + N))), and 0 without normals.  E includes the slack and `penalty`, what the
-    objective adds to the error.
+    It is √(E / (F V (ν + N))), and 0 without normals.  E includes `penalty`, what the objective
+    adds to the error.
     """
     if data.normals is None or not model.normals.shape[1]:
         return 0.0
     count = data.n_frames * data.n_vertices
     unit = count * (_mean_normal_error(data, model) + _UNSEEN)
-    return math.sqrt((model.weighted_error(data) + data.slack + penalty) / unit)
+    return math.sqrt((model.weighted_error(data) + penalty) / unit)
 
 
 def rest_pulls(
@@ -232,7 +231,7 @@ def rest_pulls(
     known = np.isfinite(model.error).all()  # a start has no error yet
     if data.surface is None or constraints.rest or not known:
         return np.zeros((len(model.rest), 4))
-    error = model.weighted_error(data) + data.slack + penalty
+    error = model.weighted_error(data) + penalty
     return data.surface.pulls(model.rest, error, data.importance)
 
 

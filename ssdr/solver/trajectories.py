@@ -66,9 +66,6 @@ class Trajectories(Alignment):
         Sum of the squares of each vertex's normals before compression.
     surface : RestSurface or None
         Surface that the rest pose is to resemble; None if it is free.
-    slack : float
-        Constant added to the squared error in the objective, so that a decrease far below it is
-        worth nothing.
     """
 
     z: Array
@@ -80,7 +77,6 @@ class Trajectories(Alignment):
     normals: Array | None = None
     n2: Array | None = None
     surface: RestSurface | None = None
-    slack: float = 0.0
 
     @property
     def n_vertices(self) -> int:

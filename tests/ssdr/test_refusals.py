@@ -227,10 +227,6 @@ REFUSED_SMALLEST: dict[str, tuple[str, dict[str, Any]]] = {
     "bones beside a tolerance": ("start.transforms", {"start": ssdr.Start(transforms=TWO)}),
     "vertices of no importance": ("vertex_importance", {"vertex_importance": np.arange(84) < 42}),
     "importances too far apart": ("vertex_importance", {"vertex_importance": UNEVEN}),
-    "no tolerance of normals": ("normals_tolerance", {"normals_tolerance": 0}),
-    "degrees as text": ("normals_tolerance", {"normals_tolerance": "5°"}),
-    "normals without faces": ("normals_tolerance", {"normals_tolerance": 5, "faces": None}),
-    "a tolerance of no normals": ("normals", {"normals_tolerance": 5, "normals": False}),
     "normals in words": ("normals", {"normals": "no"}),
     **{f"tolerance {t!r}": ("tolerance", {"tolerance": t}) for t in TOLERANCES},
 }
