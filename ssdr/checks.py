@@ -15,33 +15,6 @@ from numpy.typing import NDArray
 
 from .errors import InputError, check_choice, is_real, is_whole
 
-__all__ = [
-    "LARGEST",
-    "BoneModel",
-    "as_array",
-    "check_bone_model",
-    "check_callback",
-    "check_dense",
-    "check_faces",
-    "check_floats",
-    "check_frame_importance",
-    "check_frames",
-    "check_importance",
-    "check_influences",
-    "check_mask",
-    "check_nonnegative",
-    "check_range",
-    "check_rng",
-    "check_skin",
-    "check_smoothness",
-    "check_squarable",
-    "check_transforms",
-    "check_whole",
-    "names_arguments",
-    "parse_tolerance",
-    "remedy_of_shape",
-]
-
 P = ParamSpec("P")
 R = TypeVar("R")
 BoneModel = Literal["rigid", "similarity", "affine"]

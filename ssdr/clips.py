@@ -13,8 +13,6 @@ from .space import common_space
 if TYPE_CHECKING:
     from .sequence import MeshSequence
 
-__all__ = ["Clip"]
-
 
 @dataclasses.dataclass(frozen=True)
 class Clip:

@@ -12,8 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Selected", "coincident", "distinct", "told_apart"]
-
 Rows = NDArray[np.intp]
 
 

@@ -20,8 +20,6 @@ from .skinning import Skinning
 from .solver.rest_surface import RestPose
 from .start import Skeleton, Start
 
-__all__ = ["decompose"]
-
 
 @names_arguments
 def decompose(

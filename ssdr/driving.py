@@ -12,8 +12,6 @@ from .clips import Clip
 from .errors import InputError
 from .skinning import Skinning, check_skinning
 
-__all__ = ["drive", "is_driven"]
-
 _AT_REST = 1e-5  # largest deviation from the identity of a bone at rest
 
 

@@ -22,8 +22,6 @@ from .sequence import MeshSequence
 from .skinning import Skinning
 from .space import METRES_Y_UP, Space
 
-__all__ = ["ENGINES", "Engine", "EngineName", "Finding", "findings", "n_roots"]
-
 EngineName = Literal["unreal", "unity", "godot", "three", "bevy", "web"]
 
 

@@ -22,8 +22,6 @@ from .shapes import Shapes
 from .skinning import Skinning
 from .start import Start
 
-__all__ = ["Expressions", "decompose_expressions"]
-
 Array = NDArray[np.float64]
 
 _MOST = 9.0  # importance of a vertex whose error is far beyond the tolerance

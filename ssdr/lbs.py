@@ -14,8 +14,6 @@ from .kernels.lbs import pull_back_to_bones, pull_back_to_vertices, skin_range
 from .parallel import chunk_bounds, run_chunks
 from .representation import short_repr
 
-__all__ = ["SkinGradients", "skin", "skin_gradients"]
-
 # vertices in a task; smaller tasks cost more calls, larger ones balance threads worse
 _VERTEX_CHUNK = 1024
 

@@ -29,8 +29,6 @@ from .solver.rest_surface import RestSurface
 from .solver.trajectories import gather
 from .solver.vertex_newton import optimise_vertices
 
-__all__ = ["LevelsOfDetail", "levels"]
-
 _TRIALS: dict[Effort, int] = {"fast": 4, "balanced": 48, "best": 160}
 
 

@@ -11,15 +11,6 @@ from .kernels.normals import normals_range
 from .parallel import chunk_bounds, run_chunks
 from .surface import Surface
 
-__all__ = [
-    "NormalHolders",
-    "corner_normals",
-    "normal_holders",
-    "normals_at_corners",
-    "surface_normals",
-    "unit",
-]
-
 Array = NDArray[np.float64]
 
 _CHUNK = 16384  # triangles in a task

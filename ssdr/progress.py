@@ -17,8 +17,6 @@ from .errors import Cancelled, InputError, SsdrError, SsdrWarning
 if TYPE_CHECKING:
     from .skinning import Skinning
 
-__all__ = ["Callback", "Monitor", "Progress", "Record", "Stop"]
-
 _SECONDS = 60.0  # between two checkpoints, and so the most that a killed process loses
 
 _logger = logging.getLogger(__name__)

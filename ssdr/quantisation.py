@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from .errors import check_choice
 
-__all__ = ["WeightStorage", "is_stored", "quantise", "weight_values"]
-
 WeightStorage = Literal["float32", "uint16", "uint8"]
 
 _OFF = 1e-2  # steps; more than the rounding of 16-bit weights to float32

@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["short_repr"]
-
 
 def short_repr(self: Any) -> str:
     """Representation of a dataclass that gives the type and shape of arrays, not their numbers.

@@ -14,8 +14,6 @@ from .metrics.normal_angles import NormalErrors
 from .progress import Record
 from .skinning import Skinning
 
-__all__ = ["Decomposition"]
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Decomposition:

@@ -14,8 +14,6 @@ from .errors import InputError
 from .parallel import serial_blas
 from .representation import short_repr
 
-__all__ = ["Shapes"]
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Shapes:

@@ -25,8 +25,6 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
-__all__ = ["interrupt_on_signals", "stop_on_signals"]
-
 _SHOW_CURSOR = b"\x1b[?25h\n"  # the progress bar hides it
 _HANGUP = getattr(signal, "SIGHUP", None)  # none on Windows
 _GRACE = 1.0  # seconds for removing temporary files after the second signal

@@ -8,8 +8,6 @@ from typing import Literal
 
 from .errors import InputError, is_real
 
-__all__ = ["Space"]
-
 Up = Literal["y", "z"]
 
 

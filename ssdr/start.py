@@ -9,8 +9,6 @@ from typing import Any, Literal
 from .representation import short_repr
 from .skinning import Skinning, skinning_in
 
-__all__ = ["JointKind", "Skeleton", "Start"]
-
 JointKind = Literal["rigid", "loose"]
 
 

@@ -11,8 +11,6 @@ from .checks import check_range
 from .errors import InputError
 from .representation import short_repr
 
-__all__ = ["Material", "Surface", "check_surface"]
-
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Material:

@@ -20,8 +20,6 @@ from .skinning import Skinning, check_skinning
 from .solver.warmup import compile_kernels
 from .start import Skeleton
 
-__all__ = ["round_weights"]
-
 _CHANGED = ("rest", "indices", "weights", "transforms", "joint_positions")
 _RIGID = 1e-4  # largest gap of a rigid joint in single precision, relative to the mesh's size
 

@@ -27,8 +27,6 @@ from ..solver.moments import bone_sums, stack_blocks
 from ..solver.trajectories import Array, Trajectories, gather
 from .fit import Fit, checked, fit_of
 
-__all__ = ["BoneFit", "fit_bones"]
-
 # Sweeps, and steps of all bones together after them.  With one such step, bones that overlap widely
 # take hundreds of sweeps; two cost a third more where one would do.
 _SWEEPS, _STEPS = 5, 2

@@ -27,8 +27,6 @@ from ..sequence import MeshSequence, as_sequences, labels_of, without_copies
 from ..skinning import Skinning, refuse_shapes, skinning_in
 from ..solver.trajectories import Array, Trajectories, gather
 
-__all__ = ["Fit", "FitInput", "checked", "fit_of"]
-
 _MOST_BONES = 1 << 16  # bound of the number that the largest index implies, as each takes memory
 
 

@@ -18,8 +18,6 @@ from ..solver.rest_surface import RestPose, RestSurface
 from ..solver.trajectories import Trajectories
 from .fit import Fit, checked, fit_of
 
-__all__ = ["fit_rest_pose"]
-
 _STEPS, _GAIN = 40, 1e-6  # most steps, and relative decrease of the objective that ends them
 
 

@@ -22,8 +22,6 @@ from ..skinning import Skinning, check_skinning
 from ..storage.size import key_bytes
 from .fit import Fit, checked
 
-__all__ = ["ShapeFit", "components", "fit_shapes", "shapes_within", "some_shapes"]
-
 Array = NDArray[np.float64]
 
 _PULL = 1e-9  # pull towards displacements of 0, relative to the sum of squared amounts

@@ -15,8 +15,6 @@ from ..solver.model import Lowest
 from .fit import Fit, fit_of
 from .start import fitted_skinning, started
 
-__all__ = ["ssdr2012"]
-
 
 @names_arguments
 def ssdr2012(

@@ -24,8 +24,6 @@ from ..solver.initialization import start_model
 from ..solver.model import Constraints, Model
 from ..solver.trajectories import Trajectories, gather
 
-__all__ = ["fitted_skinning", "initialize", "started"]
-
 
 def initialize(
     sequence: MeshSequence | Any,

@@ -31,8 +31,6 @@ from ..solver.trajectories import Array, Trajectories
 from ..solver.vertex_newton import optimise_vertices
 from .fit import Fit, checked, fit_of
 
-__all__ = ["fit_weights"]
-
 
 def fit_weights(
     sequence: MeshSequence | Any,

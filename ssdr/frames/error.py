@@ -16,16 +16,6 @@ from ..sequence import MeshSequence
 from ..skinning import skin
 from .executor import Executor, Frames, Local, SpanTask, spans_of
 
-__all__ = [
-    "largest_error",
-    "motion_rms",
-    "of_each_span",
-    "rmse",
-    "rmse_of",
-    "share_of",
-    "squared_error",
-]
-
 Array = NDArray[np.float64]
 
 _CHUNK = 512  # vertices in a task, as in the solver

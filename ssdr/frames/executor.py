@@ -25,8 +25,6 @@ from numpy.typing import NDArray
 from ..parallel import chunk_bounds
 from ..sequence import MeshSequence, native
 
-__all__ = ["Executor", "Frames", "Local", "SpanTask", "executor_for", "spans_of"]
-
 # Bytes of a block in float64: enough for fast matrix products, few enough to hold several.
 _BLOCK = 32 << 20
 _FEWEST = 8  # frames in a block, whatever their size

@@ -20,8 +20,6 @@ from .error import of_each_span
 from .executor import Executor, Frames, spans_of
 from .shaped_normals import shaped_normals
 
-__all__ = ["Angles", "drawn_angles", "holders_of", "with_fitted_normals"]
-
 Array = NDArray[np.float64]
 
 _CHUNK = 512  # normals in a task

@@ -11,8 +11,6 @@ from ..normals import NormalHolders, corner_normals, normal_holders, surface_nor
 from ..skinning import Skinning
 from .vector_fit import fit_vectors
 
-__all__ = ["ShapedNormals", "shaped_normals"]
-
 Array = NDArray[np.float64]
 
 _PULL = 1e-3  # towards the initial normals, relative to the sum of squared amounts

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..skinning import Skinning
 
-__all__ = ["fit_vectors"]
-
 Array = NDArray[np.float64]
 
 _NUMBERS = 1 << 22  # in an array of a task

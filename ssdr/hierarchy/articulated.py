@@ -12,8 +12,6 @@ from ..clips import Clip
 from ..errors import InputError, is_real
 from .transforms import Freedom, from_local, joint_freedom, joint_gaps, local_of_pose, to_local
 
-__all__ = ["Articulated"]
-
 
 class Articulated:
     """Base class of models whose bones may have parents and joints."""

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from ..rigid import turn_between
 from .transforms import parents_first, rest_diagonal
 
-__all__ = ["limb_axes", "limb_ends"]
-
 Array = NDArray[np.float64]
 _SHORTEST = 0.01  # least length, in diagonals of the mesh: programs drop bones without length
 _ASIDE = 2e-3  # shift of an end, in bone lengths: above Blender's tolerance, too small to see

@@ -11,8 +11,6 @@ from ..clips import unique_names
 from ..skinning import Skinning
 from .transforms import Array
 
-__all__ = ["ground_motion", "with_root"]
-
 _NO_HEADING = 1e-9  # of the moment of the rest pose: below it, no heading is determined
 
 

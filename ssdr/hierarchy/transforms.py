@@ -18,24 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import InputError
 from ..rigid import matrix_from_quaternion
 
-__all__ = [
-    "RIGID",
-    "Freedom",
-    "check_parents",
-    "depths",
-    "from_frames",
-    "from_local",
-    "joint_freedom",
-    "joint_gaps",
-    "local_of_pose",
-    "parents_first",
-    "rest_diagonal",
-    "rest_offsets",
-    "to_local",
-    "to_world",
-    "translating",
-]
-
 RIGID = 1e-6  # gap of a joint, in diagonals of the mesh, up to which it does not translate
 
 Array = NDArray[np.float64]

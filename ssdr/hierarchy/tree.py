@@ -10,8 +10,6 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from .transforms import parents_first
 
-__all__ = ["Tree", "root_at_centroids"]
-
 Array = NDArray[np.float64]
 
 

@@ -15,8 +15,6 @@ from ..solver.initialization import fit_patches
 from ..solver.trajectories import Array, Trajectories
 from .placement import fit_joints
 
-__all__ = ["limb_distances", "match_by_motion", "matched_bones"]
-
 # Weight of a joint's squared gap beside squared distances from limbs: gaps distinguish bones that
 # are equally near.  On a tree of 18 bones, 16 are matched correctly with weight 1, all with 10 to
 # 1000.

@@ -13,15 +13,6 @@ from ..hierarchy.transforms import rest_diagonal
 from ..representation import short_repr
 from ..skinning import Skinning
 
-__all__ = [
-    "Mirror",
-    "edges_with_image",
-    "find_mirror",
-    "mirror_of",
-    "mirrored_edges",
-    "side_names",
-]
-
 Array = NDArray[np.float64]
 _MOST_POINTS = 4000  # most vertices by which planes are compared
 _ROUNDS = 12  # most rounds of pairing vertices with their images and fitting the plane to the pairs

@@ -28,18 +28,6 @@ from ..solver.moments import bone_sums
 from ..solver.objective import normal_length
 from ..solver.trajectories import Array, Trajectories
 
-__all__ = [
-    "Contacts",
-    "find_contacts",
-    "fit_joint",
-    "fit_joints",
-    "move_onto_joints",
-    "refit_joints",
-    "snap_to_joints",
-    "spanning_tree",
-    "step_with_joint_penalty",
-]
-
 # Weights, per frame, of what an edge costs beside its gap: the joint's squared distance from the
 # contact of its bones, which decides where motion does not, and the squared distance of their skin.
 _AWAY, _APART = 1e-3, 1e-2

@@ -6,15 +6,6 @@ import numpy as np
 
 from .policy import inline
 
-__all__ = [
-    "RIDGE",
-    "cheapest_to_drop",
-    "cholesky_solve",
-    "equilibrate",
-    "invert",
-    "simplex_qp",
-]
-
 # This fraction of the mean diagonal is added to the diagonal, since bones that move alike make a
 # matrix singular.
 RIDGE = 1e-13

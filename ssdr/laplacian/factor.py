@@ -17,8 +17,6 @@ from scipy.sparse.linalg import splu
 from ..errors import MissingDependencyError, check_choice
 from ..parallel import serial_blas
 
-__all__ = ["Backend", "factor_spd"]
-
 Backend = Literal["cholmod", "scipy"]
 
 

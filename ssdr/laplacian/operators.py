@@ -16,15 +16,6 @@ from scipy.sparse import coo_array, csr_array, dia_array
 from ..checks import LARGEST, check_faces, check_floats, check_squarable, check_whole
 from ..errors import check_choice
 
-__all__ = [
-    "REGULAR",
-    "MassKind",
-    "check_mesh",
-    "cotangent_laplacian",
-    "mass_matrix",
-    "uniform_laplacian",
-]
-
 MassKind = Literal["barycentric", "voronoi"]
 
 REGULAR = 1 / math.sqrt(3)  # both cotangents opposite to an edge of a regular triangulation

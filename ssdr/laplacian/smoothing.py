@@ -23,14 +23,6 @@ from .operators import (
     uniform_laplacian,
 )
 
-__all__ = [
-    "Backend",
-    "FrequencySplit",
-    "LaplacianKind",
-    "LaplacianSmoother",
-    "split_frequencies",
-]
-
 LaplacianKind = Literal["cotangent", "uniform"]
 
 _BATCH_BYTES = 64 << 20  # bytes of right-hand sides solved at a time, to bound memory

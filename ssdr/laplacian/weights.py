@@ -14,8 +14,6 @@ from .factor import Backend
 from .operators import MassKind
 from .smoothing import LaplacianKind, LaplacianSmoother
 
-__all__ = ["smooth_weights"]
-
 
 def smooth_weights(
     skinning: Skinning | Any,

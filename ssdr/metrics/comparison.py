@@ -21,8 +21,6 @@ from .normal_angles import NormalErrors
 from .normal_angles import known_errors as _normals
 from .vertex_distances import Distances, distances
 
-__all__ = ["Comparison", "compare"]
-
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Comparison(Distances):

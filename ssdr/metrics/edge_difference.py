@@ -17,8 +17,6 @@ from ..representation import short_repr
 from ..sequence import MeshSequence
 from .inputs import Frames, as_pair, check_finite, chunk_size, edges_of, read
 
-__all__ = ["Normaliser", "Sted", "sted"]
-
 Normaliser = Literal["speed", "diagonal"]
 
 

@@ -18,8 +18,6 @@ from ..representation import short_repr
 from ..sequence import MeshSequence
 from .inputs import Frames, as_sequence, check_finite, read
 
-__all__ = ["Hausdorff", "hausdorff"]
-
 _FRAMES = 8  # frames in a task: a search starts from the triangles found in the frame before
 _LEAF = 4  # approximate number of triangles in a leaf of the tree
 _FIRST = 32  # points searched before the bound is tested for the first time

@@ -18,8 +18,6 @@ from ..sequence import MeshSequence
 from ..skinning import Skinning, skinning_in
 from .inputs import Frames, as_pair, as_sequence, chunk_size, read
 
-__all__ = ["NormalErrors", "errors_of_model", "known_errors", "normals"]
-
 _MOST = 500  # frames measured of a result of the solver, or a few less
 
 

@@ -13,8 +13,6 @@ from ..parallel import chunk_bounds
 from ..representation import short_repr
 from .inputs import Frames, as_pair, check_finite, chunk_size, read
 
-__all__ = ["Distances", "distances", "rmse"]
-
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Distances:

@@ -29,8 +29,6 @@ from ..solver.model import Model
 from ..solver.warmup import compile_kernels
 from .problem import Problem
 
-__all__ = ["Step", "finished", "outcome_of", "skinning_of", "with_normals"]
-
 # Largest ratio of the true error to that of the objective at which records are scaled to the true
 # error.  A larger ratio means that the error is of vertices with almost no importance.
 _MOST_RATIO = 10.0

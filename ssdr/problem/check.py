@@ -34,8 +34,6 @@ from .check_start import (
 )
 from .problem import Effort, Initial, Problem, RigKind
 
-__all__ = ["check_problem"]
-
 
 def check_problem(
     sequence: Any,

@@ -28,15 +28,6 @@ from ..solver.trajectories import Array
 from ..start import JointKind, Skeleton, Start
 from .problem import Initial
 
-__all__ = [
-    "as_start",
-    "check_skeleton",
-    "check_start",
-    "extra_parents",
-    "refuse_parts",
-    "with_skeleton",
-]
-
 # Largest joint gaps, relative to the mesh's size, that are rounding errors: of double precision,
 # and of single precision or a file's keys.  Gaps between these two bounds are closed at once.
 _EXACTLY, _NEARLY = 1e-12, 1e-4

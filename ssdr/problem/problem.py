@@ -21,8 +21,6 @@ from ..solver.rest_surface import RestPose, RestSurface, central_frame
 from ..solver.trajectories import Array, Trajectories
 from .scan import needs_streaming
 
-__all__ = ["Effort", "Initial", "Problem", "RigKind"]
-
 Effort = Literal["fast", "balanced", "best"]
 RigKind = Literal["none", "loose", "rigid"]
 

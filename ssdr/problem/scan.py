@@ -20,8 +20,6 @@ from ..solver.alignment import Alignment, centred, rotations_onto, scale_of
 from ..solver.initialization import farthest_points
 from ..solver.trajectories import Array
 
-__all__ = ["Report", "Scan", "needs_streaming", "scan", "subset"]
-
 _IN_MEMORY = 1 << 30  # bytes of float64 trajectories up to which all frames are held in memory
 _SUBSET = 128 << 20  # bytes of the trajectories of the representative frames
 _FEWEST, _MOST = 120, 1000  # bounds of the number of representative frames

@@ -20,17 +20,6 @@ from .moves import (
     polish_steps,
 )
 
-__all__ = [
-    "STEPS_OF_A_TRIAL",
-    "Change",
-    "add_and_merge",
-    "merge",
-    "move_bones",
-    "search",
-    "tried",
-    "try_places",
-]
-
 STEPS_OF_A_TRIAL = 8  # polish steps before a trial of a search is judged
 # Ratio of a trial's objective to the present one below which the trial is polished once more.
 _CLOSE = 1.02

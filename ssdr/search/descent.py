@@ -33,8 +33,6 @@ from ..solver.trajectories import Trajectories
 from .moves import polish_steps
 from .vertex_sample import model_of_all
 
-__all__ = ["ALTERNATIONS_OF_ALL", "Descent", "Schedule", "step"]
-
 # Alternations on all vertices after a sample, and polish steps if the descent is stopped on it.
 ALTERNATIONS_OF_ALL, _STEPS_AFTER_STOP = 8, 8
 

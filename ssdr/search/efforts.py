@@ -10,19 +10,6 @@ import math
 
 from ..problem.problem import Effort
 
-__all__ = [
-    "MANY_BONES",
-    "NUMBERS",
-    "RELAXED_VERTICES",
-    "STARTS_OF_MANY_BONES",
-    "TREE_ROUNDS",
-    "TRIALS_OF_A_REBUILD",
-    "TRIALS_OF_A_START",
-    "TRIALS_OF_A_TREE",
-    "Rebuilds",
-    "rebuilds",
-]
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Numbers:

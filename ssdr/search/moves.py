@@ -23,19 +23,6 @@ from ..solver.moments import transform_sums
 from ..solver.objective import normal_length, rest_pulls
 from ..solver.trajectories import Array, Trajectories
 
-__all__ = [
-    "add_and_merge_bones",
-    "alternate_some",
-    "drop_influence",
-    "exchange_bones",
-    "exchange_influences",
-    "merge_bones",
-    "move_cheapest_bone",
-    "patch_of_most_error",
-    "polish_steps",
-    "polish_then_drop_influence",
-]
-
 # Number of vertices, drawn by their error, around which a new bone may be placed: to compare the
 # error of so many neighbourhoods costs next to nothing beside one alternation.
 _CANDIDATES = 32

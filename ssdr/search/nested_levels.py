@@ -28,8 +28,6 @@ from ..solver.vertex_newton import optimise_vertices
 from .moves import drop_influence
 from .vertex_sample import model_of_all, motion_sample, sample_size
 
-__all__ = ["Nested", "nested_models"]
-
 _POWER = 6  # p of the objective
 _WIDER = 4  # influences beyond the requested number, with which the search begins
 _STEPS = 3  # Gauss–Newton steps between two choices of influences

@@ -29,8 +29,6 @@ from ..solver.objective import Objective, normal_length, rest_pulls
 from ..solver.trajectories import Array, Trajectories, frame_scale_of
 from ..solver.vertex_newton import newton_vertices
 
-__all__ = ["ENTERING", "AllFrames", "carried"]
-
 # Gauss–Seidel sweeps of the bones in a pass, and leaps before them in the first pass, which begins
 # with transforms of other frames.
 _SWEEPS, _FIRST_LEAPS = 24, 1

@@ -58,8 +58,6 @@ from .tree_schedules import (
     tree_of_bones,
 )
 
-__all__ = ["follow_effort", "settle"]
-
 # Ratio of a tree's objective to the best one up to which the tree is improved.
 _PROMISING = 4.0
 

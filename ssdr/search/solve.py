@@ -34,8 +34,6 @@ from .efforts import NUMBERS
 from .passes import ENTERING, AllFrames, carried
 from .schedules import follow_effort, settle
 
-__all__ = ["PASSES", "SCANNED", "read_frames", "rounded", "scan_of", "solve"]
-
 # Fractions of the work that are done after the scan, after the run on representative frames, and
 # after the run on more frames, as measured for sequences of the paper's size.
 SCANNED, _REPRESENTED, _SETTLED = 0.05, 0.3, 0.5

@@ -18,16 +18,6 @@ from .bone_steps import merge
 from .descent import Descent, step
 from .steps import alternate, compress, polish
 
-__all__ = [
-    "first_model",
-    "fit_copied_bones",
-    "merged_start",
-    "polish_model",
-    "quick_start",
-    "start",
-    "start_from_model",
-]
-
 # A quick start uses 64 frames if there are at least twice as many, and alternates 16 times on them:
 # that is enough to find the bones and to place them.
 _FEW_FRAMES, _FEW_ALTERNATIONS = 64, 16

@@ -17,21 +17,6 @@ from .descent import ALTERNATIONS_OF_ALL, Descent, Schedule, step
 from .moves import polish_then_drop_influence
 from .vertex_sample import LEAST, MOST, motion_sample, sample_size
 
-__all__ = [
-    "alternate",
-    "beside",
-    "compress",
-    "last_polish",
-    "lowest",
-    "on_sample",
-    "polish",
-    "relax",
-    "relax_bones",
-    "return_to_best",
-    "solve_normals",
-    "unfold",
-]
-
 # Relative decrease of the objective below which an alternation counts as a failure.
 _PLATEAU = 1e-5
 # Failures in a row that end the alternations: with fewer, they would end at a pause.

@@ -26,18 +26,6 @@ from ..solver.model import Constraints, Model
 from ..solver.trajectories import Array, Trajectories
 from .moves import patch_of_most_error, polish_steps
 
-__all__ = [
-    "add_edge_between_skin_neighbours",
-    "attach_by_stiffness",
-    "mirror_edge",
-    "move_bone_to_error",
-    "removal_losses",
-    "remove_cheapest_bone",
-    "reparent",
-    "replace_bone",
-    "split_bone",
-]
-
 # Last stiffness of the joints, relative to the lighter bone's mass: it leaves next to no gap.
 _HARD = 100.0
 _MOST_EDGES = 3  # most edges that change at once; their number is drawn

@@ -26,18 +26,6 @@ from .tree_steps import (
     start_on_skeleton,
 )
 
-__all__ = [
-    "bones_of_skeleton",
-    "loose_from_model",
-    "loose_skeleton",
-    "lowest_tree",
-    "relax_tree",
-    "search_best_trees",
-    "start_of_tree",
-    "tree_from_model",
-    "tree_of_bones",
-]
-
 
 def tree_of_bones(d: Descent, effort: Effort, size: float) -> None:
     """Find bones with joints and their tree: trees from several starts, then a search.

@@ -24,16 +24,6 @@ from .tree_moves import (
     split_bone,
 )
 
-__all__ = [
-    "add_bones",
-    "attach",
-    "attach_unattached",
-    "remove_bones",
-    "search_trees",
-    "search_weights",
-    "start_on_skeleton",
-]
-
 # Stiffness of the joints, relative to the lighter bone's mass, from the first step to the last.
 _STIFFNESS = (1e-2, 100.0)
 _MOST_POLISH = 48  # most steps of a trial that still approaches the objective it has to beat

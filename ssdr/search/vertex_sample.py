@@ -10,8 +10,6 @@ from ..solver.initialization import by_motion
 from ..solver.model import Model
 from ..solver.trajectories import Array, Trajectories
 
-__all__ = ["LEAST", "MOST", "model_of_all", "motion_sample", "sample_size"]
-
 LEAST, MOST = 48, 128  # bounds of the number of vertices of a sample, per bone
 
 

@@ -18,15 +18,6 @@ from ..parallel import chunk_bounds, run_chunks, serial_blas
 from .moments import stack_blocks
 from .trajectories import Array, stack_transforms, unstack_transforms
 
-__all__ = [
-    "PATCH_RIDGE",
-    "admissible",
-    "leap_rigid",
-    "ridge_blocks",
-    "solve_affine",
-    "stack_diagonal",
-]
-
 # Strengths of the ridge penalty: for patches (of few vertices, which may lie in a plane), and for a
 # step of the alternation.
 PATCH_RIDGE, _RIDGE = 0.1, 1e-4

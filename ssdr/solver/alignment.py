@@ -16,8 +16,6 @@ from ..kernels.alignment import inward_range
 from ..parallel import chunk_bounds, run_chunks
 from ..rigid import nearest_rotation
 
-__all__ = ["Alignment", "centred", "rotations_onto", "scale_of"]
-
 Array = NDArray[np.float64]
 
 _AT_ONCE = 512  # frames whose transforms are mapped at a time

@@ -17,16 +17,6 @@ from .moments import bone_sums, coupled_bones, transform_sums
 from .objective import WeightSmoothness, normal_length, rest_pulls
 from .trajectories import Array, Trajectories
 
-__all__ = [
-    "bone_costs",
-    "bone_step",
-    "free_gauge",
-    "normalise_gauge",
-    "repeat_alternation",
-    "sweep",
-    "vertex_step",
-]
-
 
 def repeat_alternation(
     data: Trajectories,

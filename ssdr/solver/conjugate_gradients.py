@@ -15,8 +15,6 @@ import numpy as np
 from ..parallel import chunk_bounds, run_chunks
 from .trajectories import Array
 
-__all__ = ["Operator", "Recycled", "conjugate_gradients"]
-
 Operator = Callable[[Array], Array]  # a linear map of arrays of one shape
 
 _CONVERGED = 1e-10  # squared residual rᵀ P r, relative to the first, that ends the iteration

@@ -35,8 +35,6 @@ from .trajectories import Array, Trajectories
 from .vertex_elimination import ReducedSystem
 from .vertex_newton import optimise_vertices
 
-__all__ = ["GaussNewton", "fit_motion", "tangent_of"]
-
 _DAMPING = 1e-3  # λ of the first step
 _STEPPED = ("transforms", *SOLVED)  # arrays that a step changes
 # In every third step, up to three bones may enter the support of a vertex: to try this in every

@@ -14,8 +14,6 @@ from .affine_fit import PATCH_RIDGE, solve_affine
 from .model import CHUNK, Model
 from .trajectories import Array, Trajectories
 
-__all__ = ["by_motion", "farthest_points", "fit_patches", "start_model"]
-
 _PATCHES_PER_BONE = 8  # candidates for each bone: more take longer and offer more choice
 _SAMPLE = 20_000  # vertices by whose error patches are chosen
 _REFITS = 3  # rounds of assigning vertices to bones and fitting these (Lloyd's iteration)

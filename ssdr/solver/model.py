@@ -13,8 +13,6 @@ from ..hierarchy.tree import Tree
 from ..skinning import BoneModel
 from .trajectories import Array, Trajectories
 
-__all__ = ["ARRAYS", "CHUNK", "FREE", "SLOTS", "SOLVED", "Constraints", "Lowest", "Model", "Skin"]
-
 # Most bones in a vertex's support, on which its weights are solved: more than K, so that a bone can
 # come back, and few enough for a small dense solve.
 SLOTS = 12

@@ -16,8 +16,6 @@ from ..parallel import chunk_bounds, run_chunks, serial_blas
 from .model import CHUNK, Model
 from .trajectories import Array, Trajectories
 
-__all__ = ["bone_sums", "coupled_bones", "gram_tables", "stack_blocks", "transform_sums"]
-
 # most tasks: each needs memory for its own table of sums, but fewer tasks would use fewer cores
 _MOMENT_TASKS = 16
 # index of monomial p̃_d p̃_e among x², y², z², xy, xz, yz, x, y, z, 1

@@ -50,18 +50,6 @@ from ..checks import LARGEST
 from .model import FREE, Constraints, Model
 from .trajectories import Array, Trajectories
 
-__all__ = [
-    "JointPenalty",
-    "Objective",
-    "WeightSmoothness",
-    "joint_offsets",
-    "mean_joint_penalty",
-    "meeting_points",
-    "normal_length",
-    "rest_pulls",
-    "strength_of",
-]
-
 # Relative overlap at which the overlap's centroid and the midpoint have equal weight.
 _SHARED = 1e-2
 _UNSEEN = math.radians(1.0) ** 2  # ν: errors of normals far below a degree are not seen

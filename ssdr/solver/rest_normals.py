@@ -9,8 +9,6 @@ from .model import CHUNK, Model
 from .moments import transform_sums
 from .trajectories import Array, Trajectories
 
-__all__ = ["with_rest_normals"]
-
 _LEAST = 1e-9  # added to a system's diagonal, relative to its trace
 
 

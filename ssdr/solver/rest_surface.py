@@ -34,8 +34,6 @@ from ..kernels.normals import normals_range
 from ..parallel import serial_blas
 from .trajectories import Array, Trajectories
 
-__all__ = ["RestPose", "RestSurface", "central_frame"]
-
 RestPose = Literal["surface", "free"]
 
 # c: an error 1 + c·S times as large is as bad as a strain S; an edge rotated by 20° has S = 0.12.

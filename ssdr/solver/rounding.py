@@ -24,8 +24,6 @@ from .moments import transform_sums
 from .objective import Objective, normal_length, rest_pulls
 from .trajectories import Trajectories
 
-__all__ = ["rounded_models"]
-
 _STEPS = 8  # polish steps of a round
 # Most rounds after the weights are rounded, for each round before that; they end early if the
 # relative gain of a round is smaller than _GAIN.

@@ -24,15 +24,6 @@ from .alignment import Alignment, centred, rotations_onto, scale_of
 if TYPE_CHECKING:
     from .rest_surface import RestSurface
 
-__all__ = [
-    "Trajectories",
-    "frame_scale_of",
-    "gather",
-    "stack_transforms",
-    "truncated_basis",
-    "unstack_transforms",
-]
-
 Array = NDArray[np.float64]
 
 _TAIL = 1e-4  # squared error that compression may add, relative to a lower bound of B bones' error

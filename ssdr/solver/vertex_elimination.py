@@ -25,8 +25,6 @@ from .moments import bone_sums, stack_blocks
 from .trajectories import Array, Trajectories
 from .vertex_newton import VertexSystem
 
-__all__ = ["ReducedSystem", "cross_product", "product"]
-
 # Fewest rows and multiplications of a piece: small products are slow, and handing them to threads
 # costs more than it saves.
 _PIECE, _MULTIPLICATIONS = 96, 2_000_000

@@ -23,8 +23,6 @@ from .moments import transform_sums
 from .objective import normal_length, rest_pulls
 from .trajectories import Array, Trajectories
 
-__all__ = ["VertexSystem", "newton_vertices", "optimise_some", "optimise_vertices"]
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class VertexSystem:

@@ -25,8 +25,6 @@ from .model import FREE, Model
 from .moments import transform_sums
 from .trajectories import Trajectories, gather
 
-__all__ = ["begin_compiling", "compile_kernels", "compile_second_half"]
-
 _logger = logging.getLogger(__name__)
 _ready = bool(SHIPPED)
 _beside: subprocess.Popen[bytes] | None = None

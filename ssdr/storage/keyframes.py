@@ -16,8 +16,6 @@ from ..skinning import Skinning
 from .size import key_bytes, time_bytes
 from .stretch import steady_axes
 
-__all__ = ["Tracks"]
-
 Array = NDArray[np.float64]
 
 # Frames from one key to the next: all up to six, then each about a quarter larger.

@@ -13,8 +13,6 @@ from ..quantisation import WeightStorage
 from ..shapes import Shapes
 from ..skinning import Skinning, check_skinning
 
-__all__ = ["Size", "influence_bytes", "key_bytes", "size", "time_bytes"]
-
 # In float32: rotation and translation; also a scale; two rotations, translation and three scales.
 _KEY_BYTES = {"rigid": 28, "similarity": 32, "affine": 56}
 _TRANSLATION_BYTES = 12

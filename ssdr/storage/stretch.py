@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from ..rigid import matrix_from_quaternion, quaternion_from_matrix, slerp
 
-__all__ = ["steady_axes"]
-
 Array = NDArray[np.float64]
 
 

@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Blocks"]
-
 _LEVEL = 6  # of zlib; 9 takes three times as long for 1 %
 
 

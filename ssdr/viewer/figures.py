@@ -11,8 +11,6 @@ from ..skinning import Skinning
 from ..storage.size import size
 from .motion import MotionFigures, Truth
 
-__all__ = ["figures", "summary"]
-
 
 def figures(
     model: Skinning,

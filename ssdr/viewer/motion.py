@@ -14,8 +14,6 @@ from ..errors import InputError
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 
-__all__ = ["MotionFigures", "Outermost", "Truth", "walk"]
-
 Float = NDArray[np.float64]
 _OUTLINES = 64  # frames whose outermost vertices are looked for
 _CHUNK_BYTES = 32 << 20  # of vertices that are skinned at a time

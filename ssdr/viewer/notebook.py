@@ -12,8 +12,6 @@ from typing import Any
 from ..sequence import MeshSequence
 from ..skinning import Skinning, skinning_in
 
-__all__ = ["notebook_html"]
-
 _PAGE_BYTES = 3_000_000  # of a page in a frame: the notebook keeps it in its file
 _PAGE_VERTICES = 2_000_000  # of all frames; more would let the reader wait for seconds
 _PICTURE_VERTICES = 50_000

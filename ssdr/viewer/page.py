@@ -24,8 +24,6 @@ from ..sequence import MeshSequence, as_sequences
 from ..skinning import Skinning, skinning_in
 from .payload import Payload, payload
 
-__all__ = ["PARTS", "WEB", "Page", "assembled", "page_text", "view"]
-
 WEB = files(__package__) / "web"
 # Joined into one script in this order: each may use the names of those before it.
 PARTS = tuple(

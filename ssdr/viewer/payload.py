@@ -34,8 +34,6 @@ from .figures import figures, summary
 from .motion import MotionFigures, Truth, walk
 from .surface import surface_entries
 
-__all__ = ["Payload", "difference_entry", "heat_scales", "payload", "weight_entries"]
-
 MOST_INFLUENCES = 8  # that the shader sums
 _SPAN_BYTES = 1 << 20  # of 16-bit differences that are decoded at a time
 _WEIGHT_STEPS = 1 << 20

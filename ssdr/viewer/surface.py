@@ -14,8 +14,6 @@ from ..normals import NormalHolders, normal_holders
 from ..surface import Material, Surface
 from .blocks import Blocks
 
-__all__ = ["surface_entries"]
-
 _TEXTURE_BYTES = 2 << 20  # larger textures are drawn anew
 _TEXTURE_SIDE = 2048
 

@@ -15,9 +15,7 @@ import numpy as np
 import ssdr
 from helpers import motions
 from helpers.measures import diagonal
-from helpers.stability import Case, Group, Problem, goes_on, memory, run, same_bits, taken_up
-
-__all__ = ["CASES", "GROUPS", "Case", "Problem", "large", "plain", "run"]
+from helpers.stability import Case, Group, Problem, goes_on, memory, same_bits, taken_up
 
 
 @functools.cache

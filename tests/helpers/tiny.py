@@ -21,8 +21,6 @@ from ssdr.solver.rest_normals import with_rest_normals
 from ssdr.solver.rest_surface import RestSurface
 from ssdr.solver.trajectories import Trajectories, gather
 
-__all__ = ["CASES", "KINDS", "TREES", "Tiny"]
-
 _SOME, _ALL = np.arange(8) % 2 == 0, np.ones(8, dtype=bool)
 # rotations relative to the parent that bones 0 and 1 keep, where they have one
 _TURNS = Rotation.random(12, rng=np.random.default_rng(8)).as_matrix().reshape(4, 3, 3, 3)

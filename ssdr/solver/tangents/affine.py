@@ -11,8 +11,6 @@ from ..moments import stack_blocks
 from ..trajectories import Array, stack_transforms, unstack_transforms
 from .tangent import Tangent
 
-__all__ = ["AffineTangent"]
-
 
 class AffineTangent(Tangent):
     """Unknowns x (F, B, 12): the change of the twelve entries of each transform.

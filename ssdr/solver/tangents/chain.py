@@ -17,8 +17,6 @@ from ..trajectories import Array, Trajectories
 from .rigid import RigidTangent
 from .tangent import Tangent, inverse_of
 
-__all__ = ["ChainTangent"]
-
 _GROUP = 12  # fewest frames that share a factor of the preconditioner
 _MEMORY = 64 << 20  # most bytes of all factors
 _FEW = 8  # number of factors that is allowed whatever memory it takes

@@ -13,8 +13,6 @@ from ..model import Model
 from ..trajectories import Array
 from .tangent import Tangent, inverse_of
 
-__all__ = ["GENERATORS", "RigidTangent"]
-
 # Matrices E_d (3, 6), d = 1 to 4.  With E(p̃) = Σ_d p̃_d E_d, unknowns (ω, τ) change M p̃ by
 # M E(p̃) (ω, τ).
 GENERATORS = np.array(

@@ -9,8 +9,6 @@ from ..model import Model
 from ..trajectories import Array
 from .rigid import GENERATORS, RigidTangent
 
-__all__ = ["SimilarityTangent"]
-
 # the generator of σ, which adds σ p to the change of p
 _GROWTH = np.concatenate([np.eye(3), np.zeros((1, 3))])[:, :, None]
 

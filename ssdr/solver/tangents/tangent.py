@@ -15,8 +15,6 @@ from ..model import FREE, Constraints, Model
 from ..objective import JointPenalty
 from ..trajectories import Array, Trajectories
 
-__all__ = ["Tangent", "inverse_of"]
-
 _TRANSFORMS = 4096  # fewest transforms of a task: fewer are not worth a thread
 
 
