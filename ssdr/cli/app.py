@@ -30,7 +30,7 @@ _CODES: tuple[tuple[Any, int], ...] = (
     ((errors.InputError, FileNotFoundError, PermissionError, IsADirectoryError), 2),
 )
 
-_COMMANDS = ("decompose", "smallest", "info", "check", "compare", "convert", "render", "view")
+_COMMANDS = ("decompose", "smallest", "info", "compare", "convert", "render", "view")
 
 
 def _program(given: Sequence[str]) -> typer.Typer:
@@ -41,7 +41,7 @@ def _program(given: Sequence[str]) -> typer.Typer:
     app = typer.Typer(
         name="ssdr",
         help="Animated meshes to skinned models: rest pose, skin weights and bones.",
-        epilog="Exit codes: 0 done, 1 unexpected or refused by check, 2 wrong usage or input, "
+        epilog="Exit codes: 0 done, 1 unexpected, 2 wrong usage or input, "
         "3 bad file, 4 missing optional package, 130 interrupted.",
         rich_markup_mode="markdown",
         pretty_exceptions_enable=False,

@@ -11,9 +11,9 @@ from ..skinning import Skinning
 from .format_options import read_options
 from .options import FILES, Force, SpaceOptions, Write, argument, option, takes
 from .output import Output, saved_line
-from .reading import clips_document, clips_text, read_model, read_vertices
+from .reading import clips_document, read_model, read_vertices
 from .saving import check_outputs
-from .template import options_with_template, shared_format
+from .template import options_with_template
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -34,8 +34,7 @@ def convert(options: ConvertOptions) -> None:
     """Write a file again in another format.
 
     A skinning is written as a skinning, with all its clips, if the format can hold it; otherwise
-    the vertices of one clip are written. From glTF to glTF and from USD to USD, the whole file is
-    copied, unless an option other than --clip changes what is read or written.
+    the vertices of one clip are written.
     """
     output = Output.start(options)
     import ssdr
@@ -44,32 +43,22 @@ def convert(options: ConvertOptions) -> None:
     (read,) = read_options([source], options)
     check_outputs([target], options.write, sources=[source])
     thing: MeshSequence | Skinning
-    if shared_format(source, target) and not (options.bake or read or options.write):
-        names = None if options.clip is None or "all" in options.clip else options.clip
-        report = ssdr.io.copy(source, target, clips=names)
-        # A clip without a name is named after its file, which is the one that was read.
-        clips = ssdr.list_clips(source if names is None else target)
-        kind, words, frames = "file", clips_text(clips), sum(clip.n_frames for clip in clips)
-    else:
-        with output.waiting(f"loading {source}"):
-            take = read_vertices if options.bake or read.get("weld") else read_model
-            thing = take(source, options.clip, read)
-        skinned = isinstance(thing, Skinning)
-        inputs = {source: read}
-        clips = thing.clips if isinstance(thing, Skinning) else ()
-        names = [clip.name for clip in clips]
-        settings = options_with_template(
-            target, options.write, inputs, new_bones=not skinned, clips=names
-        )
-        with output.waiting(f"saving {target}"):
-            report = ssdr.save(thing, target, **settings)
-        kind, words, frames = ("skinning" if skinned else "sequence"), repr(thing), thing.n_frames
-    document = {
-        "command": "convert",
-        "input": source,
-        "kind": kind,
-        "frames": frames,
-        "clips": clips_document(clips),
-        "output": dataclasses.asdict(report),
-    }
-    output.result(document, [("read", f"{source}: {words}"), ("wrote", saved_line(report))])
+    with output.waiting(f"loading {source}"):
+        take = read_vertices if options.bake or read.get("weld") else read_model
+        thing = take(source, options.clip, read)
+    skinned = isinstance(thing, Skinning)
+    inputs = {source: read}
+    clips = thing.clips if isinstance(thing, Skinning) else ()
+    names = [clip.name for clip in clips]
+    settings = options_with_template(target, options.write, inputs, clips=names)
+    with output.waiting(f"saving {target}"):
+        report = ssdr.save(thing, target, **settings)
+        document = {
+            "command": "convert",
+            "input": source,
+            "kind": "skinning" if skinned else "sequence",
+            "frames": thing.n_frames,
+            "clips": clips_document(clips),
+            "output": dataclasses.asdict(report),
+        }
+    output.result(document, [("read", f"{source}: {thing!r}"), ("wrote", saved_line(report))])

@@ -7,9 +7,8 @@ import math
 import re
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from ..clips import names_of
@@ -18,7 +17,7 @@ from ..io.registry import SaveReport
 from ..sequence import MeshSequence
 from ..signals import stop_on_signals
 from ..space import Space
-from .format_options import read_options, write_weights
+from .format_options import read_options
 from .options import PAGES, FitOptions
 from .output import Output, in_words, saved_line
 from .reading import clips_document, clips_text, join, meshes_text, read_any, read_clips
@@ -27,7 +26,6 @@ from .template import options_with_template
 
 Solver = Callable[..., Any]
 Shots = list[MeshSequence]
-_INFLUENCES = 4
 _SHARED = (
     "bones",
     "influences",
@@ -50,8 +48,6 @@ _ROWS = {
 }
 _PARSIMONY = {
     "tolerance": "{measure} {error:.4g} of {tolerance:.4g}, held: {held}",
-    "normals_tolerance": "{normals_tolerance:.3g}° in the mean",
-    "file": "{file[bytes]:,} bytes, all it holds; {measure} {file[error]:.4g} of {tolerance:.4g}",
     "size": "{bytes:,} bytes in an engine: rest pose {size[rest]:,}, weights {size[weights]:,}, "
     "joints {size[joints]:,}, keys {size[keys]:,}; files hold more, such as triangles",
 }
@@ -71,7 +67,6 @@ def fit(
     solve: Solver,
     options: FitOptions,
     arguments: Callable[[], dict[str, Any]],
-    said: Mapping[str, str] = MappingProxyType({}),
 ) -> None:
     """Read the inputs, call the solver, save its model and print the result.
 
@@ -85,8 +80,6 @@ def fit(
     arguments : callable
         Function that checks the options that only this command has, and returns their arguments for
         `solve`.
-    said : mapping of str to str
-        Further rows of the table, to which `solve` may add.
 
     Raises
     ------
@@ -96,10 +89,6 @@ def fit(
     from ..solver.warmup import begin_compiling
 
     output = Output.start(options)
-    influences, storage = options.influences or (_INFLUENCES, None)
-    if storage:
-        write_weights(options, storage)
-    options.influences = influences, storage or "float32"
     began = time.perf_counter()
     _check_files(options)
     begin_compiling()  # while the files are read
@@ -107,15 +96,10 @@ def fit(
     shots, start, settings = _read(options, output)
     _place(own, shots[0].space)
     own.setdefault("start", start)
-    if command == "smallest":
-        own["file"] = _compact_file(settings, shots[0].name)
     loaded = time.perf_counter()
     with stop_on_signals() as stop:
         result = _solve(solve, options, shots, stop, own)
         solved = time.perf_counter()
-        coarser = getattr(result, "levels", ())[1:]
-        if coarser:
-            settings = {path: {**given, "levels": coarser} for path, given in settings.items()}
         reports = save_model(result.skinning, settings)
         drawn = [] if stop.is_set() else options.drawn
         reports += [_draw(path, options, shots, result) for path in drawn]
@@ -128,7 +112,7 @@ def fit(
         "save_seconds": saved - solved,
         "total_seconds": saved - began,
     }
-    _print(options, shots, result, reports, {**about, **said}, list(said.items()))
+    _print(options, shots, result, reports, about)
     if stop.is_set():
         raise Cancelled("interrupted; the best model so far is saved (--start goes on from it)")
 
@@ -162,31 +146,18 @@ def _read(options: FitOptions, output: Output) -> tuple[Shots, Any, dict[Path, d
     inputs, settings = dict(zip(options.inputs, read, strict=True)), {}
     for path in options.outputs:
         settings[path] = options_with_template(
-            path, options.write, inputs, new_bones=True, clips=[clip.name for clip in clips]
+            path, options.write, inputs, clips=[clip.name for clip in clips]
         )
         try_format(path, settings[path], options, shots[0], clips)
     return shots, start, settings
 
 
-def _compact_file(settings: dict[Path, dict[str, Any]], name: str) -> dict[str, Any] | None:
-    """Options of the first output that is a compressed ``.glb``, or None if there is none."""
-    for path, given in settings.items():
-        if path.suffix.lower() == ".glb" and given.get("compression", "none") != "none":
-            return {"name": name or path.stem, **given}
-    return None
-
-
 def _start(text: str | None, space: Space) -> Any:
-    """Parse `--start`: a model to start from, a mesh as rest pose, or the index of a frame.
-
-    A model or mesh is converted to the inputs' `space`.
-    """
+    """Read `--start`, a model to start from or a mesh as rest pose, in the inputs' `space`."""
     import ssdr
 
     if text is None:
         return None
-    if text.isdecimal() and not Path(text).exists():
-        return int(text)
     return ssdr.io.in_space(read_any(Path(text)), space)
 
 
@@ -250,9 +221,8 @@ def _print(
     result: Any,
     reports: list[SaveReport],
     about: dict[str, Any],
-    said: list[tuple[str, str]],
 ) -> None:
-    """Print the result: as a table with the rows `said`, or as JSON with the entries `about`."""
+    """Print the result: as a table or as JSON with the entries `about`."""
     from .. import __version__
     from ..frames.error import largest_error, motion_rms, share_of
     from ..metrics.vertex_distances import distances
@@ -276,7 +246,6 @@ def _print(
         "clips": clips_document(clips),
         "bones": model.n_bones,
         "influences": model.n_influences,
-        "storage": options.influences[1],
         "effort": options.effort,
         "seed": options.seed,
         "rmse": result.rmse,
@@ -306,7 +275,6 @@ def _print(
         rows.insert(
             1, ("copies", f"{result.copies:,} vertices lie on others in every frame: solved as one")
         )
-    rows += said
     parsimony = getattr(result, "parsimony", None)
     if parsimony is not None:
         found = dataclasses.asdict(parsimony) | {"bytes": parsimony.size.total}

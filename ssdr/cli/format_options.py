@@ -12,13 +12,11 @@ from typing import Any
 from ..errors import FormatError, InputError, check_flag
 from ..io.references import trust
 from ..io.registry import FORMATS, Format, format_to_read
-from ..quantisation import WeightStorage
-from .options import FitOptions, Options, SpaceOptions
+from .options import Options, SpaceOptions
 
 _PREFIX = re.compile(r"\.?(\w+):(?=\w+=)")
 _UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 PLACED = {"scale", "units", "up"}  # arguments of ssdr.load that move a mesh or say where it is
-STRICT = "strict"  # an option of every output, see ssdr.cli.template
 
 
 def read_options(
@@ -83,19 +81,6 @@ def write_options(pairs: list[str] | None, path: Path) -> dict[str, Any]:
         if prefix.lower() in ("", _suffix(path)):
             options[key] = value
     return options
-
-
-def write_weights(options: FitOptions, storage: WeightStorage) -> bool:
-    """Set the type of stored weights for outputs that have this option, unless the user did.
-
-    Returns whether there is such an output.
-    """
-    suffixes = dict.fromkeys(path.suffix.lower() for path in options.outputs)
-    rounding = [s for s in suffixes if "weights" in keywords(FORMATS.get(s), "write_skinning")]
-    # before the user's pairs, and those of an engine, which override them
-    mine = [f"{suffix[1:]}:weights={storage}" for suffix in rounding]
-    options.write = [*mine, *(options.write or [])]
-    return bool(rounding)
 
 
 def keywords(format_: Format | None, role: str) -> set[str]:

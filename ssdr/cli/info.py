@@ -13,7 +13,6 @@ from scipy.sparse.csgraph import connected_components
 
 from ..clips import Clip
 from ..hierarchy.transforms import RIGID, depths, rest_diagonal
-from ..joints.mirror import mirror_of, mirrored_edges
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from .format_options import read_options
@@ -32,10 +31,6 @@ _BONES = {
 _TREE = {
     "hierarchy": "{joints} joints, {depth} deep, roots: {roots}; "
     "largest gap of a joint {largest_gap:.3g}, at {joint_of_largest_gap}",
-}
-_MIRROR = {
-    "mirror": "{joints} joints have a mirror image, {mirrored_edges} of {edges} edges between "
-    "them, too",
 }
 _MESH = {
     "frames": "{frames:,} at {fps:g} a second, {duration:.3g} s",
@@ -84,8 +79,6 @@ def info(options: InfoOptions) -> None:
     tree = about.get("hierarchy")
     if tree is not None:
         rows += in_words(tree, _TREE)
-        none = [("mirror", "the rest pose is not its own mirror image")]
-        rows += in_words(tree["mirror"], _MIRROR) if tree["mirror"] is not None else none
     document = {"command": "info", "input": source, "kind": kind, **about}
     document["meshes"] = list_meshes(source)
     output.result({**document, "clips": clips_document(clips)}, rows)
@@ -136,12 +129,6 @@ def _about_skinning(skinning: Skinning) -> dict[str, Any]:
 
 def _about_tree(skinning: Skinning, parents: NDArray[np.int32]) -> dict[str, Any]:
     names, gaps = skinning.names(), skinning.joint_gaps().max(axis=0)
-    mirror = mirror_of(skinning.rest, skinning.indices, skinning.weights, skinning.n_bones)
-    symmetry: dict[str, int] | None = None
-    if mirror is not None:
-        mirrored, edges = mirrored_edges(mirror, parents)
-        partners = int((mirror.partners >= 0).sum())
-        symmetry = {"joints": partners, "mirrored_edges": mirrored, "edges": edges}
     return {
         "joints": skinning.n_bones,
         "roots": [names[b] for b in np.flatnonzero(parents < 0)],
@@ -150,7 +137,6 @@ def _about_tree(skinning: Skinning, parents: NDArray[np.int32]) -> dict[str, Any
         "largest_gap": float(gaps.max()),
         "joint_of_largest_gap": names[int(gaps.argmax())],
         "rigid": bool(gaps.max() <= RIGID * rest_diagonal(skinning.rest)),
-        "mirror": symmetry,
     }
 
 

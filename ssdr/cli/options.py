@@ -7,19 +7,16 @@ import functools
 import inspect
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_type_hints
+from typing import Annotated, Any, Literal, get_type_hints
 
 import typer
 
 from ..errors import InputError
-from ..quantisation import WeightStorage
 
 MODEL, PICTURE, RIG, RUN, FILES = "Model", "Picture", "Rig", "Run", "Files"
 _PANELS = (None, MODEL, PICTURE, RIG, RUN, FILES)  # in the order of the help
 _PAIR = "[SUFFIX:]KEY=VALUE"
 _OUTPUT = "Model; repeat it for other formats, a contact sheet (.png) or a page (.html)."
-_BONES = "Number of bones; several, as 60,30,12, are levels of detail."
-_MOST = "Most bones of a vertex (4), and what to solve weights for: float32, uint16 or uint8."
 PAGES = (".html", ".htm")
 _DRAWN = (*PAGES, ".png", ".jpg", ".jpeg", ".webp", ".gif", ".tif", ".tiff", ".bmp", ".pdf")
 
@@ -32,25 +29,6 @@ def option(panel: str, help: str, *names: str, **more: Any) -> Any:
 def argument(metavar: str, help: str) -> Any:
     """Positional argument, named `metavar` in the help."""
     return typer.Argument(metavar=metavar, help=help)
-
-
-def bone_numbers(text: str) -> int | tuple[int, ...]:
-    """Parse `--bones` of ``ssdr decompose``: a number, or one for each level of detail."""
-    parts = text.split(",")
-    counts = tuple(int(part) for part in parts if part.strip().isdecimal())
-    if len(counts) < len(parts) or sorted({0, *counts}) != [0, *counts[::-1]]:
-        raise typer.BadParameter(f"expected a number, or falling ones as 60,30,12, got {text!r}")
-    return counts if len(counts) > 1 else counts[0]
-
-
-def influences_of(text: str) -> tuple[int, WeightStorage | None]:
-    """Parse `--influences`: the number, and the storage of weights, or None if it is not given."""
-    number, comma, storage = text.partition(",")
-    known = get_args(WeightStorage)
-    if not number.isdecimal() or int(number) < 1 or (comma and storage not in known):
-        kinds = " or ".join(known)
-        raise typer.BadParameter(f"expected a number, or one and {kinds}, as 4,uint8, got {text!r}")
-    return int(number), storage or None  # type: ignore[return-value]
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -107,14 +85,10 @@ class FitOptions(SpaceOptions):
         option(FILES, _OUTPUT, "--output", "-o", metavar="OUT"),
     ]
     drawn: list[Path] = dataclasses.field(init=False)
-    bones: Annotated[
-        Any,
-        option(MODEL, _BONES, "--bones", "-b", parser=bone_numbers, metavar="B[,B,...]"),
-    ] = None
+    bones: Annotated[int | None, option(MODEL, "Number of bones.", "--bones", "-b", min=1)] = None
     influences: Annotated[
-        Any,
-        option(MODEL, _MOST, "--influences", "-k", parser=influences_of, metavar="K[,STORAGE]"),
-    ] = None
+        int, option(MODEL, "Most bones of a vertex.", "--influences", "-k", min=1)
+    ] = 4
     effort: Annotated[
         Literal["fast", "balanced", "best"],
         option(MODEL, "Speed against accuracy.", "--effort", "-e"),
@@ -134,9 +108,8 @@ class FitOptions(SpaceOptions):
         str | None,
         option(
             RUN,
-            "Go on from a model or checkpoint; or keep the first frame of a mesh as the rest pose; "
-            "or a rest pose that resembles frame N.",
-            metavar="FILE|N",
+            "Go on from a model or checkpoint; or keep the first frame of a mesh as the rest pose.",
+            metavar="FILE",
         ),
     ] = None
     seed: Annotated[int, option(RUN, "The same seed gives the same result.", min=0)] = 0

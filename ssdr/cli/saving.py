@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import os
 import tempfile
 import warnings
@@ -19,7 +18,6 @@ from ..io.atomic import check_writable
 from ..io.optional import require
 from ..io.registry import SaveReport, format_of
 from ..sequence import MeshSequence
-from ..shapes import Shapes
 from ..skinning import Skinning
 from .format_options import write_options
 from .options import FitOptions
@@ -91,8 +89,7 @@ def try_format(
     """Save a small stand-in for the result, so that a format that cannot store it fails early.
 
     The stand-in has the mesh, the clips (with two frames each), the bone model and the number of
-    influences that the result will have. It is written to a temporary folder. With `--fewest bytes`
-    another has shapes and bones that stretch.
+    influences that the result will have. It is written to a temporary folder.
 
     Raises
     ------
@@ -101,13 +98,10 @@ def try_format(
     """
     from .. import io
 
-    by_bytes = getattr(options, "fewest", "") == "bytes" and getattr(options, "rig", None) is None
     if format_of(path)[1].extra == "blender":  # starts another program, for seconds
-        if by_bytes:
-            raise InputError("--fewest", f"bones for {path}", "bytes, which may make shapes")
         return
     n = mesh.n_vertices
-    bones = min(options.influences[0], np.max(options.bones or n), _TRIED_INFLUENCES)
+    bones = min(options.influences, np.max(options.bones or n), _TRIED_INFLUENCES)
     one = _SHEARED if options.bone_model == "affine" else np.eye(3, 4)
     transforms = np.tile(one, (2 * len(clips), bones, 1, 1))
     arrays = mesh.frames(0), np.tile(np.arange(bones), (n, 1)), np.full((n, bones), 1 / bones)
@@ -121,23 +115,6 @@ def try_format(
         warnings.simplefilter("ignore")  # they come again with the whole model
         with tempfile.TemporaryDirectory(prefix="ssdr-") as folder:
             io.save(model, Path(folder) / path.name, **settings)
-            if by_bytes:
-                _try_all_kinds(model, Path(folder) / path.name, settings)
-
-
-def _try_all_kinds(model: Skinning, path: Path, settings: Settings) -> None:
-    """Save a copy with shapes and bones that stretch, as `--fewest bytes` may find them."""
-    from .. import io
-
-    count = model.n_frames
-    moves = np.tile(_SHEARED, (*model.transforms.shape[:2], 1, 1))
-    shapes = Shapes(np.ones((1, model.n_vertices, 3)), np.ones((count, 1)))
-    kind: dict[str, Any] = {"bone_model": "affine", "transforms": moves, "shapes": shapes}
-    try:
-        io.save(dataclasses.replace(model, **kind), path, **settings)
-    except InputError as error:
-        wanted = f"bones for {path.name}, which takes {error.expected}"
-        raise InputError("--fewest", wanted, "bytes") from error
 
 
 def save_model(model: Skinning, outputs: Mapping[Path, Settings]) -> list[SaveReport]:

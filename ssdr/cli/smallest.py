@@ -22,26 +22,17 @@ class SmallestOptions(FitOptions):
         Literal["loose", "rigid"] | None,
         option(RIG, "Connect the bones by joints that may come apart (loose) or not (rigid)."),
     ] = None
-    bones: Annotated[int | None, option(MODEL, "Most bones.", "--bones", "-b", min=1)] = None
     measure: Annotated[
         Literal["rmse", "max"],
         option(MODEL, "Bound the RMSE, or the error of every vertex in every frame."),
     ] = "rmse"
-    fewest: Annotated[
-        Literal["bones", "bytes"],
-        option(MODEL, "bytes: more bones, affine ones or shapes, where they take fewer bytes."),
-    ] = "bones"
-    normals_tolerance: Annotated[
-        float | None,
-        option(MODEL, "Most degrees, in the mean, that drawn normals are off.", metavar="DEGREES"),
-    ] = None
 
 
 @takes
 def smallest(options: SmallestOptions) -> None:
-    """Find the model with the fewest bones, then the fewest bytes, within an error tolerance.
+    """Find the model with the fewest bones within an error tolerance.
 
-    Options other than the tolerances, --measure and --fewest are those of ssdr decompose.
+    Options other than --tolerance and --measure are those of ssdr decompose.
     """
     import ssdr
 
@@ -54,5 +45,5 @@ def _arguments(options: SmallestOptions) -> dict[str, Any]:
     with contextlib.suppress(ValueError):
         tolerance = float(tolerance)
     parse_tolerance(tolerance, 1.0)
-    own = ("normals_tolerance", "measure", "fewest", "rig")
+    own = ("measure", "rig")
     return {"tolerance": tolerance, **{name: getattr(options, name) for name in own}}

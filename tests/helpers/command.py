@@ -40,8 +40,7 @@ def model_of(sequence, bones=2, influences=4):
 
 def fake_decompose(sequence, *, bones, influences, callback, steps=3, pause=0.0, **options):
     """Replacement for the solver with its arguments and results, in this many steps."""
-    influences, storage = influences
-    fake_decompose.options = options | {"storage": storage}
+    fake_decompose.options = options
     reason = "converged"
     for step in range(1, steps + 1):
         progress = SimpleNamespace(

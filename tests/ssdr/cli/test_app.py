@@ -10,7 +10,7 @@ import pytest
 import ssdr
 from helpers.command import start
 
-COMMANDS = ("decompose", "smallest", "info", "check", "compare", "convert", "render")
+COMMANDS = ("decompose", "smallest", "info", "compare", "convert", "render")
 
 
 def test_help_version_and_usage(run, refused):

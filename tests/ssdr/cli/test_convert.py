@@ -20,7 +20,7 @@ def test_a_skinning_is_kept_or_baked(run, done, refused, wave, tmp_path):
     with pytest.raises(ssdr.FormatError):
         ssdr.load_skinning(target)
     np.testing.assert_array_equal(ssdr.load(target).vertices, model.skin())
-    assert "for a MeshSequence" in refused("convert", target, tmp_path / "w.csv")
+    assert "for a MeshSequence" in refused("convert", target, tmp_path / "w.glb")
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".glb"])

@@ -74,7 +74,6 @@ def test_joints_that_come_apart_and_joints_that_are_found(files, fitted):
         (("--rig", "rig.npz", "--start", "other.npz"), "rest"),
         (("--rig", "rig.npz", "--start", "rest.npz", "--keep-weights"), "--keep-weights"),
         (("--bones", "3", "--extra-bones", "1"), "--rig FILE"),
-        (("--bones", "3", "--rig", "rigid", "--lock", "arm"), "--rig FILE"),
         (("--rig", "loose"), "--bones"),
         ((), "--bones"),
     ],

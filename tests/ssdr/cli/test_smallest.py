@@ -37,32 +37,6 @@ def test_smallest(run, done, source, tmp_path):
     assert "files hold more" in out
 
 
-def test_a_tolerance_of_normals(run, done, source, tmp_path):
-    line = ("smallest", source, "-o", tmp_path / "out.npz", "--effort", "fast", "--force")
-    line += ("--tolerance", "5%", "--normals-tolerance")
-    document = done(*line, "6")
-    assert document["parsimony"]["normals_tolerance"] == 6
-    assert document["normals"]["mean"] <= 6
-    assert document["parsimony"]["held"] is True
-    _, out, _ = run(*line, "6")
-    assert "6° in the mean" in out
-    assert done(*line[:-1], "--no-normals")["parsimony"]["normals_tolerance"] is None
-
-
-def test_bytes_of_a_compact_file(run, done, source, tmp_path):
-    target, other = tmp_path / "out.glb", tmp_path / "out.npz"
-    line = ["smallest", source, "-o", other, "--effort", "fast", "--tolerance", "0.8%"]
-    compact = ["-o", target, "--write", "glb:compression=quantized", "--write", "glb:tolerance=1%"]
-    found = done(*line, *compact)["parsimony"]
-    assert found["file"]["bytes"] == len(target.read_bytes())
-    assert found["error"] < found["file"]["error"] <= found["tolerance"]
-    _, out, _ = run(*line, *compact)
-    assert f"{target.stat().st_size:,} bytes, all it holds" in out
-    assert done(*line)["parsimony"]["file"] is None
-    # another compression, or none, is not counted
-    assert done(*line, "-o", target)["parsimony"]["file"] is None
-
-
 @pytest.mark.parametrize(
     ("flags", "text"),
     [
@@ -71,7 +45,6 @@ def test_bytes_of_a_compact_file(run, done, source, tmp_path):
         (("--tolerance", "-1"), "such as"),
         (("--tolerance", "1%", "--measure", "mean"), "'rmse'"),
         (("--tolerance", "1%", "--rig", "rig.npz"), "'loose'"),
-        (("--tolerance", "1%", "--normals-tolerance", "0"), "degrees"),
     ],
 )
 def test_refused_before_the_work(refused, source, tmp_path, flags, text):
