@@ -36,8 +36,6 @@ from .joints.mirror import find_mirror as find_mirror
 from .lbs import SkinGradients as SkinGradients
 from .lbs import skin as skin
 from .lbs import skin_gradients as skin_gradients
-from .levels_of_detail import LevelsOfDetail as LevelsOfDetail
-from .levels_of_detail import levels as levels
 from .parallel import get_threads as get_threads
 from .parallel import set_threads as set_threads
 from .parsimony.smallest import smallest as smallest

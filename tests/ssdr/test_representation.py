@@ -48,7 +48,6 @@ def test_results_in_a_few_words() -> None:
         surface,
         ssdr.Material(texture=b"0123456789" * 1000),
         ssdr.Start(rest=chain.rest, transforms=chain.transforms.tolist()),
-        ssdr.levels(frames, bones=(4, 2), effort="fast"),
     ]
     for thing in things:
         text = repr(thing)

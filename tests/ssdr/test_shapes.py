@@ -10,7 +10,6 @@ import pytest
 import ssdr
 from helpers import naive
 from helpers.rig_model import largest_distance, tube
-from ssdr.engines import ENGINES, findings
 from ssdr.io import in_space
 
 
@@ -85,15 +84,6 @@ def test_other_space_and_other_poses():
     posed = dataclasses.replace(model, **tree).pose(np.tile([0, 0, 0, 1.0], (2, 5, 1)))
     assert posed.shapes is None
     np.testing.assert_allclose(posed.skin(), np.stack([model.rest] * 2), atol=1e-12)
-
-
-def test_what_engines_do():
-    model = shaped(5)
-    model.shapes.amounts[3, 1] = 1.5
-    said = {name: [f.text for f in findings(model, e, ".glb")] for name, e in ENGINES.items()}
-    assert any("5 shapes: takes 4" in text for text in said["web"])
-    assert any("to 1.5: clamped" in text for text in said["unity"])
-    assert not any("shapes" in text for text in said["three"])
 
 
 def test_refusals():

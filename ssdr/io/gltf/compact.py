@@ -113,9 +113,7 @@ class Grid:
         return Shapes(moved, stored / whole, names=shapes.names)
 
 
-def coarse_rig(
-    model: Skinning, tolerance: float | None, levels: list[Skinning], **options: Any
-) -> tuple[Rig, Grid]:
+def coarse_rig(model: Skinning, tolerance: float | None, **options: Any) -> tuple[Rig, Grid]:
     """Rig with as few keys and as coarse numbers as the tolerance allows, and its grid.
 
     Parameters
@@ -124,8 +122,6 @@ def coarse_rig(
     tolerance : float or None
         Largest distance of a vertex, in any frame, from its position in the model. None keeps all
         keys and 16 bits.
-    levels : list of Skinning
-        Coarser levels of detail, which get the same grid.
     **options
         As for :func:`~ssdr.io.rig.build_rig`.
 
@@ -138,7 +134,7 @@ def coarse_rig(
     at = rig.centers if rig.moving is None else rig.centers[rig.moving]
     arm = np.linalg.norm(rig.rest[:, None] - at[rig.indices], axis=2)
     reach = float(arm[rig.weights > 0].max(initial=0.0))
-    grid = Grid.of([rig.rest, *(level.rest for level in levels)], reach, tolerance)
+    grid = Grid.of([rig.rest], reach, tolerance)
     whole = grid.round(rig)
     if tolerance is None or whole.n_frames == 1:
         return whole, grid

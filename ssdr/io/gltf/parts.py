@@ -261,11 +261,7 @@ def read_parts(
         If one of the names is that of no mesh of the scene.
     """
     parts: list[PrimitiveGroup] = []
-    numbers = list(nodes.shown)
-    if meshes is not None:  # a level of detail that is named is in no scene
-        coarser = (nodes.items[n].get("extensions", {}).get("MSFT_lod", {}) for n in numbers)
-        numbers += [n for some in coarser for n in some.get("ids", ()) if n in nodes.order]
-    numbers = [number for number in numbers if "mesh" in nodes.items[number]]
+    numbers = [number for number in nodes.shown if "mesh" in nodes.items[number]]
     names = [names_of(document, number) for number in numbers]
     numbers = [numbers[k] for k in choose(meshes, names)]
     skins = {node["skin"] for node in (nodes.items[number] for number in numbers) if "skin" in node}

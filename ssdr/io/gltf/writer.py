@@ -43,7 +43,6 @@ def write_skinning(
     meshes: str | Sequence[str] | None = None,
     clip_names: Mapping[str, str | None] | None = None,
     strict: bool = False,
-    levels: Sequence[Skinning] = (),
     compression: Compression = "none",
     tolerance: float | str | None = None,
 ) -> SaveReport:
@@ -54,7 +53,7 @@ def write_skinning(
     skinning : Skinning
         In metres with y up.  A bone that stretches becomes two nodes, of which the outer one
         rotates and scales and the inner one, the joint, rotates.  Shapes become morph targets,
-        whose normals are fitted; they cannot be written with a template or levels.
+        whose normals are fitted; they cannot be written with a template.
     path : Path
     influences : int, optional
         Number of largest weights to keep for each vertex; all by default. glTF holds 8, and many
@@ -77,9 +76,6 @@ def write_skinning(
     strict : bool
         Whether to raise an error, instead of reporting the loss, if contents of the template
         cannot be kept.
-    levels : sequence of Skinning
-        Coarser levels of detail as :func:`ssdr.levels` finds them, which use the first bones of
-        `skinning`.  The meshes of the levels share its skeleton; ``MSFT_lod`` names their nodes.
     compression : {"none", "quantized", "meshopt"}
         "quantized" stores integers (``KHR_mesh_quantization``), "meshopt" compresses them as well
         (``EXT_meshopt_compression``; needs the extra meshopt).  The order of the vertices is not
@@ -107,16 +103,13 @@ def write_skinning(
     """
     rounding = _rounding(influences, weights)
     title = name or skinning.name or path.stem
-    rig, builder = _rounded(skinning, compression, tolerance, levels, rounding)
-    if template is not None or levels:
-        for argument, model in [("thing", skinning), *(("levels", level) for level in levels)]:
-            refuse_shapes(model, argument, "a file with a template or levels")
+    rig, builder = _rounded(skinning, compression, tolerance, rounding)
     if template is None:
-        coarser = [(level, _level(rig, skinning, level, rounding)) for level in levels]
-        _fill(builder, skinning, rig, title, coarser)
+        _fill(builder, skinning, rig, title)
         return _report(skinning, rig, path, builder)
-    if levels or compression != "none":
-        raise InputError("template", "None beside levels or a compression", str(template))
+    refuse_shapes(skinning, "thing", "a file with a template")
+    if compression != "none":
+        raise InputError("template", "None beside a compression", str(template))
     old = Template(Path(template), skinning, meshes, clip_names or {})
     old.put(rig, title)
     check_kept(old.builder.lost, strict)
@@ -142,7 +135,7 @@ def compact_size(
         As for :func:`write_skinning`.
     """
     rounding = _rounding(influences, weights)
-    rig, builder = _rounded(skinning, compression, tolerance, (), rounding)
+    rig, builder = _rounded(skinning, compression, tolerance, rounding)
     _fill(builder, skinning, rig, name or skinning.name)
     with tempfile.TemporaryDirectory(prefix="ssdr-") as folder:
         size = builder.save(Path(folder) / "a.glb")
@@ -178,7 +171,6 @@ def _rounded(
     skinning: Skinning,
     compression: Compression,
     tolerance: float | str | None,
-    levels: Sequence[Skinning],
     rounding: dict[str, Any],
 ) -> tuple[Rig, Builder]:
     """Rig of a model, rounded for a compression, and an empty document for it."""
@@ -191,7 +183,7 @@ def _rounded(
     else:
         if tolerance is not None:
             tolerance = parse_tolerance(tolerance, rest_diagonal(skinning.rest))
-        rig, grid = coarse_rig(skinning, tolerance, list(levels), **rounding)
+        rig, grid = coarse_rig(skinning, tolerance, **rounding)
         builder = Packed(grid, meshopt=compression == "meshopt")
     if rig.n_bones > 65535:
         raise InputError("thing", "at most 65535 bones", rig.n_bones)
@@ -252,45 +244,18 @@ def orient_joints(rig: Rig, axes: NDArray[np.float64]) -> Rig:
     )
 
 
-def _level(rig: Rig, finest: Skinning, level: Skinning, rounding: dict[str, Any]) -> Rig:
-    """Rig of a coarser level of detail: `rig` with the level's own rest pose and weights.
-
-    Raises InputError unless the transforms of the level are those of the first bones of `finest`.
-    """
-    count = level.n_bones
-    same = level.transforms.shape == finest.transforms[:, :count].shape
-    if not (same and np.array_equal(level.transforms, finest.transforms[:, :count])):
-        raise InputError("levels", "models whose bones are the first of the finest", repr(level))
-    alone = build_rig(level, **rounding)
-    return dataclasses.replace(rig, rest=alone.rest, indices=alone.indices, weights=alone.weights)
-
-
-def _fill(
-    builder: Builder,
-    model: Skinning,
-    rig: Rig,
-    title: str,
-    coarser: Sequence[tuple[Skinning, Rig]] = (),
-) -> None:
-    """Fill an empty document with the model and its coarser levels of detail."""
+def _fill(builder: Builder, model: Skinning, rig: Rig, title: str) -> None:
+    """Fill an empty document with the model."""
     json = builder.json
-    json["meshes"], nodes = [], []
-    for k, level in enumerate([(model, rig), *coarser]):
-        named = f"{title}_LOD{k}" if coarser else title
-        json["meshes"].append({"name": named, "primitives": _mesh(builder, *level)})
-        nodes.append({"name": named, "mesh": k, "skin": 0})
-    # The meshes stand at the top of the scene: glTF ignores the transform of a
+    json["meshes"] = [{"name": title, "primitives": _mesh(builder, model, rig)}]
+    # The mesh stands at the top of the scene: glTF ignores the transform of a
     # skinned mesh's node, and importers disagree about its parents.
-    first = len(nodes)
-    if coarser:  # the nodes of coarser levels are in no scene, else all would be drawn
-        nodes[0]["extensions"] = {"MSFT_lod": {"ids": list(range(1, first))}}
-        json.setdefault("extensionsUsed", []).append("MSFT_lod")
-    nodes += skeleton_nodes(rig, title, first)
-    json |= {"nodes": nodes, "scenes": [{"name": title, "nodes": [0, first]}]}
-    json["skins"] = [add_skin(builder, rig, title, first)]
+    nodes = [{"name": title, "mesh": 0, "skin": 0}, *skeleton_nodes(rig, title, 1)]
+    json |= {"nodes": nodes, "scenes": [{"name": title, "nodes": [0, 1]}]}
+    json["skins"] = [add_skin(builder, rig, title, 1)]
     unnamed = ("", model.name) if len(rig.clips) == 1 else ()
     json["animations"] = [
-        add_animation(builder, rig, clip, title if clip.name in unnamed else clip.name, first)
+        add_animation(builder, rig, clip, title if clip.name in unnamed else clip.name, 1)
         for clip in rig.clips
     ]
     if rig.shapes is not None:

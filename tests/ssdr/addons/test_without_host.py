@@ -1,18 +1,15 @@
-"""What the clients do without Blender, Maya or Houdini: stand-ins take the hosts' place."""
+"""What the extension does without Blender: stand-ins take its place."""
 
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import json
-import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 from unittest.mock import MagicMock
 
-import numpy as np
 import pytest
 
 ADDONS = Path(__file__).resolve().parents[3] / "ssdr" / "addons"
@@ -130,61 +127,3 @@ def test_any_error_of_a_step_ends_the_operator_in_words(
     assert kinds == ({"ERROR"},) * 2
     assert all(str(error.args[0]) in text for text in texts)
     assert ("Traceback" in capsys.readouterr().err) is not isinstance(error, OSError)
-
-
-def _client(name: str, stubs: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> Any:
-    """A client of one file, and the calls of the command in its process, which do not happen."""
-    for stub, module in stubs.items():
-        monkeypatch.setitem(sys.modules, stub, module)
-    spec = importlib.util.spec_from_file_location(f"{name}_bones", ADDONS / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    calls: list[tuple[list[str], dict[str, str]]] = []
-
-    def run(words: list[str], *, env: dict[str, str], **_: Any) -> Any:
-        calls.append((words, env))
-        return SimpleNamespace(returncode=1, stdout='{"error": "refused"}', stderr="")
-
-    monkeypatch.setattr(subprocess, "run", run)
-    for variable, value in _INHERITED.items():
-        monkeypatch.setenv(variable, value)
-    return module, calls
-
-
-def test_houdini_overwrites_no_file_and_inherits_no_modules(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    hou = MagicMock(NodeError=RuntimeError, fps=lambda: 24.0)
-    hou.playbar.playbackRange.return_value = (1, 2)
-    hou.text.expandString.return_value = "/scene/"
-    node = MagicMock()
-    node.name.return_value = "cloth"
-    node.geometryAtFrame.return_value.pointFloatAttribValues.return_value = np.zeros(9)
-    node.geometryAtFrame.return_value.prims.return_value = []
-    client, calls = _client("houdini", {"hou": hou}, monkeypatch)
-    for options in ((), ("--force",)):
-        with pytest.raises(RuntimeError, match="refused"):
-            client.to_bones(node, "python", "--bones", "4", *options)
-    (first, variables), (second, _) = calls
-    assert "/scene/cloth_bones.usdc" in first
-    assert "--force" not in first
-    assert "--force" in second
-    assert not _INHERITED.keys() & variables.keys()
-
-
-def test_maya_inherits_no_modules(monkeypatch: pytest.MonkeyPatch) -> None:
-    om, cmds = MagicMock(), MagicMock()
-    cmds.ls.return_value = ["|cloth"]
-    cmds.playbackOptions.side_effect = lambda query, **which: 1 if "min" in which else 2
-    mesh = om.MFnMesh.return_value
-    mesh.getPoints.return_value, mesh.getTriangles.return_value = np.zeros((3, 4)), (0, [0, 1, 2])
-    maya = ModuleType("maya")
-    maya.api, maya.cmds = ModuleType("maya.api"), cmds  # type: ignore[attr-defined]
-    maya.api.OpenMaya = om  # type: ignore[attr-defined]
-    names = {"maya": maya, "maya.api": maya.api, "maya.api.OpenMaya": om, "maya.cmds": cmds}  # type: ignore[attr-defined]
-    client, calls = _client("maya", names, monkeypatch)
-    with pytest.raises(RuntimeError, match="refused"):
-        client.to_bones("python", "--bones", "4")
-    assert not _INHERITED.keys() & calls[0][1].keys()

@@ -56,19 +56,6 @@ def test_gltf_is_drawn_as_measured_and_better_than_geometric_normals(tmp_path, b
     assert error < error_in(tmp_path / "b.glb", smooth)
 
 
-def test_every_level_of_detail_has_its_own_normals(tmp_path, bent):
-    result = ssdr.levels(bent, bones=(6, 3), effort="fast")
-    ssdr.save(result.levels[0], tmp_path / "a.glb", levels=result.levels[1:])
-    expected = drawn.vertex_normals(bent.vertices, bent.faces, groups_of(bent))
-    for level, (_, normals, faces, vertex) in zip(
-        result.levels, drawn.from_gltf(tmp_path / "a.glb"), strict=True
-    ):
-        order = np.lexsort(vertex[faces].T), np.lexsort(bent.faces.T)
-        error = drawn.mean_angle(normals[:, faces[order[0]]], expected[:, order[1]])
-        there = ssdr.metrics.normals(bent, level)
-        assert error == pytest.approx(there.mean, rel=0.1)  # over corners, not over normals
-
-
 @pytest.mark.parametrize("compression", ["quantized", "meshopt"])
 def test_compact_files_round_the_normals_and_no_more(tmp_path, bent, compression):
     if compression == "meshopt":

@@ -54,9 +54,9 @@ def test_reader_finds_the_reported_error(tmp_path, compression, tolerance):
 
 def test_without_tolerance_all_keys_stay(tmp_path):
     model = tube(influences=4)
-    rig, _ = coarse_rig(model, None, [])
+    rig, _ = coarse_rig(model, None)
     assert rig.keys.all()
-    fewer, _ = coarse_rig(model, 0.02 * float(np.ptp(model.rest)), [])
+    fewer, _ = coarse_rig(model, 0.02 * float(np.ptp(model.rest)))
     assert fewer.keys.sum() <= rig.keys.sum()
     assert fewer.keys[[0, -1]].all() or (fewer.keys.sum(axis=0) == 1).any()
 
