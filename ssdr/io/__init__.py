@@ -5,14 +5,11 @@ from __future__ import annotations
 from .load_save import list_clips, list_meshes, load, load_skinning, save
 from .registry import FORMATS, SaveReport
 from .spaces import in_space
-from .whole_files import copy, left_out
 
 __all__ = [
     "FORMATS",
     "SaveReport",
-    "copy",
     "in_space",
-    "left_out",
     "list_clips",
     "list_meshes",
     "load",

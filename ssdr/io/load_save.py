@@ -256,8 +256,8 @@ def save(
 ) -> SaveReport:
     """Write a sequence or a skinning to a file.
 
-    It is converted to metres with y up for glTF and FBX, and to the space of a template. The note
-    of the report says what was converted and what is not known.
+    It is converted to metres with y up for glTF and FBX. The note of the report says what was
+    converted and what is not known.
 
     A file that exists is overwritten. If writing stops with an error, the old file stays, and no
     incomplete one is left. If the format cannot hold a skinning, its skinned vertices are written,
@@ -327,11 +327,7 @@ def save(
             "path", f"a suffix of {', '.join(able)} for a {type(thing).__name__}", suffix
         )
     given = with_space(thing, thing.space.but(Space(units, up)))
-    space, template = format_.space, options.get("template")
-    if template is not None and format_.has("template_space"):
-        with trusting(folder):
-            space = call(format_, "template_space", as_path(template))
-    ready, said = ready_to_write(given, format_.title, space)
+    ready, said = ready_to_write(given, format_.title, format_.space)
     with trusting(folder):
         report: SaveReport = call(format_, writer, ready, target, **options)
     back = (ready.space.units or 1.0) / (given.space.units or ready.space.units or 1.0)

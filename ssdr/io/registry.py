@@ -91,10 +91,8 @@ class Format:
     functions : frozenset of str
         Those of ``read``, ``read_skinning``, ``write_sequence`` and ``write_skinning`` that the
         format supports.  With ``list_clips`` a file can hold several clips, and ``read`` takes the
-        option `clip`; with ``list_meshes`` it can hold several meshes, and ``read`` takes `meshes`.
-        With ``copy``, files can be copied with all contents and can be templates:
-        ``write_skinning`` takes `template`, and ``template_problem`` returns the reason why a file
-        cannot be one; ``left_out`` lists what is not read.
+        option `clip`; with ``list_meshes`` it can hold several meshes, and ``read`` takes `meshes`;
+        ``template_problem`` returns the reason why a file cannot be a template.
     extra : str or None
         Extra of ssdr that the format needs.
     space : Space or None
@@ -122,22 +120,20 @@ _READ, _CACHE = frozenset({"read"}), frozenset({"read", "write_sequence"})
 _READ_ALL = frozenset({"read", "read_skinning", "list_clips"})
 _READ_MESHES = _READ_ALL | {"list_meshes"}
 _WRITE = frozenset({"write_sequence", "write_skinning"})
-_PASSES = frozenset({"copy", "left_out", "template_problem"})
 _NUMBERED = Format("numbered meshes", "meshes.numbered", _READ)
 _GLTF = Format(
     "glTF 2.0",
     "gltf",
-    _READ_MESHES | _PASSES | {"write_skinning"},
+    _READ_MESHES | {"write_skinning", "template_problem"},
     space=METRES_Y_UP,
 )
 _USD = Format(
     "Universal Scene Description",
     "usd",
-    _READ_MESHES | _PASSES | _WRITE | {"template_space"},
+    _READ_MESHES | _WRITE,
     "usd",
     UNKNOWN,
 )
-_PACKAGE = "package of Universal Scene Description"
 
 FORMATS: dict[str, Format] = {
     ".npz": Format(
@@ -157,12 +153,11 @@ FORMATS: dict[str, Format] = {
     ".usd": _USD,
     ".usda": _USD,
     ".usdc": _USD,
-    ".usdz": Format(_PACKAGE, "usd", _READ_MESHES | {"left_out"}, "usd"),
     ".abc": Format("Alembic", "alembic", _CACHE | {"list_meshes"}, "alembic"),
     ".fbx": Format(
         "FBX",
         "blender.bridge",
-        _READ_MESHES | {"write_skinning", "left_out"},
+        _READ_MESHES | {"write_skinning"},
         "blender",
         METRES_Y_UP,
     ),

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..clips import in_order, unique_names
-from ..errors import InputError
 from ..lbs import skin
 from ..normals import corner_normals
 from ..sequence import MeshSequence
@@ -322,69 +321,3 @@ def _bone_model_of(transforms: NDArray[np.float64]) -> BoneModel:
     if (off > 1e-4 * size).any() or (np.linalg.det(linear) <= 0).any():
         return "affine"
     return "rigid" if np.abs(size - 1).max() < 1e-4 else "similarity"
-
-
-def match_template(
-    parts: Sequence[ScenePart], model: Skinning, path: Path
-) -> list[NDArray[np.integer]]:
-    """For each part of a template file, the model vertex index of each of the part's vertices.
-
-    `path` is the template file, for messages.
-
-    Raises
-    ------
-    InputError
-        If the template's number of vertices or its triangles differ from the model's.
-    """
-    starts = part_starts(parts)
-    count = int(starts[-1])
-    vertex: NDArray[np.integer] = np.arange(count)
-    if model.vertex_map is not None and len(model.vertex_map) == count:
-        vertex = model.vertex_map
-    elif model.n_vertices != count:
-        raise InputError("template", f"a file of {model.n_vertices} vertices", f"{count} in {path}")
-    if not np.array_equal(vertex[join_faces(parts)], model.faces):
-        raise InputError("template", "a file with the model's triangles", str(path))
-    return np.split(vertex, starts[1:-1])
-
-
-def template_normals(
-    parts: Sequence[ScenePart],
-    vertices: Sequence[NDArray[np.integer]],
-    model: Skinning,
-    rest: NDArray[np.floating],
-) -> list[NDArray[np.float32]]:
-    """For each part of a template file, the normals (T, 3, 3) of the model at its corners.
-
-    A model without normals has those of its rest pose, with the hard edges of the file.
-
-    Parameters
-    ----------
-    parts : sequence of ScenePart
-    vertices : sequence of int arrays
-        As :func:`match_template` returns them.
-    model : Skinning
-    rest : (V, 3) array
-        The model's rest pose, as it is written.
-    """
-    if model.surface is not None and model.surface.normals is not None:
-        ends = np.cumsum([len(part.faces) for part in parts])
-        return np.split(model.surface.normals, ends[:-1])
-    return [
-        corner_normals(rest[index], part.faces, Surface(normals=part.normals))
-        for part, index in zip(parts, vertices, strict=True)
-    ]
-
-
-def check_kept(lost: Sequence[str], strict: bool) -> None:
-    """Raise an InputError if contents of a template would be lost and `strict` forbids it.
-
-    `lost` names these contents.
-
-    Raises
-    ------
-    InputError
-        If `strict` is true and `lost` is not empty.
-    """
-    if lost and strict:
-        raise InputError("template", "a file all of which can be kept", "; ".join(lost))

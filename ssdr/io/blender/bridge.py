@@ -126,18 +126,6 @@ def list_meshes(path: Path, *, time_limit: float = 600.0) -> tuple[str, ...]:
     return tuple(names[0] for names in json.loads(str(arrays["meshes"])))
 
 
-def left_out(
-    path: Path, *, meshes: str | Sequence[str] | None = None, time_limit: float = 600.0
-) -> tuple[str, ...]:
-    """Contents of a file that are lost when it is read as a sequence or skinning."""
-    arrays = _list(path, None, time_limit)
-    found = json.loads(str(arrays["left_out"]))
-    names = json.loads(str(arrays["meshes"]))
-    if len(choose(meshes, names)) < len(names):
-        found.append("meshes that were not chosen")
-    return tuple(found)
-
-
 def _list(path: Path, fps: float | None, time_limit: float) -> dict[str, NDArray[Any]]:
     """Run the action "list", or return its arrays from the last call if the file is the same."""
     state = path.stat()

@@ -141,7 +141,7 @@ def read(job: dict[str, Any]) -> None:
         arrays["title"] = np.array(items[0].name)
     model: Any = None
     if job["action"] == "list":
-        arrays["left_out"] = np.array(json.dumps(surfaces.left_out(items)))
+        pass  # names and numbers of frames are enough
     elif job["action"] == "read":
         model = Vertices(items)
         take = job.get("take") or 0

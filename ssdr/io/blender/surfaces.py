@@ -1,4 +1,4 @@
-"""Reading of faces, UVs, normals and materials from Blender, and a list of what is not read.
+"""Reading of faces, UVs, normals and materials from Blender.
 
 This module runs inside Blender beside ``script.py`` and needs only NumPy and Blender.
 """
@@ -111,27 +111,3 @@ def picture(image: Any, arrays: dict[str, Any], path: str) -> bytes:
         return b""
     with open(file, "rb") as stream:
         return stream.read()
-
-
-def left_out(items: list[Any]) -> list[str]:
-    """Contents of the scene that are lost when it is read as a sequence or skinning."""
-    materials = {slot.material for item in items for slot in item.material_slots} - {None}
-    kinds = {item.type for item in bpy.context.scene.objects}
-    found = {
-        "names and number of the meshes": len(items) > 1,
-        "orientations of the joints": any(
-            bone.parent for rig in bpy.data.armatures for bone in rig.bones
-        ),
-        "further sets of UVs": any(len(item.data.uv_layers) > 1 for item in items),
-        "vertex colours": any(len(item.data.color_attributes) for item in items),
-        "textures but those of the base colour": any(map(further_textures, materials)),
-        "cameras": "CAMERA" in kinds,
-        "lights": "LIGHT" in kinds,
-    }
-    return [what for what, there in found.items() if there]
-
-
-def further_textures(material: Any) -> bool:
-    nodes = material.node_tree.nodes if material.node_tree else []
-    links = [link for node in nodes if node.type == "TEX_IMAGE" for link in node.outputs[0].links]
-    return any(link.to_socket.name != "Base Color" for link in links)

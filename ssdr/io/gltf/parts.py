@@ -231,11 +231,6 @@ class PrimitiveGroup:
         names = [str(nodes.items[k].get("name", f"node_{k}")) for k in joints]
         return Bones(names, np.array(parents), bind[:, :3, 3], transforms)
 
-    @property
-    def has_axes(self) -> bool:
-        """Whether the axes of a joint in the rest pose differ from those of the world."""
-        return bool(np.abs(self._inverse[:, :3, :3] - np.eye(3)).max() > 1e-6)
-
 
 def names_of(document: Document, number: int) -> list[str]:
     """Names by which the mesh of node `number` can be chosen: those of the node and of the mesh.

@@ -9,18 +9,21 @@ from __future__ import annotations
 
 import collections
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...errors import InputError
+from ...normals import corner_normals
 from ...skinning import Skinning
+from ...surface import Surface
 from ..corners import carry_tangents
 from ..registry import check, reading
 from ..rig import Rig
-from ..scene import match_template, template_normals
+from ..scene import join_faces, part_starts
 from .animation import Nodes, descendants, read_animations
 from .builder import ARRAY, ELEMENTS, Builder
 from .compression import DRACO
@@ -31,6 +34,17 @@ from .skeleton import add_animation, add_skin, add_weights, skeleton_nodes
 
 _LINES = (1, 2, 3)
 _CONTENT = {"mesh", "camera", "extensions"}  # a node with one of these is more than a joint
+
+
+def template_problem(path: Path) -> str:
+    """Reason why a readable file cannot be a template, empty if it can."""
+    with reading(path):
+        return _problem(Document(path))
+
+
+def _problem(document: Document) -> str:
+    compressed = DRACO in document.items("extensionsUsed")
+    return "its geometry is compressed with Draco" if compressed else ""
 
 
 class Template:
@@ -65,8 +79,8 @@ class Template:
     ) -> None:
         with reading(path, "meshes"):
             self.document = document = Document(path)
-            packed = DRACO in document.items("extensionsUsed")
-            check(not packed, "is compressed with Draco and cannot be a template")
+            problem = _problem(document)
+            check(not problem, f"{problem}; it cannot be a template")
             animations = read_animations(document)
             # The model's first clip decides whether a node mirrors its mesh.
             first = model.clips[0].name
@@ -75,7 +89,7 @@ class Template:
             self.parts = read_parts(document, self.world, meshes)
             self.builder = Builder(document)
         self.json = self.builder.json
-        self.model, self.vertices = model, match_template(self.parts, model, path)
+        self.model, self.vertices = model, _model_vertices(self.parts, model, path)
         self.replaced = {part.node for part in self.parts}
         self.names = [one.name for one in animations if document.items("animations")]
         new_names = [clip_names.get(name, name) for name in self.names]
@@ -108,7 +122,7 @@ class Template:
                 uses[mesh] -= 1
                 meshes.append(copy.deepcopy(meshes[mesh]))
                 nodes[node]["mesh"] = len(meshes) - 1
-        normals = template_normals(self.parts, self.vertices, self.model, rig.rest)
+        normals = _normals(self.parts, self.vertices, self.model, rig.rest)
         for part, vertices, own in zip(self.parts, self.vertices, normals, strict=True):
             index = vertices[part.label]
             attributes = self._new_attributes(part, rig.rest[index], own)
@@ -318,3 +332,55 @@ class Template:
             if fits(node, nodes[node]) and found.issuperset(nodes[node].get("children", [])):
                 found.add(node)
         return found
+
+
+def _model_vertices(
+    parts: Sequence[PrimitiveGroup], model: Skinning, path: Path
+) -> list[NDArray[np.integer]]:
+    """For each part of a template file, the model vertex index of each of the part's vertices.
+
+    `path` is the template file, for messages.
+
+    Raises
+    ------
+    InputError
+        If the template's number of vertices or its triangles differ from the model's.
+    """
+    starts = part_starts(parts)
+    count = int(starts[-1])
+    vertex: NDArray[np.integer] = np.arange(count)
+    if model.vertex_map is not None and len(model.vertex_map) == count:
+        vertex = model.vertex_map
+    elif model.n_vertices != count:
+        raise InputError("template", f"a file of {model.n_vertices} vertices", f"{count} in {path}")
+    if not np.array_equal(vertex[join_faces(parts)], model.faces):
+        raise InputError("template", "a file with the model's triangles", str(path))
+    return np.split(vertex, starts[1:-1])
+
+
+def _normals(
+    parts: Sequence[PrimitiveGroup],
+    vertices: Sequence[NDArray[np.integer]],
+    model: Skinning,
+    rest: NDArray[np.floating],
+) -> list[NDArray[np.float32]]:
+    """For each part of a template file, the normals (T, 3, 3) of the model at its corners.
+
+    A model without normals has those of its rest pose, with the hard edges of the file.
+
+    Parameters
+    ----------
+    parts : sequence of PrimitiveGroup
+    vertices : sequence of int arrays
+        As :func:`_model_vertices` returns them.
+    model : Skinning
+    rest : (V, 3) array
+        The model's rest pose, as it is written.
+    """
+    if model.surface is not None and model.surface.normals is not None:
+        ends = np.cumsum([len(part.faces) for part in parts])
+        return np.split(model.surface.normals, ends[:-1])
+    return [
+        corner_normals(rest[index], part.faces, Surface(normals=part.normals))
+        for part, index in zip(parts, vertices, strict=True)
+    ]

@@ -24,7 +24,6 @@ from ...surface import Material, Surface
 from ..corners import Corners, rest_normals, split_corners
 from ..registry import SaveReport
 from ..rig import Rig, build_rig
-from ..scene import check_kept
 from .builder import ARRAY, ELEMENTS, Builder
 from .compact import Compression, Packed, coarse_rig, fetch_order, steady_slots
 from .shapes import add_channel, add_targets, state_targets
@@ -112,7 +111,9 @@ def write_skinning(
         raise InputError("template", "None beside a compression", str(template))
     old = Template(Path(template), skinning, meshes, clip_names or {})
     old.put(rig, title)
-    check_kept(old.builder.lost, strict)
+    if strict and old.builder.lost:
+        lost = "; ".join(old.builder.lost)
+        raise InputError("template", "a file all of which can be kept", lost)
     return _report(skinning, rig, path, old.builder)
 
 

@@ -8,18 +8,13 @@ from ..optional import require
 require("pxr.UsdSkel", "usd", "USD")
 
 from .reader import list_clips, list_meshes, read, read_skinning  # noqa: E402
-from .template import copy, left_out, template_problem, template_space  # noqa: E402
 from .writer import write_sequence, write_skinning  # noqa: E402
 
 __all__ = [
-    "copy",
-    "left_out",
     "list_clips",
     "list_meshes",
     "read",
     "read_skinning",
-    "template_problem",
-    "template_space",
     "write_sequence",
     "write_skinning",
 ]

@@ -44,8 +44,6 @@ class MeshPrim:
         Corners of each triangle, as indices into the corners of all polygons.
     polygon : (T,) int array
         Index of the polygon that each triangle is a piece of.
-    seen : Usd.TimeCode or float or None
-        Without a skin: a time code at which the mesh has the orientation that it has most often.
     material : (T,) int array
         As in `ScenePart`, once :func:`~ssdr.io.usd.materials.read_materials` has set it.
     """
@@ -53,7 +51,6 @@ class MeshPrim:
     faces: NDArray[np.int64]
     corners: NDArray[np.int64]
     material: NDArray[np.int64]
-    seen: Any = None
 
     def __init__(self, path: Path, prim: Any, skeleton: Any = None, query: Any = None) -> None:
         self.path, self.prim = path, prim
@@ -77,18 +74,13 @@ class MeshPrim:
             self.corners, self.faces = self.corners[:, ::-1], self.faces[:, ::-1]
 
     def _is_mirrored(self) -> bool:
-        """Whether the mesh's own transform mirrors it in the majority of samples.
-
-        Sets `seen` to the time code of the first sample that agrees with the majority.
-        """
+        """Whether the mesh's own transform mirrors it in the majority of samples."""
         codes = np.unique(self._moves())
         chosen = np.linspace(0, len(codes) - 1, min(len(codes), _MOST_LOOKS)).astype(int)
         times = codes[chosen].tolist() or [_FIRST]
         linear = np.stack([self._transforms_at(t)[0, :, :3] for t in times])
         self._check(np.isfinite(linear).all(), "a transform that is not finite")
-        frame, mirrored = facing(linear)
-        self.seen = times[frame]
-        return mirrored
+        return facing(linear)[1]
 
     def _check(self, valid: Any, problem: str) -> None:
         """Raise a FormatError with the text `problem` unless `valid` is true."""
@@ -111,17 +103,9 @@ class MeshPrim:
             self.corners = self.corners[:, ::-1]
         self.faces = indices[self.corners]
 
-    def value_index(self, interpolation: str) -> NDArray[np.int64] | None:
-        """Index (T, 3) of a primvar's value at each triangle corner.
-
-        `interpolation` is USD's word for how many values the primvar has, such as "vertex" for one
-        per point. The result is None if the word is unknown.
-        """
-        return value_index(interpolation, self.corners, self.faces, self.polygon)
-
     def _at_corners(self, values: Any, interpolation: str, width: int, what: str) -> Any:
         array = np.array(values, dtype=np.float32).reshape(-1, width)
-        index = self.value_index(interpolation)
+        index = value_index(interpolation, self.corners, self.faces, self.polygon)
         if index is None or index.max(initial=-1) >= len(array):
             _log.warning(
                 "%s: %s does not match the mesh and is left out", self.prim.GetPath(), what
@@ -143,19 +127,14 @@ class MeshPrim:
         found: NDArray[np.float32] | None = self._at_corners(values, how, 2, "UV")
         return found
 
-    def normal_values(self) -> tuple[Any, str, Any]:
-        """Values of the mesh's normals (None if it has none), their interpolation and attribute."""
-        primvar = UsdGeom.PrimvarsAPI(self.prim).GetPrimvar("normals")
-        if primvar and primvar.HasValue():
-            how = str(primvar.GetInterpolation())
-            return primvar.ComputeFlattened(_FIRST), how, primvar.GetAttr()
-        mesh = UsdGeom.Mesh(self.prim)
-        attribute = mesh.GetNormalsAttr()
-        return attribute.Get(_FIRST), str(mesh.GetNormalsInterpolation()), attribute
-
     @property
     def normals(self) -> NDArray[np.float32] | None:
-        values, how, _ = self.normal_values()
+        primvar = UsdGeom.PrimvarsAPI(self.prim).GetPrimvar("normals")
+        if primvar and primvar.HasValue():
+            values, how = primvar.ComputeFlattened(_FIRST), str(primvar.GetInterpolation())
+        else:
+            mesh = UsdGeom.Mesh(self.prim)
+            values, how = mesh.GetNormalsAttr().Get(_FIRST), str(mesh.GetNormalsInterpolation())
         found = None if values is None else self._at_corners(values, how, 3, "normals")
         return None if found is None else unit(found).astype(np.float32)
 
@@ -208,13 +187,6 @@ class MeshPrim:
         if len(stated) == len(self.joints.GetJointOrder()):
             names = [str(stated[k]) for k in self._rows]
         return Bones(names, np.array(parents), self._binds()[:, :3, 3], transforms)
-
-    @property
-    def has_axes(self) -> bool:
-        """Whether the axes of a joint in the bind pose differ from those of the points."""
-        if self.joints is None:
-            return False
-        return bool(np.abs(self._binds()[:, :3, :3] - np.eye(3)).max() > 1e-6)
 
     def stamps(self) -> NDArray[np.float64]:
         """Time codes of all samples of the points, joints, blend shapes and transforms."""

@@ -25,7 +25,6 @@ from ..rig import frame_rate
 from ..sampling import Missed, Sample, off_frames
 from ..scene import SceneBudget, join_sequence, join_skinning
 from .materials import read_materials
-from .package import unpacked
 from .parts import MeshPrim, SkeletonPoints
 from .stage import open_stage
 
@@ -49,16 +48,16 @@ class StageClip:
         animation of the stage.
     bound : bool
         Whether the file itself binds this animation; if so, the stage's time range is the clip's.
-    clock : (float, float, int) or None
-        Frames per second, time code of the first frame and number of frames, if the file has
-        several clips and states them.
+    clock : (float, int) or None
+        Frames per second and number of frames, from time code 0 on, if the file has several clips
+        and states them.
     """
 
     name: str
     skeleton: Any = None
     animation: Any = None
     bound: bool = True
-    clock: tuple[float, float, int] | None = None
+    clock: tuple[float, int] | None = None
 
 
 class StageReader:
@@ -66,8 +65,6 @@ class StageReader:
 
     Attributes
     ----------
-    file : Path
-        The root layer; for a package, where it is unpacked while the reader lives.
     name : str
         Name of the default prim or, if there is none, of the file.
     clips : list of StageClip
@@ -89,8 +86,7 @@ class StageReader:
     ) -> None:
         self.path = path
         self._wanted = meshes
-        self.file = unpacked(path, self) if path.suffix.lower() == ".usdz" else path
-        self.stage = open_stage(self.file)
+        self.stage = open_stage(path)
         root = self.stage.GetDefaultPrim()
         self.name = str(root.GetName()) if root else path.stem
         self.clips = self._find_clips()
@@ -132,9 +128,8 @@ class StageReader:
         for prim in usable:
             own = prim.GetCustomDataByKey("ssdr")
             own = own if isinstance(own, dict) else {}
-            stated: list[Any] = [own.get(key) for key in ("fps", "frames", "start")]
-            fps, frames, start = stated
-            first = float(start) if is_real(start) else 0.0
+            stated: list[Any] = [own.get(key) for key in ("fps", "frames")]
+            fps, frames = stated
             # A clip that is the only one has the time range of the stage.
             known = len(usable) > 1 and is_real(fps) and fps > 0 and is_whole(frames) and frames > 0
             default = self.name if len(usable) == 1 and own else str(prim.GetName())
@@ -144,7 +139,7 @@ class StageReader:
                     skeleton=skeletons[0].GetPath(),
                     animation=prim.GetPath(),
                     bound=prim == bound,
-                    clock=(float(fps), first, int(frames)) if known else None,
+                    clock=(float(fps), int(frames)) if known else None,
                 )
             )
         names = unique_names([clip.name for clip in clips])
@@ -231,8 +226,8 @@ class StageReader:
         check(0 < tempo < math.inf, f"timeCodesPerSecond is {tempo}")
         stamps = np.unique(np.concatenate([np.zeros(0), *(mesh.stamps() for mesh in meshes)]))
         if clip.clock is not None and fps in (None, clip.clock[0]):
-            rate, first, count = clip.clock
-            stamps = stamps[(stamps >= first) & (stamps <= first + count * tempo / rate)]
+            first, (rate, count) = 0.0, clip.clock
+            stamps = stamps[(stamps >= first) & (stamps <= count * tempo / rate)]
         else:
             first, last = (float(stamps[0]), float(stamps[-1])) if len(stamps) else (0.0, 0.0)
             if clip.bound and stage.HasAuthoredTimeCodeRange():
@@ -314,7 +309,7 @@ def read(
         reader = StageReader(path, max_bytes, meshes)
         index = pick_clip([one.name for one in reader.clips], clip, path)
         sample = reader.sample(reader.clips[index], fps)
-        materials = read_materials(reader.file, sample.parts)
+        materials = read_materials(path, sample.parts)
         return join_sequence(sample, materials, reader.name, reader.space)
 
 
@@ -361,5 +356,5 @@ def read_skinning(
     with reading(path, "meshes"):
         reader = StageReader(path, max_bytes, meshes)
         samples = [reader.sample(clip, fps, joints_alone) for clip in reader.clips]
-        materials = read_materials(reader.file, samples[0].parts)
+        materials = read_materials(path, samples[0].parts)
         return join_skinning(samples, materials, reader.name, reader.space)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,14 +15,7 @@ from ...shapes import Shapes
 from ..rig import Rig
 
 
-def put_skeleton(
-    stage: Any,
-    place: Any,
-    rig: Rig,
-    title: str,
-    tempo: float,
-    starts: Mapping[str, float] | None = None,
-) -> list[str] | None:
+def put_skeleton(stage: Any, place: Any, rig: Rig, title: str) -> list[str] | None:
     """Define a skeleton with an animation for each clip at a path, and bind the first animation.
 
     Parameters
@@ -33,10 +26,6 @@ def put_skeleton(
     rig : Rig
     title : str
         Name of the model. If a single clip has the same name, its name is not stored.
-    tempo : float
-        Time codes per second.
-    starts : mapping, optional
-        Time code of the first frame of each clip, by its name; 0 by default.
 
     Returns
     -------
@@ -72,11 +61,8 @@ def put_skeleton(
     for where, clip in zip(places, rig.clips, strict=True):
         animation = UsdSkel.Animation.Define(stage, where)
         animation.CreateJointsAttr(tokens)
-        start = (starts or {}).get(clip.name, 0.0)
-        _put_keys(animation, rig, order, clip, tempo, start)
+        _put_keys(animation, rig, order, clip)
         stated: dict[str, Any] = {"fps": clip.fps, "frames": clip.n_frames}
-        if start:
-            stated["start"] = start
         if not alone:
             stated["name"] = clip.name
         animation.GetPrim().SetCustomDataByKey("ssdr", stated)
@@ -87,21 +73,20 @@ def put_skeleton(
     return paths if (order != np.arange(rig.n_bones)).any() else None
 
 
-def _put_keys(
-    animation: Any, rig: Rig, order: NDArray[np.int64], clip: Clip, tempo: float, start: float
-) -> None:
-    """Add the keys of a clip to a SkelAnimation, with the first frame at the time code `start`.
+def _put_keys(animation: Any, rig: Rig, order: NDArray[np.int64], clip: Clip) -> None:
+    """Add the keys of a clip to a SkelAnimation, with the first frame at the time code 0.
 
-    `order` (B,) holds the bone indices in the order of the skeleton's joints; `tempo` is the number
-    of time codes per second.
+    `order` (B,) holds the bone indices in the order of the skeleton's joints. The stage has as many
+    time codes per second as the first clip has frames.
     """
+    tempo = rig.clips[0].fps
     translations, rotations = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
     scales = animation.CreateScalesAttr()
     ones = np.ones((rig.n_bones, 3), dtype=np.float16)
     if rig.scales is None:
         scales.Set(Vt.Vec3hArray.FromNumpy(ones))
     for frame in clip.start + np.flatnonzero(rig.keys[clip.frames, 0]):
-        code = start + float(frame - clip.start) * (tempo / clip.fps)
+        code = float(frame - clip.start) * (tempo / clip.fps)
         translations.Set(Vt.Vec3fArray.FromNumpy(rig.translations[frame, order]), code)
         rotations.Set(Vt.QuatfArray.FromNumpy(rig.rotations[frame, order]), code)
         if rig.scales is not None:
@@ -110,7 +95,7 @@ def _put_keys(
         animation.CreateBlendShapesAttr(_shape_tokens(rig.shapes))
         weights = animation.CreateBlendShapeWeightsAttr()
         for frame in np.arange(clip.start, clip.stop):
-            code = start + float(frame - clip.start) * (tempo / clip.fps)
+            code = float(frame - clip.start) * (tempo / clip.fps)
             weights.Set(Vt.FloatArray.FromNumpy(rig.shapes.amounts[frame]), code)
 
 
@@ -139,14 +124,12 @@ def bind(
     indices: NDArray[np.int32],
     weights: NDArray[np.float32],
     skeleton: Any,
-    bind_transform: Any,
     tokens: Sequence[str] | None,
 ) -> None:
     """Bind a mesh to the skeleton at the path `skeleton`, with skin weights `weights` (V, K).
 
-    `indices` (V, K) are bones of the rig, and `bind_transform` takes the mesh's points to world
-    space in the bind pose. `tokens` are the joints in the order of the bones; None if the skeleton
-    has its joints in that order.
+    `indices` (V, K) are bones of the rig. `tokens` are the joints in the order of the bones; None
+    if the skeleton has its joints in that order.
     """
     binding = UsdSkel.BindingAPI.Apply(prim)
     width = indices.shape[1]
@@ -157,7 +140,7 @@ def bind(
     binding.CreateSkeletonRel().SetTargets([skeleton])
     if tokens is not None:
         binding.CreateJointsAttr(tokens)
-    binding.CreateGeomBindTransformAttr(bind_transform)
+    binding.CreateGeomBindTransformAttr(Gf.Matrix4d(1.0))
 
 
 def identifier(name: str) -> str:

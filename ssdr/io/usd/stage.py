@@ -149,7 +149,7 @@ def _check_nesting(file: Path) -> None:
     """Refuse a package, and a text layer nested so deeply that usd-core would crash the process."""
     data = file.read_bytes()
     packed = data.startswith(b"PK")
-    check(not packed, f"{file.name} is a package, which must be unpacked first")
+    check(not packed, f"{file.name} is a package (.usdz), which is not read: unpack it first")
     if data.startswith(b"PXR-USDC"):
         return
     steps = _STEPS[np.frombuffer(_QUOTED.sub(b"", data), dtype=np.uint8)]
@@ -159,18 +159,13 @@ def _check_nesting(file: Path) -> None:
 
 
 @contextlib.contextmanager
-def system_errors(path: Path, source: Path | None = None) -> Iterator[None]:
+def system_errors(path: Path) -> Iterator[None]:
     """Context that turns USD's errors about writing `path` into the OSErrors that caused them.
-
-    USD reads a file's arrays only when it copies them. So if an error does not come from the
-    operating system, the file `source`, from which `path` is copied, is damaged.
 
     Raises
     ------
     OSError
         If `path` cannot be written.
-    FormatError
-        If `source` cannot be read.
     """
     try:
         yield
@@ -178,7 +173,5 @@ def system_errors(path: Path, source: Path | None = None) -> Iterator[None]:
         text = " ".join(str(error).split())
         known = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EACCES, errno.EROFS)
         number = next((n for n in known if os.strerror(n) in text), None)
-        if number is None and source is not None:
-            raise FormatError(f"{source}: truncated or damaged ({text[-300:]})") from error
         reason = text if number is None else os.strerror(number)
         raise OSError(number or errno.EIO, reason, str(path)) from error

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
+from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from ...sequence import MeshSequence
-from ...skinning import Skinning, refuse_shapes
+from ...skinning import Skinning
 from ...space import METRES_Y_UP, Space
 from ..atomic import atomic_path
 from ..corners import rest_normals
@@ -24,19 +23,10 @@ from ..storage_error import StorageError
 from .materials import write_materials
 from .skeleton import bind, bind_shapes, identifier, put_skeleton
 from .stage import system_errors
-from .template import put
 
 
 def write_skinning(
-    skinning: Skinning,
-    path: Path,
-    *,
-    influences: int | None = None,
-    name: str | None = None,
-    template: str | os.PathLike[str] | None = None,
-    meshes: str | Sequence[str] | None = None,
-    clip_names: Mapping[str, str | None] | None = None,
-    strict: bool = False,
+    skinning: Skinning, path: Path, *, influences: int | None = None, name: str | None = None
 ) -> SaveReport:
     """Write a UsdSkel character: skeleton, one animation per clip, skin weights, surface.
 
@@ -55,20 +45,6 @@ def write_skinning(
         Number of largest weights to keep for each vertex; all by default.
     name : str, optional
         Name of the root prim; by default that of the skinning or, if it has none, of the file.
-    template : path, optional
-        The USD file that the model was made from, or one with the same points and triangles. Its
-        root layer is written again with the model's skin and clips; all else stays: materials
-        and bindings, primvars, other prims. The unit, the up axis and the time codes are the
-        template's.
-    meshes : str or several of them, optional
-        Names of the template's meshes that the model replaces, or of prims above them; all by
-        default.
-    clip_names : mapping of str to str, optional
-        Maps the name of a clip in the template to its name in the model, where these differ, or to
-        None if the clip is left out on purpose and not to be reported as lost.
-    strict : bool
-        Whether to raise an error, instead of reporting the loss, if contents of the template
-        cannot be kept.
 
     Returns
     -------
@@ -79,7 +55,7 @@ def write_skinning(
     Raises
     ------
     InputError
-        If a bone mirrors, an option is not usable, or the model does not fit the template.
+        If a bone mirrors or an option is not usable.
 
     References
     ----------
@@ -94,33 +70,25 @@ def write_skinning(
         scales=None if rig.scales is None else rig.scales.astype(np.float16).astype(np.float32),
     )
     first = rig.clips[0]
-    lost: list[str] = []
     notes: list[str] = []
     if rig.scales is not None:
         notes.append("UsdSkel holds scales in half precision")
-    if template is not None:
-        refuse_shapes(skinning, "thing", "a file with a template")
-        with atomic_path(path) as temporary, system_errors(path, Path(template)):
-            names = clip_names or {}
-            lost += put(Path(template), temporary, path, skinning, rig, meshes, names, strict)
-    else:
-        with _new_stage(path, first.fps, first.n_frames, skinning.space, notes) as stage:
-            top = Sdf.Path("/" + identifier(name or skinning.name or path.stem))
-            stage.SetDefaultPrim(UsdSkel.Root.Define(stage, top).GetPrim())
-            skeleton = top.AppendChild("Skeleton")
-            tokens = put_skeleton(stage, skeleton, rig, skinning.name, first.fps)
-            mesh = _define_mesh(stage, top, skinning, path, notes)
-            mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(rig.rest))
-            mesh.CreateExtentAttr(_extent(rig.rest))
-            normals = rest_normals(skinning, rig.rest)
-            if normals is not None:
-                _put_primvar(mesh, "normals", Sdf.ValueTypeNames.Normal3fArray, normals)
-            identity = Gf.Matrix4d(1.0)
-            bind(mesh.GetPrim(), rig.indices, rig.weights, skeleton, identity, tokens)
-            if rig.shapes is not None:
-                bind_shapes(stage, mesh.GetPrim(), rig.shapes)
+    with _new_stage(path, first.fps, first.n_frames, skinning.space, notes) as stage:
+        top = Sdf.Path("/" + identifier(name or skinning.name or path.stem))
+        stage.SetDefaultPrim(UsdSkel.Root.Define(stage, top).GetPrim())
+        skeleton = top.AppendChild("Skeleton")
+        tokens = put_skeleton(stage, skeleton, rig, skinning.name)
+        mesh = _define_mesh(stage, top, skinning, path, notes)
+        mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(rig.rest))
+        mesh.CreateExtentAttr(_extent(rig.rest))
+        normals = rest_normals(skinning, rig.rest)
+        if normals is not None:
+            _put_primvar(mesh, "normals", Sdf.ValueTypeNames.Normal3fArray, normals)
+        bind(mesh.GetPrim(), rig.indices, rig.weights, skeleton, tokens)
+        if rig.shapes is not None:
+            bind_shapes(stage, mesh.GetPrim(), rig.shapes)
     size = path.stat().st_size
-    return rig.report(skinning, path=path, bytes=size, note="; ".join(notes), lost=tuple(lost))
+    return rig.report(skinning, path=path, bytes=size, note="; ".join(notes))
 
 
 def write_sequence(sequence: MeshSequence, path: Path, *, name: str | None = None) -> SaveReport:

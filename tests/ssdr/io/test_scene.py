@@ -111,8 +111,8 @@ def test_bones_without_length(path):
     assert max(got["joints"], got["vertices"]) < 1e-6
 
 
-def test_into_a_template_the_tree_goes_too(path):
-    model, other = creature(), path.with_name("b" + path.suffix)
+def test_into_a_template_the_tree_goes_too(tmp_path):
+    model, path, other = creature(), tmp_path / "a.glb", tmp_path / "b.glb"
     ssdr.save(model, path)
     read = ssdr.load_skinning(path)
     ssdr.save(read, other, template=path)

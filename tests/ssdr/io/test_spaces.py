@@ -181,18 +181,6 @@ def test_a_factor_leaves_the_unit_open(tmp_path):
     assert largest_distance(again, 2 * there.skin()) < 1e-6
 
 
-def test_a_model_comes_into_the_space_of_its_template(tmp_path):
-    pytest.importorskip("pxr.UsdSkel")
-    there, model = standing(dataclasses.replace(tube(frames=4), name="tube"))
-    ssdr.save(model, tmp_path / "cm.usda")
-    report = ssdr.save(there, tmp_path / "out.usda", template=tmp_path / "cm.usda")
-    assert "converted from 1 m a unit, y up to 0.01 m a unit, z up" in report.note
-    back = ssdr.load(tmp_path / "out.usda")
-    assert back.space == CENTIMETRES
-    assert largest_distance(back.vertices, model.skin()) < 2e-4
-    assert report.max_error < 3e-6  # in metres
-
-
 @needs_blender
 def test_fbx_in_centimetres_has_no_scale_on_its_nodes(tmp_path):
     there, model = standing(tube(frames=2))

@@ -225,30 +225,6 @@ def test_units_are_metres(tmp_path):
     np.testing.assert_allclose(as_blender_shows(z_up).skin(), models[0].skin(), atol=1e-5)
 
 
-def test_what_is_not_read_is_listed(tmp_path):
-    path = export(
-        tmp_path / "a.fbx",
-        """
-r = rig()
-for name in ("a", "b"):
-    mesh = strip(name, r).data
-    for layer in ("first", "second"):
-        mesh.uv_layers.new(name=layer)
-mesh.color_attributes.new("paint", "FLOAT_COLOR", "CORNER")
-scene.collection.objects.link(bpy.data.objects.new("eye", bpy.data.cameras.new("eye")))
-turn(r, "wave", (0, 1))
-save()
-""",
-    )
-    assert ssdr.io.left_out(path) == (
-        "names and number of the meshes",
-        "orientations of the joints",
-        "further sets of UVs",
-        "vertex colours",
-        "cameras",
-    )
-
-
 def test_textures_outside_the_folder_are_left_out(tmp_path, caplog):
     (tmp_path / "in").mkdir()
     scene = """
@@ -372,7 +348,6 @@ def test_meshes_are_chosen_by_name(tmp_path):
     assert ssdr.load_skinning(path, meshes="coat").n_vertices == 10
     assert ssdr.load(path, meshes=["face"]).n_vertices == 18
     assert ssdr.io.list_meshes(path) == ("coat", "face")
-    assert "meshes that were not chosen" in ssdr.io.left_out(path, meshes="coat")
     with pytest.raises(
         ssdr.InputError, match=r"^meshes: expected one of \['coat', 'face', 'rig'\]"
     ):

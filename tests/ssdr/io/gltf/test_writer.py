@@ -61,16 +61,16 @@ def test_influences_beyond_the_format(tmp_path):
 
 
 def test_pictures_stay_beside_a_file_of_their_folder_and_go_into_others(tmp_path):
-    ssdr.save(tube(frames=2), tmp_path / "a.glb")
-    document = Document(tmp_path / "a.glb")
+    ssdr.save(tube(frames=2), tmp_path / "a.gltf")
+    model = ssdr.load_skinning(tmp_path / "a.gltf")
+    document = Document(tmp_path / "a.gltf")
     (tmp_path / "p.png").write_bytes(document.picture(document.items("images")[0]))
-    ssdr.io.copy(tmp_path / "a.glb", tmp_path / "a.gltf")
     text = (tmp_path / "a.gltf").read_text()
     number = document.items("images")[0]["bufferView"]
     (tmp_path / "a.gltf").write_text(text.replace(f'"bufferView": {number}', '"uri": "p.png"', 1))
     (tmp_path / "there").mkdir()
     for target, beside in ((tmp_path / "b.gltf", True), (tmp_path / "there" / "b.gltf", False)):
-        ssdr.io.copy(tmp_path / "a.gltf", target)
+        ssdr.save(model, target, template=tmp_path / "a.gltf")
         copied = Document(target)
         assert ("uri" in copied.items("images")[0]) == beside
         assert copied.picture(copied.items("images")[0]) == (tmp_path / "p.png").read_bytes()
