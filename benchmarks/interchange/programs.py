@@ -35,7 +35,8 @@ from helpers.rig_model import tube
 from helpers.rig_tree import creature, tree_of
 from ssdr.errors import MissingDependencyError
 from ssdr.hierarchy.transforms import to_local
-from ssdr.io.blender import bridge
+from ssdr.io.blender.fbx_reading import SCRIPT
+from ssdr.io.blender.finder import run
 
 FORMATS: dict[str, tuple[str, Row]] = {
     "glb": (".glb", {}),
@@ -186,12 +187,12 @@ def in_blender(path: Path, model: ssdr.Skinning) -> Seen:
         job: Row = {"path": str(path.resolve()), "fps": clip.fps, "resample": False}
         job["max_bytes"] = 16 << 30
         take = clip.name if len(model.clips) > 1 else None
-        shown = bridge.run({**job, "action": "read", "take": take})
+        shown = run(SCRIPT, {**job, "action": "read", "take": take}, time_limit=600)
         seen.points[clip.name] = shown["vertices"] @ turn.T
         seen.index = shown.get("vertex")
         if path.suffix == ".usdc" or not has_tree(model):
             continue
-        arrays = bridge.run({**job, "action": "read skinning"})
+        arrays = run(SCRIPT, {**job, "action": "read skinning"}, time_limit=600)
         names, parents = json.loads(str(arrays["bones"])), arrays["parents"]
         seen.tree = {n: names[p] if p >= 0 else None for n, p in zip(names, parents, strict=True)}
         seen.joints = arrays["joint_positions"] @ turn.T

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 from typing import Any
 
 from ..errors import MissingDependencyError
@@ -25,6 +25,12 @@ def require(module: str, extra: str, what: str) -> Any:
     return import_optional(module, PACKAGES[extra], what)
 
 
+def check_installed(module: str, extra: str, what: str) -> None:
+    """Raise the error of :func:`require` if a package is not installed, without importing it."""
+    if importlib.util.find_spec(module) is None:
+        raise _missing(PACKAGES[extra], what)
+
+
 def import_optional(module: str, requirement: str, what: str) -> Any:
     """Import a package that may be missing.
 
@@ -44,6 +50,10 @@ def import_optional(module: str, requirement: str, what: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        raise MissingDependencyError(
-            f'{what} needs a package that is not installed: pip install "{requirement}"'
-        ) from error
+        raise _missing(requirement, what) from error
+
+
+def _missing(requirement: str, what: str) -> MissingDependencyError:
+    return MissingDependencyError(
+        f'{what} needs a package that is not installed: pip install "{requirement}"'
+    )

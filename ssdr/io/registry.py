@@ -156,7 +156,7 @@ FORMATS: dict[str, Format] = {
     ".abc": Format("Alembic", "alembic", _CACHE | {"list_meshes"}, "alembic"),
     ".fbx": Format(
         "FBX",
-        "blender.bridge",
+        "blender",
         _READ_MESHES | {"write_skinning"},
         "blender",
         METRES_Y_UP,

@@ -33,11 +33,7 @@ from ..shapes import Shapes
 from ..skinning import Skinning
 from ..storage.stretch import steady_axes
 from .registry import SaveReport
-from .sampling import off_frames
 from .storage_error import StorageError, frame_blocks
-
-# frames per second in use in film, television and motion capture
-_RATES = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 100.0, 120.0)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -376,32 +372,3 @@ def interpolate_quaternions(
     """Interpolate quaternions ``(..., 4)`` by :func:`slerp`, after scaling them to unit norm."""
     p, q = (x / np.linalg.norm(x, axis=-1, keepdims=True) for x in (a.astype(float), b))
     return slerp(p, q, u)
-
-
-def frame_rate(stamps: NDArray[np.float64]) -> float | None:
-    """Frames per second of ascending key times (in seconds), or None if no rate is found.
-
-    It is the first of these rates: that of the closest two keys, if all keys fall on its frames;
-    the rate at which more than three in four keys follow each other, even if the others lie between
-    its frames; the first usual rate on whose frames all keys fall. Rates below 10 are not accepted,
-    because sparse keys alone would suggest them.
-    """
-    gaps = np.diff(stamps)
-    gaps = gaps[gaps > 1e-4]
-    if not len(gaps):
-        return None
-    span = float(stamps[-1] - stamps[0])
-    closest = _near_whole(round(span / float(gaps.min())) / span)
-    alike = np.abs(gaps / np.median(gaps) - 1) < 0.01
-    common = _near_whole(1 / float(gaps[alike].mean())) if alike.mean() > 0.75 else None
-    for rate in (closest, common, *_RATES):
-        if not rate or not 10 <= rate <= 1000:
-            continue
-        if rate == common or not len(off_frames(stamps, float(stamps[0]), rate)):
-            return rate
-    return None
-
-
-def _near_whole(rate: float) -> float:
-    nearest = float(round(rate))
-    return nearest if nearest and abs(rate - nearest) < 1e-4 * nearest else rate

@@ -14,9 +14,9 @@ from ...normals import unit
 from ..meshes.polygons import fan, value_index
 from ..registry import check
 from ..scene import Bones, Shape, facing
-from .clock import sample_times
 
 _log = logging.getLogger(__name__)
+_MOST_SAMPLES = 1 << 22
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -27,6 +27,24 @@ def object_name(names: Sequence[str]) -> str:
     It is the name of the transform above the mesh.
     """
     return names[-2:][0]
+
+
+def sample_times(stored: Sequence[float], period: float, count: int) -> NDArray[np.float64]:
+    """Times (S,) in seconds of `count` samples, where the times `stored` repeat every `period`.
+
+    Raises
+    ------
+    FormatError
+        If there are too many samples, or their times do not increase.
+    """
+    check(0 < count <= _MOST_SAMPLES and len(stored), f"{count} samples at {len(stored)} times")
+    cycle, place = np.divmod(np.arange(count), len(stored))
+    with np.errstate(over="ignore", invalid="ignore"):
+        # the period of times that never repeat is too large to be multiplied by 0
+        times = np.asarray(stored, dtype=np.float64)[place] + np.where(cycle, cycle * period, 0.0)
+        rising = np.isfinite(times).all() and (np.diff(times) > 0).all()
+    check(rising, "its times do not rise")
+    return times
 
 
 class SampledArray:

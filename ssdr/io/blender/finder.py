@@ -1,4 +1,4 @@
-"""Lookup of Blender, as a program or as a Python in which ``bpy`` is installed.
+"""Lookup of Blender, as a program or as a Python in which ``bpy`` is installed, and its runs.
 
 ``bpy`` requires an old NumPy and would downgrade that of ``ssdr``, so it belongs into a Python
 environment of its own. An environment in the folder that `environment` returns is found without any
@@ -12,8 +12,47 @@ import os
 import shutil
 import sys
 from pathlib import Path
+from typing import Any
 
-from ...errors import InputError, MissingDependencyError
+from numpy.typing import NDArray
+
+from ...errors import InputError, MissingDependencyError, SsdrError
+from ..own_process import run_script
+
+_TOO_OLD = "Blender 4.2 or newer is needed"  # part of an error of in_blender.py
+_OWN_PACKAGES = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")  # of this process, not of Blender
+
+
+def run(
+    script: Path, job: dict[str, Any], *, time_limit: float, path: Path | None = None
+) -> dict[str, NDArray[Any]]:
+    """Run a script in Blender, in a process of its own, and return the arrays that it writes.
+
+    Parameters
+    ----------
+    script, job, time_limit, path
+        As for :func:`ssdr.io.own_process.run_script`.
+
+    Raises
+    ------
+    InputError, MissingDependencyError
+        If Blender is not found, cannot be started or is older than 4.2.
+    SsdrError
+        If Blender stops with an error, whose text is passed on, or takes more than `time_limit`
+        seconds. With `path`, it is a FormatError.
+    """
+    words = command(script)
+    environment = {k: v for k, v in os.environ.items() if k not in _OWN_PACKAGES}
+    try:
+        return run_script(
+            words, job, who="Blender", environment=environment, time_limit=time_limit, path=path
+        )
+    except SsdrError as error:
+        reason = str(error)
+        if _TOO_OLD in reason or "No module named 'bpy'" in reason:
+            said = reason.rsplit(": ", 1)[-1]
+            raise MissingDependencyError(f"{words[0]}: {said}") from error
+        raise
 
 
 def environment() -> Path:

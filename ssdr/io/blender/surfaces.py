@@ -3,6 +3,7 @@
 This module runs inside Blender beside ``script.py`` and needs only NumPy and Blender.
 """
 
+import importlib
 import json
 import os
 from typing import Any
@@ -10,16 +11,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-
-def values(data: Any, name: str, dtype: Any, width: int = 1) -> Any:
-    """Values of the attribute `name` of all elements of a Blender collection, in rows of `width`.
-
-    If `width` is 1, the array has one dimension.
-    """
-    size = len(data) * (np.size(getattr(data[0], name)) if len(data) else 1)
-    flat = np.empty(size, dtype=dtype)
-    data.foreach_get(name, flat)
-    return flat if width == 1 else flat.reshape(-1, width)
+values: Any = importlib.import_module("in_blender").values
 
 
 def senses(items: list[Any]) -> Any:

@@ -4,18 +4,16 @@ This module runs inside Blender beside ``script.py`` and needs only NumPy and Bl
 """
 
 import dataclasses
-import fractions
+import importlib
 import math
 from typing import Any
 
 import bpy
 import numpy as np
 
+frame_rates: Any = importlib.import_module("frame_rates")
 _LONGEST_NAME = 255 if bpy.app.version >= (5, 0, 0) else 63  # bytes, of an object or action
 _LONGEST_BONE = 63
-_LARGEST_RATE = 32767  # of Blender's integer for the frame rate
-_ON = 0.01  # frames: a key closer than this to a frame lies on it
-_USUAL = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 100.0, 120.0)
 Pairs = list[tuple[Any, Any]]  # objects or shape keys, each with the action that moves it
 
 
@@ -41,16 +39,6 @@ class Timeline:
         return bpy.context.evaluated_depsgraph_get()
 
 
-def set_rate(fps: float) -> None:
-    """Set the scene's frame rate, which Blender stores as an integer divided by a float32."""
-    render, ratio = bpy.context.scene.render, fractions.Fraction(fps).limit_denominator(1001)
-    if 0 < ratio.numerator <= _LARGEST_RATE and float(ratio) == fps:
-        render.fps, render.fps_base = ratio.numerator, ratio.denominator
-    else:
-        render.fps = max(1, min(round(fps), _LARGEST_RATE))
-        render.fps_base = render.fps / fps
-
-
 def stated_rate() -> float:
     """Frame rate of the scene, corrected for Blender's rounding to float32."""
     render = bpy.context.scene.render
@@ -63,18 +51,12 @@ def stated_rate() -> float:
 def play(job: dict[str, Any], pairs: Pairs | None) -> Timeline:
     """Assign the actions of a take to its objects, and return the frames at which to sample it.
 
-    `pairs` are the objects and actions; None if the file has no takes. The job's `clock`, if there
-    is one, states the time of the first frame in seconds, the frame rate, the number of frames and
-    the times of keys between frames.
+    `pairs` are the objects and actions; None if the file has no takes.
     """
     for item, action in pairs or []:
         item.animation_data.action = action
     scene, rate = bpy.context.scene, stated_rate()
     tempo = rate  # frames of Blender's timeline per second
-    if "clock" in job:
-        first, rate, count, missed = job["clock"]
-        ticks = (np.array(missed) - first) * rate
-        return Timeline(first * tempo, tempo / rate, count, rate, ticks)
     stamps = np.zeros(0)
     if job["path"].lower().endswith(".fbx"):
         tempo = float(scene.render.fps)  # its importer ignores fps_base when it places keys
@@ -90,32 +72,11 @@ def play(job: dict[str, Any], pairs: Pairs | None) -> Timeline:
     if job["resample"]:
         rate = float(job["fps"])
     elif len(stamps):
-        rate = rate_of((stamps - first) / tempo, rate)
+        rate = frame_rates.frame_rate((stamps - first) / tempo, rate) or rate
     step = tempo / rate
-    ticks = (stamps - first) / step
-    count = math.floor((last - first) / step + 1e-3) + 1
-    if not job["resample"] and off_frames(ticks, count).any():
-        count = math.ceil((last - first) / step - _ON) + 1  # the last frame holds the last key
-    return Timeline(float(first), step, count, rate, ticks[off_frames(ticks, count)])
-
-
-def off_frames(ticks: Any, count: float = np.inf) -> Any:
-    """Mask of the times, in frames, that lie on none of `count` frames."""
-    return np.abs(ticks - np.clip(np.rint(ticks), 0, count - 1)) >= _ON
-
-
-def rate_of(seconds: Any, stated: float) -> float:
-    """Frame rate at which all keys lie on frames, or the file's if none of those tried is one.
-
-    `seconds` are the times of the keys.  Tried in this order are the file's rate (`stated`), the
-    one at which the two closest keys are one frame apart, and usual rates.
-    """
-    gaps = np.diff(seconds)
-    closest = [round(1 / float(gaps.min()), 3)] if len(gaps) else []
-    for rate in (stated, *closest, *_USUAL):
-        if rate <= 1000 and not off_frames(seconds * rate).any():
-            return float(rate)
-    return stated
+    ticks, last = (stamps - first) / step, (last - first) / step
+    frames = frame_rates.frames_between(ticks, 0.0, last, 1.0, asked=job["resample"])
+    return Timeline(float(first), step, frames.count, rate, frames.missed)
 
 
 def key_frames(pairs: Pairs) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
@@ -13,9 +12,9 @@ from numpy.typing import NDArray
 from ...clips import Clip, readable, unique_names
 from ...errors import FormatError
 from ...rigid import matrix_from_quaternion
+from ..frame_rates import DEFAULT_RATE, Frames, frame_rate, frames_between, off_frames
 from ..registry import check
-from ..rig import frame_rate, interpolate_quaternions
-from ..sampling import off_frames
+from ..rig import interpolate_quaternions
 from .document import Document
 
 _KINDS = {"translation": "VEC3", "rotation": "VEC4", "scale": "VEC3", "weights": "SCALAR"}
@@ -34,26 +33,23 @@ class Animation:
     Attributes
     ----------
     name : str
-    fps : float
-        Frames per second.
+    frames : Frames
+        In seconds.
     times : (F,) float64
-        Time of each frame in seconds.
+        Time of each frame.
     channels : dict
         Key times, values and interpolation of each channel, by the index of its node and its path
         ("translation", "rotation", "scale" or "weights").
-    missed : (N,) float64
-        Key times that lie between frames.
     """
 
     name: str
-    fps: float
+    frames: Frames
     times: NDArray[np.float64]
     channels: dict[tuple[int, str], _Channel]
-    missed: NDArray[np.float64] = dataclasses.field(default_factory=lambda: np.zeros(0))
 
     @property
     def clip(self) -> Clip:
-        return Clip(self.name, 0, len(self.times), self.fps)
+        return Clip(self.name, 0, self.frames.count, self.frames.rate)
 
     def sample(self, node: int, path: str) -> NDArray[np.float64] | None:
         """Values ``(F, width)`` of a node's property `path` at all frames.
@@ -93,30 +89,33 @@ def read_animation(
     """
     name = animation_names(document)[index] if name is None else name
     if not document.items("animations"):
-        return Animation(name, fps or 24.0, np.zeros(1), {})
+        return still_frame(name, fps)
     item = document.items("animations")[index]
     channels = _channels(document, item)
     stamps = np.unique(np.concatenate([np.zeros(0), *(keys for keys, _, _ in channels.values())]))
     first, last = (float(stamps[0]), float(stamps[-1])) if len(stamps) else (0.0, 0.0)
     stated = item.get("extras", {}).get("ssdr", {})
-    rate = fps or frame_rate(stamps) or 24.0
-    count = math.floor(min((last - first) * rate, 1e15) + 1e-3) + 1
+    rate = fps or frame_rate(stamps) or DEFAULT_RATE
+    frames = frames_between(stamps, first, last, rate, asked=fps is not None)
     if "fps" in stated and "frames" in stated:
         own = document.number(stated["fps"], "fps")
         check(own > 0, f"fps is {own}")
         if fps in (None, own):
-            rate, count = own, document.integer(stated, "frames", f"the clip {name}")
+            count = document.integer(stated, "frames", f"the clip {name}")
             first = document.number(stated.get("start", 0.0), "start")
-    elif fps is None and len(off_frames(stamps, first, rate)):
-        count = math.ceil((last - first) * rate - 0.01) + 1  # the last frame holds the last key
-    document.budget.spend(24 * count, f"{count} frames at {rate:g} per second")
+            frames = Frames(first, own, count, off_frames(stamps, first, own, count))
+    what = f"{frames.count} frames at {frames.rate:g} per second"
+    document.budget.spend(24 * frames.count, what)
     with np.errstate(over="ignore"):
-        times = first + np.arange(count) / rate
-    check(
-        np.isfinite(times[-1:]).all(), f"{count} frames at {rate:g} per second from {first:g} s on"
-    )
-    missed = off_frames(stamps, first, rate, count)
-    return Animation(name, rate, times, channels, missed)
+        times = frames.times
+    check(np.isfinite(times[-1:]).all(), f"{what} from {frames.first:g} s on")
+    return Animation(name, frames, times, channels)
+
+
+def still_frame(name: str = "", fps: float | None = None) -> Animation:
+    """Animation of one frame in which nothing moves."""
+    frames = Frames(0.0, fps or DEFAULT_RATE, 1, np.zeros(0))
+    return Animation(name, frames, frames.times, {})
 
 
 def _channels(document: Document, item: dict[str, Any]) -> dict[tuple[int, str], _Channel]:

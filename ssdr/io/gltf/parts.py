@@ -16,7 +16,7 @@ from ...shapes import Shapes
 from ..mesh_names import choose
 from ..registry import check
 from ..scene import Bones, Shape, facing, file_weights
-from .animation import Animation, Nodes, descendants
+from .animation import Nodes, descendants, still_frame
 from .compression import DRACO, decode_mesh
 from .document import Document
 
@@ -294,7 +294,7 @@ class JointPoints(PrimitiveGroup):
     """
 
     def __init__(self, document: Document, clips: Sequence[Nodes]) -> None:
-        still = Nodes(document, Animation("", 24.0, np.zeros(1), {}))
+        still = Nodes(document, still_frame())
         moved = {
             node for one in clips for node, path in one.animation.channels if path != "weights"
         }

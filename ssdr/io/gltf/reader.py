@@ -14,9 +14,16 @@ from ...sequence import MeshSequence
 from ...skinning import Skinning
 from ...space import METRES_Y_UP
 from ..registry import pick_clip, reading
-from ..sampling import Missed, Sample
+from ..sampling import Sample
 from ..scene import join_sequence, join_skinning, part_starts
-from .animation import Animation, Nodes, animation_names, mesh_name, read_animation, read_animations
+from .animation import (
+    Nodes,
+    animation_names,
+    mesh_name,
+    read_animation,
+    read_animations,
+    still_frame,
+)
 from .document import Document
 from .materials import read_materials
 from .parts import JointPoints, PrimitiveGroup, names_of, read_parts
@@ -80,15 +87,15 @@ def _sample(parts: Sequence[PrimitiveGroup], nodes: Nodes, fps: float | None) ->
     def at(times: NDArray[np.float64]) -> Nodes:
         return Nodes(document, dataclasses.replace(one, times=times))
 
-    missed = Missed(
-        path=document.path,
-        times=one.missed,
-        first=float(one.times[0]),
-        rate=one.fps,
-        own=fps is None,
+    return Sample(
+        clip=one.clip,
+        parts=parts,
+        time=nodes,
         at=at,
+        frames=one.frames,
+        path=document.path,
+        own=fps is None,
     )
-    return Sample(one.clip, parts, nodes, missed)
 
 
 def list_clips(path: Path, *, fps: float | None = None) -> tuple[Clip, ...]:
@@ -101,7 +108,7 @@ def list_meshes(path: Path) -> tuple[str, ...]:
     """Names of the meshes of the scene: that of the node, or else that of the mesh itself."""
     with reading(path):
         document = Document(path)
-        still = Nodes(document, Animation("", 24.0, np.zeros(1), {}))
+        still = Nodes(document, still_frame())
         held = [number for number in still.shown if "mesh" in still.items[number]]
         return tuple(dict.fromkeys(names_of(document, number)[0] for number in held))
 

@@ -19,10 +19,10 @@ from ...errors import is_real, is_whole
 from ...sequence import MeshSequence
 from ...skinning import Skinning
 from ...space import Space
+from ..frame_rates import Frames, frame_rate, frames_between, off_frames
 from ..mesh_names import choose
 from ..registry import check, pick_clip, reading
-from ..rig import frame_rate
-from ..sampling import Missed, Sample, off_frames
+from ..sampling import Sample
 from ..scene import SceneBudget, join_sequence, join_skinning
 from .materials import read_materials
 from .parts import MeshPrim, SkeletonPoints
@@ -184,8 +184,16 @@ class StageReader:
         if not meshes and joints_alone:
             meshes = [SkeletonPoints(self.path, skeleton) for skeleton in skeletons]
         check(meshes, "no visible mesh")
-        rate, codes, missed = self._clock(meshes, clip, fps)
-        return Sample(Clip(clip.name, 0, len(codes), rate), meshes, codes, missed)
+        rate, frames, codes = self._frames(meshes, clip, fps)
+        return Sample(
+            clip=Clip(clip.name, 0, len(codes), rate),
+            parts=meshes,
+            time=codes,
+            at=np.asarray,
+            frames=frames,
+            path=self.path,
+            own=fps is None,
+        )
 
     def mesh_names(self) -> tuple[str, ...]:
         """Names of the visible meshes, or their paths where two names are equal."""
@@ -217,10 +225,10 @@ class StageReader:
         _log.info("%s: %s is not shown and left out", self.path, prim.GetPath())
         return False
 
-    def _clock(
+    def _frames(
         self, meshes: list[MeshPrim], clip: StageClip, fps: float | None
-    ) -> tuple[float, NDArray[np.float64], Missed]:
-        """Frames per second of a clip, its time codes (F,), and the samples between its frames."""
+    ) -> tuple[float, Frames, NDArray[np.float64]]:
+        """Frames per second of a clip, its frames in time codes, and the code (F,) of each."""
         stage = self.stage
         tempo = float(stage.GetTimeCodesPerSecond())
         check(0 < tempo < math.inf, f"timeCodesPerSecond is {tempo}")
@@ -228,6 +236,8 @@ class StageReader:
         if clip.clock is not None and fps in (None, clip.clock[0]):
             first, (rate, count) = 0.0, clip.clock
             stamps = stamps[(stamps >= first) & (stamps <= count * tempo / rate)]
+            missed = off_frames(stamps, first, rate / tempo, count)
+            frames = Frames(first, rate / tempo, count, missed)
         else:
             first, last = (float(stamps[0]), float(stamps[-1])) if len(stamps) else (0.0, 0.0)
             if clip.bound and stage.HasAuthoredTimeCodeRange():
@@ -237,26 +247,14 @@ class StageReader:
             stamps = stamps[(stamps >= first) & (stamps <= last)]
             on_codes = not len(off_frames(stamps, first, 1.0))
             rate = fps or (None if on_codes else frame_rate(stamps / tempo)) or tempo
-            ticks = min((last - first) / tempo * rate, 1e15)
-            count = math.floor(ticks + 1e-3) + 1
-            if fps is None and len(off_frames(stamps, first, rate / tempo)):
-                count = math.ceil(ticks - 0.01) + 1  # the last frame holds the last sample
+            frames = frames_between(stamps, first, last, rate / tempo, asked=fps is not None)
         n_vertices = sum(mesh.n_points for mesh in meshes)
         n_bones = sum(mesh.n_bones for mesh in meshes)
         self.budget.spend(
-            count * (12.0 * n_vertices + 96.0 * n_bones),
-            f"{count} frames of {n_vertices} vertices and {n_bones} bones",
+            frames.count * (12.0 * n_vertices + 96.0 * n_bones),
+            f"{frames.count} frames of {n_vertices} vertices and {n_bones} bones",
         )
-        codes = np.asarray(first + np.arange(count) * (tempo / rate), dtype=np.float64)
-        missed = Missed(
-            path=self.path,
-            times=off_frames(stamps, first, rate / tempo, count),
-            first=first,
-            rate=rate / tempo,
-            own=fps is None,
-            at=np.asarray,
-        )
-        return rate, codes, missed
+        return rate, frames, np.asarray(first + np.arange(frames.count) * (tempo / rate))
 
 
 def _names(prims: Sequence[Any]) -> tuple[str, ...]:

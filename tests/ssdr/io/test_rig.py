@@ -15,8 +15,8 @@ from helpers.rig_model import tube
 from helpers.rig_tree import PARENTS, creature, flat
 from ssdr.clips import unique_names
 from ssdr.hierarchy.transforms import joint_gaps
-from ssdr.io.rig import build_rig, frame_rate
-from ssdr.io.sampling import off_frames
+from ssdr.io.frame_rates import frame_rate, off_frames
+from ssdr.io.rig import build_rig
 from ssdr.quantisation import quantise, weight_values
 
 

@@ -11,13 +11,14 @@ import pytest
 import ssdr
 from helpers.blender_scene import needs_blender
 from helpers.rig_model import largest_distance, tube
-from ssdr.io.blender import bridge
+from ssdr.io.blender.fbx_reading import SCRIPT
+from ssdr.io.blender.finder import run
 
 
 def imported(path, fps=24.0):
     """World vertices with y up, as Blender's own importer sees the file."""
     job = {"action": "read", "path": str(path), "fps": fps, "resample": False, "max_bytes": 1 << 30}
-    arrays = bridge.run(job)
+    arrays = run(SCRIPT, job, time_limit=600)
     return arrays["vertices"][..., [0, 2, 1]] * [1, 1, -1], arrays
 
 

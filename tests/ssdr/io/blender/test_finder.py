@@ -25,7 +25,7 @@ sys.path[:0] = {path!r}
 import numpy as np
 options, (script, _, name) = sys.argv[1:-3], sys.argv[-3:]
 assert options == ["--background", "--factory-startup", "--python-exit-code", "1", "--python"]
-assert script.endswith("script.py") and _ == "--"
+assert script.endswith("read_script.py") and _ == "--"
 job = json.load(open(name, encoding="utf-8"))
 print("Blender talks")
 np.savez(job["out"], meshes="[]", missed=np.zeros((1, 3)),

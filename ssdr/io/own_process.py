@@ -1,4 +1,4 @@
-"""Running, in a process of its own, of a script that reads a file."""
+"""A script that reads or writes a file in a process of its own, since its library may crash."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import logging
 import subprocess
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,25 +14,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..clips import readable
-from ..errors import InputError, MissingDependencyError, SsdrError, is_real
+from ..errors import FormatError, InputError, MissingDependencyError, SsdrError, is_real
 
 _log = logging.getLogger(__name__)
 
 
 def run_script(
-    command: Callable[[str], list[str]],
+    words: Sequence[str],
     job: Mapping[str, Any],
     *,
     who: str,
     environment: Mapping[str, str],
-    time_limit: float = 600.0,
+    time_limit: float,
+    path: Path | None = None,
 ) -> dict[str, NDArray[Any]]:
     """Run a script in a process of its own, and return the arrays that it writes to an archive.
 
     Parameters
     ----------
-    command : function
-        Returns the command line, given the path of the file with the script's job.
+    words : sequence of str
+        Command line, to which the path of the file with the script's job is added.
     job : dict
         What the script is to do, as JSON. The path of the archive is added to it as ``"out"``.
     who : str
@@ -41,6 +42,8 @@ def run_script(
         Environment variables of the process.
     time_limit : float
         Seconds after which the process is ended.
+    path : Path, optional
+        File that the script reads, which is blamed for errors.
 
     Raises
     ------
@@ -50,17 +53,16 @@ def run_script(
         If the program cannot be started.
     SsdrError
         If it ends with an error, whose text is passed on, writes one as the array ``"error"``, or
-        takes longer than `time_limit`.
+        takes longer than `time_limit`. With `path`, it is a FormatError.
     """
     if not (is_real(time_limit) and time_limit > 0):
         raise InputError("time_limit", "seconds > 0", time_limit)
     with tempfile.TemporaryDirectory(prefix="ssdr-") as folder:
         out, order = Path(folder) / "out.npz", Path(folder) / "job.json"
         order.write_text(json.dumps({**job, "out": str(out)}), encoding="utf-8")
-        words = command(str(order))
         try:
             done = subprocess.run(
-                words,
+                [*words, str(order)],
                 stdin=subprocess.DEVNULL,
                 capture_output=True,
                 text=True,
@@ -71,16 +73,21 @@ def run_script(
                 check=False,
             )
         except subprocess.TimeoutExpired as error:
-            raise SsdrError(f"{who} needed more than {time_limit:g} s") from error
+            raise _blaming(path, f"{who} needed more than {time_limit:g} s") from error
         except OSError as error:
             raise MissingDependencyError(f"{words[0]} could not be started: {error}") from error
         _log.debug("%s: %s%s", who, done.stdout, done.stderr)
         if done.returncode != 0 or not out.is_file():
             lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
             reason = (lines or ["it said nothing"])[-1][-600:]  # the end of a traceback
-            raise SsdrError(f"{who} failed ({done.returncode}): {reason}")
+            damaged = "truncated or damaged: " if path else ""
+            raise _blaming(path, f"{damaged}{who} failed ({done.returncode}): {reason}")
         with np.load(out, allow_pickle=False) as archive:
             arrays = {key: archive[key] for key in archive.files}
     if "error" in arrays:
-        raise SsdrError(readable(arrays["error"]))
+        raise _blaming(path, readable(arrays["error"]))
     return arrays
+
+
+def _blaming(path: Path | None, problem: str) -> SsdrError:
+    return SsdrError(problem) if path is None else FormatError(f"{path}: {problem}")

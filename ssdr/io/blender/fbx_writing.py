@@ -1,0 +1,120 @@
+"""Writing of FBX: Blender imports the model as glTF and exports it."""
+
+from __future__ import annotations
+
+import dataclasses
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import InputError, SsdrError
+from ...skinning import Skinning, refuse_shapes
+from ..atomic import atomic_path
+from ..gltf.writer import write_along_bones
+from ..registry import SaveReport, check_one_rate
+from ..spaces import transformed
+from ..storage_error import StorageError, frame_blocks
+from .fbx_reading import read_skinning
+from .finder import command, run
+
+_SCRIPT = Path(__file__).with_name("write_script.py")
+_IMPORT_FPS = 24.0
+_LONGEST_NAME = 63  # bytes in the name of anything in Blender
+
+
+def write_skinning(
+    skinning: Skinning,
+    path: Path,
+    *,
+    influences: int | None = None,
+    centimetres: bool = False,
+    name: str | None = None,
+    time_limit: float = 600.0,
+) -> SaveReport:
+    """Write a skinned ``.fbx``: Blender imports the model as glTF and exports it as FBX.
+
+    The FBX file is read back and compared with the model, so that `error` and `max_error` of the
+    report include all that Blender changes. `between_frames` of the report is that of the glTF;
+    engines that interpolate FBX's Euler angles differ from it a little.
+
+    Parameters
+    ----------
+    skinning : Skinning
+        In metres with y up.
+    path : Path
+    influences, name
+        As in :func:`ssdr.io.gltf.writer.write_skinning`.
+    centimetres : bool
+        Whether to store numbers in centimetres, the unit that the file states in any case. By
+        default they are metres, below nodes that Blender gives a scale of 100.
+    time_limit : float
+        Seconds after which Blender is stopped.
+
+    Raises
+    ------
+    InputError
+        If clips have names that are too long for Blender or different frame rates, or the model
+        does not fit glTF.
+    MissingDependencyError
+        If Blender is not found or is older than 4.2.
+    SsdrError
+        If Blender stops with an error or takes too long, or its file does not hold the model.
+    """
+    refuse_shapes(skinning, "thing", "FBX; glTF and USD hold them")
+    title = name or skinning.name or path.stem
+    names = [clip.name or title for clip in skinning.clips]
+    long = [one for one in names if len(one.encode()) > _LONGEST_NAME]
+    if long:
+        raise InputError("thing", f"clip names of at most {_LONGEST_NAME} bytes", long[0])
+    check_one_rate(skinning.clips, "as all takes of an FBX file have")
+    command(_SCRIPT)
+    with tempfile.TemporaryDirectory(prefix="ssdr-") as folder, atomic_path(path) as temporary:
+        source = Path(folder) / "model.glb"
+        # In Blender, clips get short names, because it would change some names, and a whole frame
+        # rate, because only then its glTF importer puts keys on frames.
+        numbered = [
+            dataclasses.replace(c, name=f"c{k}", fps=_IMPORT_FPS)
+            for k, c in enumerate(skinning.clips)
+        ]
+        model = dataclasses.replace(skinning, fps=_IMPORT_FPS, clips=tuple(numbered))
+        unit = 0.01 if centimetres else 1.0
+        model = transformed(model, 1 / unit)
+        stored, lengths = write_along_bones(model, source, influences=influences, name=title)
+        job = {
+            "source": str(source),
+            "path": str(temporary.resolve()),
+            "fps": skinning.fps,
+            "import_fps": _IMPORT_FPS,
+            "lengths": lengths,
+            "unit": unit,
+            "clips": [
+                {"name": one, "action": f"c{k}", "frames": clip.n_frames}
+                for k, (one, clip) in enumerate(zip(names, skinning.clips, strict=True))
+            ],
+        }
+        written = run(_SCRIPT, job, time_limit=time_limit)
+        if not temporary.is_file():
+            raise SsdrError("Blender wrote no FBX file")
+    back = read_skinning(path, time_limit=time_limit)
+    vertex = written["vertex"]
+    if (back.n_frames, back.n_vertices) != (skinning.n_frames, len(vertex)):
+        raise SsdrError(
+            f"Blender's FBX holds {back.n_frames} frames of {back.n_vertices} vertices, "
+            f"not {skinning.n_frames} of {len(vertex)}"
+        )
+    error = StorageError()
+    for block in frame_blocks(0, skinning.n_frames, len(vertex)):
+        truth = skinning.skin(block, dtype=np.float64)[:, vertex]
+        error.add(back.skin(block, dtype=np.float64), truth)
+    dropped = len(skinning.faces) - int(written["triangles"])
+    lost = f"{dropped} triangles, which Blender drops: without area, or on the vertices of another"
+    return dataclasses.replace(
+        stored,
+        path=path,
+        bytes=path.stat().st_size,
+        error=error.rmse,
+        max_error=error.largest,
+        between_frames=unit * (stored.between_frames or 0.0),
+        lost=(lost,) if dropped else (),
+    )

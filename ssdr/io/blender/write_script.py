@@ -1,0 +1,133 @@
+"""Script that writes a model as FBX in Blender, given as glTF; see ``in_blender.py``."""
+
+import importlib
+import os
+import sys
+from typing import Any
+
+import bpy
+import numpy as np
+
+# Blender puts neither this folder nor the package on the path.
+sys.path.append(os.path.dirname(os.path.abspath(__file__)))
+in_blender: Any = importlib.import_module("in_blender")
+
+
+def put_strips(item: Any, clips: list[dict[str, Any]]) -> None:
+    """Give an armature an NLA strip for each clip; the exporter makes a take of each strip."""
+    motion = item.animation_data
+    motion.action = None
+    # The importer's names of actions differ between releases of Blender; those of tracks do not.
+    found = {track.name: track.strips[0] for track in motion.nla_tracks}
+    held = {n: (s.action, getattr(s, "action_slot", None)) for n, s in found.items()}
+    for track in list(motion.nla_tracks):
+        motion.nla_tracks.remove(track)
+    for clip in clips:
+        action, slot = held[clip["action"]]
+        strip = motion.nla_tracks.new().strips.new(clip["name"], 0, action)
+        if slot is not None:
+            strip.action_slot = slot
+        strip.name = clip["name"]
+        strip.action_frame_start, strip.action_frame_end = 0, clip["frames"] - 1
+        strip.frame_start, strip.frame_end = 0, clip["frames"] - 1
+
+
+def merge_copies(item: Any) -> None:
+    """Merge the copies of vertices that glTF needs where normals or UVs differ.
+
+    Normals and UVs are then stored per corner, as in FBX. Blender keeps only one triangle on any
+    three vertices, so each further triangle on the same three gets copies of them.
+    """
+    old, values = item.data, in_blender.values
+    numbers, first, place = np.unique(
+        in_blender.vertex_numbers([item]), return_index=True, return_inverse=True
+    )
+    loops = values(old.loops, "vertex_index", np.int32)
+    faces = place.ravel()[loops].reshape(-1, 3).astype(np.int64)
+    solid = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    faces = faces[solid] + len(numbers) * copies(faces[solid])[:, None]
+    used = np.union1d(np.arange(len(numbers)), faces)
+    numbers, first = (array[used % len(numbers)] for array in (numbers, first))
+
+    new = bpy.data.meshes.new(old.name)
+    points = values(old.vertices, "co", np.float32, 3)[first]
+    new.from_pydata(points, [], np.searchsorted(used, faces))
+    for layer in old.uv_layers:
+        flat = values(layer.data, "uv", np.float32, 6)[solid].ravel()
+        new.uv_layers.new(name=layer.name).data.foreach_set("uv", flat)
+    for material in old.materials:
+        new.materials.append(material)
+    slots = values(old.polygons, "material_index", np.int32)
+    new.polygons.foreach_set("material_index", slots[solid])
+    normals = values(old.corner_normals, "vector", np.float32, 9)[solid]
+    known = new.attributes.new("_VERTEX", "FLOAT", "POINT")
+    known.data.foreach_set("value", numbers.astype(np.float32))
+    weights = [[(g.group, g.weight) for g in old.vertices[int(k)].groups] for k in first]
+    groups = [group.name for group in item.vertex_groups]
+
+    item.data = new
+    new.normals_split_custom_set(normals.reshape(-1, 3))
+    item.vertex_groups.clear()
+    for name in groups:
+        item.vertex_groups.new(name=name)
+    for k, row in enumerate(weights):
+        for group, weight in row:
+            item.vertex_groups[group].add((k,), weight, "REPLACE")
+    bpy.data.meshes.remove(old)
+
+
+def copies(faces: Any) -> Any:
+    """Count, for each triangle, of the earlier triangles on the same three vertices."""
+    rows = np.sort(faces, axis=1)
+    order = np.lexsort(rows.T)
+    sorted_rows, number = rows[order], np.arange(len(rows))
+    differs = np.ones(len(rows), dtype=bool)
+    differs[1:] = (sorted_rows[1:] != sorted_rows[:-1]).any(axis=1)
+    result = np.empty(len(rows), dtype=np.int64)
+    result[order] = number - np.maximum.accumulate(np.where(differs, number, 0))
+    return result
+
+
+def write(job: dict[str, Any]) -> None:
+    lengths = job["lengths"]
+    # with this heuristic the importer draws bones along their own y axis
+    options = {} if lengths is None else {"bone_heuristic": "BLENDER"}
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    in_blender.set_rate(job["import_fps"])
+    in_blender.load_gltf(job["source"], **options)
+    in_blender.set_rate(job["fps"])
+    items = in_blender.meshes()
+    for item in items:
+        merge_copies(item)
+    triangles = sum(len(item.data.polygons) for item in items)
+    np.savez(job["out"], vertex=in_blender.vertex_numbers(items), triangles=np.array(triangles))
+    armatures = [item for item in bpy.context.scene.objects if item.type == "ARMATURE"]
+    for item in armatures:
+        if lengths is not None:
+            in_blender.edit(
+                item, lambda bone: setattr(bone, "length", lengths.get(bone.name, bone.length))
+            )
+        if item.animation_data:
+            put_strips(item, job["clips"])
+    bpy.context.scene.unit_settings.scale_length = job["unit"]
+    for item in bpy.context.scene.objects:
+        item.select_set(item in items or item in armatures)
+    bpy.ops.export_scene.fbx(
+        filepath=job["path"],
+        use_selection=True,
+        object_types={"ARMATURE", "MESH"},
+        add_leaf_bones=False,
+        bake_anim=True,
+        bake_anim_use_all_bones=True,
+        bake_anim_use_nla_strips=True,
+        bake_anim_use_all_actions=False,
+        bake_anim_simplify_factor=0.0,
+        bake_anim_step=1.0,
+        path_mode="COPY",
+        embed_textures=True,
+        mesh_smooth_type="OFF",
+    )
+
+
+if __name__ == "__main__":
+    in_blender.run(write)
