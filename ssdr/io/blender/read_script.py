@@ -82,7 +82,7 @@ class Vertices:
 def read(job: dict[str, Any]) -> None:
     """Read a file and write an archive with what the job's action asks for.
 
-    The actions are "list" (takes, and contents that are not read), "read" (vertices of one take)
+    The actions are "list" (takes and names of meshes), "read" (vertices of one take)
     and "read skinning" (skins, with the bones' transforms in all takes).
     """
     load(job["path"], job["fps"])
