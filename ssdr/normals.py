@@ -117,10 +117,15 @@ def normals_at_corners(points: NDArray[np.floating], holders: NormalHolders) -> 
     normals: Array = surface_normals(points[None], holders)[0][holders.corner]
     unknown = ~normals.any(axis=2)
     if unknown.any():
-        each = np.arange(len(normals), dtype=np.int32)
-        alone = NormalHolders(holders.faces, np.repeat(each, 3).reshape(-1, 3), each, each)
-        normals[unknown] = unit(surface_normals(points[None], alone)[0])[np.nonzero(unknown)[0]]
+        normals[unknown] = unit(triangle_normals(points, holders.faces))[np.nonzero(unknown)[0]]
     return normals.astype(np.float32)
+
+
+def triangle_normals(points: NDArray[np.floating], faces: NDArray[np.int32]) -> Array:
+    """Unit normals ``(T, 3)`` of triangles, 0 for those without area."""
+    each = np.arange(len(faces), dtype=np.int32)
+    alone = NormalHolders(faces, np.repeat(each, 3).reshape(-1, 3), each, each)
+    return np.asarray(surface_normals(points[None], alone)[0])
 
 
 def unit(

@@ -393,3 +393,11 @@ def as_sequences(sequence: Any, faces: Any = None) -> list[MeshSequence]:
         if not np.array_equal(shot.faces, shots[0].faces):
             raise InputError(f"sequence[{k}].faces", "the faces of the first shot", "others")
     return shots
+
+
+def joined(shots: Sequence[MeshSequence]) -> MeshSequence:
+    """Sequence with the frames of all shots of a mesh, one shot after the other."""
+    if len(shots) == 1:
+        return shots[0]
+    vertices = np.concatenate([block for shot in shots for _, block in shot.chunks()])
+    return dataclasses.replace(shots[0], vertices=vertices, clip="", validate=False)

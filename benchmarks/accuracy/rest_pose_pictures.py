@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import ssdr
 from benchmarks.common import EFFORTS, IMAGES, e_of, load, machine, tell
-from ssdr.render import Camera, render_frame, write_picture
+from ssdr.render import render_frame, write_picture
 
 HEAD, GAP = 54, 8  # pixels
 
@@ -77,10 +77,14 @@ def sheet(rows: list, width: int, azimuth: float) -> Image.Image:
     for row, (titles, subjects, frame) in enumerate(rows):
         for column, (title, subject) in enumerate(zip(titles, subjects, strict=True)):
             x, y = column * (wide + GAP), row * (HEAD + high)
-            points = subject.skin([frame])[0] if isinstance(subject, ssdr.Skinning) else None
-            points = subject.vertices[frame] if points is None else points
-            camera = Camera.fit(points, azimuth=azimuth, elevation=4.0, aspect=wide / high)
-            picture = render_frame(subject, frame, style="plain", size=(wide, high), camera=camera)
+            if isinstance(subject, ssdr.Skinning):
+                one = dataclasses.replace(
+                    subject, transforms=subject.transforms[[frame]], keyframes=None, clips=None
+                )
+            else:
+                one = ssdr.MeshSequence(subject.vertices[[frame]], subject.faces)
+            look = {"azimuth": azimuth, "elevation": 4.0}
+            picture = render_frame(one, style="plain", size=(wide, high), **look)
             draw.text((x + 4, y + HEAD - 12), title, "#333333", font, "ls")
             page.paste(picture, (x, y + HEAD))
     return page

@@ -31,7 +31,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from garmentnet.configs.config import FeatureOptions, load_config, override
 from garmentnet.data.store import ClipStore
 from garmentnet.data.virtual_bones import VirtualBones, virtual_bones
-from garmentnet.drawing.dressed import dressed, facing_the_camera, outfit_parts
+from garmentnet.drawing.dressed import dressed, facing_the_camera, outfit_look
 from garmentnet.networks.detail_basis import SurfaceTurns
 from garmentnet.networks.features import PoseFeatures, transforms_in_frame
 from ssdr import MeshSequence
@@ -149,9 +149,9 @@ def picture(store: ClipStore, name: str, frames: list[int], file: Path) -> None:
     turned = facing_the_camera(scene.vertices, root, joints)
     sheet = Image.new("RGB", (SIZE[0] * len(frames), SIZE[1]))
     for k, vertices in enumerate(turned):
-        part = outfit_parts(store.body.n_vertices, store.n_vertices)
+        look = outfit_look(store.body.n_vertices, store.n_vertices)
         one = MeshSequence(vertices[None], scene.faces, store.fps)
-        sheet.paste(render_frame(one, parts=part, size=SIZE, azimuth=25.0), (SIZE[0] * k, 0))
+        sheet.paste(render_frame(one, **look, size=SIZE, azimuth=25.0), (SIZE[0] * k, 0))
     sheet.save(file)
 
 

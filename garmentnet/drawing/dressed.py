@@ -13,7 +13,8 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter1d
 
 from ssdr import MeshSequence
-from ssdr.render import FABRIC, SKIN, Part, contact_sheet, write_picture
+from ssdr.metrics import rmse
+from ssdr.render import FABRIC, SKIN, contact_sheet, write_picture
 
 from ..data.clip import Clip
 from ..data.motion import CLASSES
@@ -37,27 +38,23 @@ def dressed(
     return MeshSequence(both, faces, fps, name=name)
 
 
-def outfit_parts(body: int, cloth: int) -> tuple[Part, Part]:
-    """Body and cloth of a :func:`dressed` mesh, by their numbers of vertices.
+def outfit_look(body: int, cloth: int) -> dict[str, Any]:
+    """Colours of a :func:`dressed` mesh, by the numbers of vertices of body and cloth.
 
     Errors are measured on the cloth alone.
     """
-    return (
-        Part("body", slice(0, body), SKIN, measured=False),
-        Part("cloth", slice(body, body + cloth), FABRIC),
-    )
+    on_cloth = np.arange(body + cloth) >= body
+    return {"colors": np.where(on_cloth[:, None], FABRIC, SKIN), "measured": on_cloth}
 
 
-def outfit_regions(outfit: Outfit) -> dict[str, NDArray[np.bool_]]:
-    """Vertices of a :func:`dressed` mesh over which errors are stated.
-
-    ``all`` are those of the cloth, and ``free`` those that are not pinned, if some are.
-    """
-    body = np.zeros(outfit.body.n_vertices, bool)
-    regions = {"all": np.append(body, ~np.zeros_like(outfit.pinned))}
+def error_text(truth: Any, prediction: Any, outfit: Outfit) -> str:
+    """RMSE in mm of a cloth ``(F, V, 3)``: of all vertices and, if some are pinned, of the free."""
+    sets = {"all": np.ones_like(outfit.pinned)}
     if outfit.pinned.any() and not outfit.pinned.all():
-        regions["free"] = np.append(body, ~outfit.pinned)
-    return regions
+        sets["free"] = ~outfit.pinned
+    name, factor = MILLIMETRES
+    found = {key: factor * rmse(truth[:, one], prediction[:, one]) for key, one in sets.items()}
+    return ", ".join(f"{key} {value:#.3g}".rstrip(".") + f" {name}" for key, value in found.items())
 
 
 def camera_track(root: ArrayLike, fps: float) -> NDArray[np.float64]:
@@ -107,7 +104,7 @@ def outfit_sheet(
     """Picture of some frames side by side, each seen from a little beside the body's front.
 
     Rows are truth, prediction and error, or the prediction alone.  The header states the RMSE of
-    the cloth over all frames, each column that of its frame.
+    the cloth over all frames, each picture of the error that of its frame.
 
     Parameters
     ----------
@@ -132,19 +129,21 @@ def outfit_sheet(
     classes = None if truth is None else truth.classes
     options: dict[str, Any] = {
         "frames": chosen,
-        "parts": outfit_parts(body.n_vertices, cloth.n_vertices),
-        "captions": [caption(t, cloth.fps, classes, "\n") for t in chosen],
+        **outfit_look(body.n_vertices, cloth.n_vertices),
+        "captions": [caption(t, cloth.fps, classes) for t in chosen],
         "title": cloth.name,
         "azimuth": _AZIMUTH,
     }
     if truth is None:
         return contact_sheet(facing(cloth.vertices), row_names=("prediction",), **options)
+    simulated = truth.sequence.frames(slice(None))
+    figures = error_text(simulated, cloth.vertices, truth.outfit)
     return contact_sheet(
         facing(cloth.vertices),
-        reference=facing(truth.sequence.frames(slice(None))),
+        reference=facing(simulated),
+        subtitle=f"{cloth.n_vertices:,} vertices  ·  {cloth.n_frames:,} frames  ·  RMSE: {figures}",
         styles=["plain", "error"],
         row_names=("truth", "prediction", "error"),
-        regions=outfit_regions(truth.outfit),
         unit=MILLIMETRES,
         **options,
     )
@@ -181,17 +180,14 @@ def spread_frames(count: int, n_frames: int) -> list[int]:
 
 
 def caption(
-    frame: int,
-    fps: float,
-    classes: Sequence[int] | NDArray[np.integer] | None,
-    between: str = "  ·  ",
+    frame: int, fps: float, classes: Sequence[int] | NDArray[np.integer] | None = None
 ) -> str:
     """Caption of a frame: its class of motion, if known, and its time.
 
     Examples
     --------
-    >>> caption(45, 30.0, None), caption(1, 30.0, [0, 3])
+    >>> caption(45, 30.0), caption(1, 30.0, [0, 3])
     ('1.50 s', 'spin  ·  0.03 s')
     """
     time = f"{frame / fps:.2f} s"
-    return time if classes is None else f"{CLASSES[int(classes[frame])]}{between}{time}"
+    return time if classes is None else f"{CLASSES[int(classes[frame])]}  ·  {time}"

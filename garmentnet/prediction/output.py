@@ -16,8 +16,7 @@ from ssdr.errors import InputError
 from ssdr.io.atomic import atomic_path
 from ssdr.io.optional import import_optional as require
 from ssdr.io.registry import FORMATS
-from ssdr.render import write_picture
-from ssdr.render.film import Film
+from ssdr.render import Film, write_picture
 from ssdr.rigid import nearest_rotation
 
 from ..data.clip import Clip
@@ -26,8 +25,8 @@ from ..drawing.dressed import (
     camera_track,
     caption,
     dressed,
-    outfit_parts,
-    outfit_regions,
+    error_text,
+    outfit_look,
     outfit_sheet,
 )
 from ..io.files import Progress, silent, writing
@@ -132,7 +131,7 @@ def save_prediction(
             write = _write_mp4 if suffix == ".mp4" else Film.write
             write(film, file, lambda done: progress("drawing", done))
             beside = " of truth and prediction" if truth is not None else ""
-            return f"a film{beside}, {len(film.order)} frames"
+            return f"a film{beside}, {len(film.panels.frames)} frames"
         if suffix in _PICTURES:
             sheet = outfit_sheet(p.body, p.cloth, p.joints, p.root, truth=truth, frames=frames)
             write_picture(sheet, file)
@@ -159,16 +158,16 @@ def _write_page(p: Prediction, file: Path, truth: Clip | None) -> str:
 def _film(p: Prediction, truth: Clip | None, size: int, error: bool, every: int) -> Film:
     """Film of a prediction, in which the camera follows the body but does not turn with it."""
 
+    path = camera_track(p.root, p.cloth.fps)[:, None]
+
     def scene(cloth: Any) -> MeshSequence:
-        return dressed(
-            p.body.vertices, cloth, p.body.faces, p.cloth.faces, p.cloth.fps, p.cloth.name
-        )
+        both = p.body.vertices - path, cloth - path
+        return dressed(*both, p.body.faces, p.cloth.faces, p.cloth.fps, p.cloth.name)
 
     side = size - size % 2
     order = range(0, p.cloth.n_frames, every)
     options: dict[str, Any] = {
-        "parts": outfit_parts(p.body.n_vertices, p.cloth.n_vertices),
-        "track": camera_track(p.root, p.cloth.fps),
+        **outfit_look(p.body.n_vertices, p.cloth.n_vertices),
         "frames": order,
         "fps": p.cloth.fps / every,
         "elevation": _ELEVATION,
@@ -177,14 +176,19 @@ def _film(p: Prediction, truth: Clip | None, size: int, error: bool, every: int)
         return Film.of(scene(p.cloth.vertices), size=(side, side), **options)
     # Someone who stands is narrow.
     width = size * 3 // 4
+    true = truth.sequence.frames(slice(None))
+
+    def text(t: int) -> str:
+        figures = error_text(true[t : t + 1], p.cloth.vertices[t : t + 1], truth.outfit)
+        return f"{caption(t, p.cloth.fps, truth.classes)}  ·  RMSE {figures}"
+
     return Film.of(
         scene(p.cloth.vertices),
-        reference=scene(truth.sequence.frames(slice(None))),
+        reference=scene(true),
         style=["plain", "error"] if error else ["plain"],
         size=(width - width % 2, side),
         titles=("truth", "prediction", "error")[: 3 if error else 2],
-        captions=[caption(t, p.cloth.fps, truth.classes) for t in order],
-        regions=outfit_regions(truth.outfit),
+        captions=[text(t) for t in order],
         unit=MILLIMETRES,
         **options,
     )
@@ -222,15 +226,14 @@ def rigid(skinning: Skinning) -> Skinning:
 def _write_mp4(film: Film, path: Path, progress: Callable[[float], None]) -> None:
     import av
 
-    width, height = film.size
     with atomic_path(path) as temporary, av.open(str(temporary), "w", format="mp4") as file:
         codec = "libx264" if "libx264" in av.codecs_available else "mpeg4"
         stream: Any = file.add_stream(codec, rate=Fraction(film.fps).limit_denominator(1001))
-        stream.width, stream.height = width, height
         stream.pix_fmt = "yuv420p"
         if codec == "libx264":
             stream.options = {"crf": "20", "preset": "slow"}
         for picture in film.pictures(progress):
+            stream.width, stream.height = picture.size
             for packet in stream.encode(av.VideoFrame.from_image(picture)):
                 file.mux(packet)
         for packet in stream.encode():

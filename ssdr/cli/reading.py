@@ -12,6 +12,7 @@ import numpy as np
 from ..clips import Clip, unique_names
 from ..errors import FormatError, InputError
 from ..sequence import MeshSequence
+from ..sequence import joined as join
 from ..skinning import Skinning
 from .format_options import PLACED, keywords, readable_format
 from .output import Output
@@ -170,14 +171,6 @@ def clips_document(clips: Sequence[Clip]) -> list[dict[str, Any]]:
 def clips_text(clips: Sequence[Clip]) -> str:
     """Names, frame counts and frame rates of clips in one line."""
     return ", ".join(f"{c.name or 'unnamed'} ({c.n_frames} at {c.fps:g} a second)" for c in clips)
-
-
-def join(shots: Sequence[MeshSequence]) -> MeshSequence:
-    """Sequence with the frames of all shots, one after the other."""
-    if len(shots) == 1:
-        return shots[0]
-    vertices = np.concatenate([np.concatenate([b for _, b in s.chunks()]) for s in shots])
-    return dataclasses.replace(shots[0], vertices=vertices, clip="", validate=False)
 
 
 def _chosen(names: list[str] | None, known: list[str], path: Path) -> list[str]:

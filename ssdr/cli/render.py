@@ -46,7 +46,6 @@ class RenderOptions(Options):
     ] = None
     azimuth: Annotated[float | None, option(PICTURE, "Degrees around; chosen by default.")] = None
     elevation: Annotated[float, option(PICTURE, "Degrees above.")] = 12.0
-    parallel: Annotated[bool, option(PICTURE, "Parallel projection.", "--parallel")] = False
     force: Force = False
 
 
@@ -54,8 +53,7 @@ class RenderOptions(Options):
 def render(options: RenderOptions) -> None:
     """Draw a contact sheet, one frame or a film; no display is needed."""
     output = Output.start(options)
-    from ..render.figures import contact_sheet, picture_format, render_frame, write_picture
-    from ..render.film import animate
+    from ..render.figures import animate, contact_sheet, picture_format, render_frame, write_picture
 
     source, target, reference = options.source, options.target, options.reference
     film = target.suffix.lower() in (".gif", ".webp") and options.frame is None
@@ -76,7 +74,6 @@ def render(options: RenderOptions) -> None:
         "up": options.up or subject.space.up or "y",
         "azimuth": options.azimuth,
         "elevation": options.elevation,
-        "perspective": not options.parallel,
     }
     styles: Any = options.style or None
     if film:

@@ -116,18 +116,11 @@ def drawn_angles(
         To the normals of the skinning's own surface in each frame.
     """
     holders = holders_of(sequences[0], skinning)
-    normals = None if skinning.surface is None else skinning.surface.normals
-    if normals is None:
-        normals = normals_at_corners(skinning.rest, holders)
     position = np.asarray(skinning.rest, dtype=np.float64)[None]
-    at_corners, amounts = normals[None], np.zeros((skinning.n_frames, 0))
-    if skinning.shapes is not None and len(skinning.faces):
-        fitted, amounts = shaped_normals(skinning), skinning.shapes.amounts
+    rest, amounts = rest_vectors(skinning, holders), np.zeros((skinning.n_frames, 0))
+    if len(rest) > 1 and skinning.shapes is not None:
         position = np.concatenate([position, skinning.shapes.displacements])
-        at_corners = np.concatenate([fitted.rest[None], fitted.added])[:, fitted.corner]
-    rest = np.zeros((len(at_corners), len(holders.vertex), 3))
-    for row, some in zip(rest, at_corners, strict=True):
-        np.add.at(row, holders.corner.reshape(-1), some.reshape(-1, 3))
+        amounts = skinning.shapes.amounts
     spans = spans_of(skinning.n_frames, most)
     shared = (
         *(position, rest, *_skin_of(skinning), holders),
@@ -137,6 +130,35 @@ def drawn_angles(
     found = list(of_each_span(_angles_of_span, *walk))
     frames = np.concatenate([np.arange(*span) for span in spans])
     return frames, Angles.joined(one for one, _ in found), Angles.joined(one for _, one in found)
+
+
+def rest_vectors(skinning: Skinning, holders: NormalHolders) -> Array:
+    """Vectors ``(1 + S, N, 3)`` in the rest pose that engines skin to draw normals; of any norm.
+
+    The first are those without shapes, the others what each shape adds.
+    """
+    normals = None if skinning.surface is None else skinning.surface.normals
+    if normals is None:
+        normals = normals_at_corners(skinning.rest, holders)
+    at_corners = normals[None]
+    if skinning.shapes is not None and len(skinning.faces):
+        fitted = shaped_normals(skinning)
+        at_corners = np.concatenate([fitted.rest[None], fitted.added])[:, fitted.corner]
+    rest = np.zeros((len(at_corners), len(holders.vertex), 3))
+    for row, some in zip(rest, at_corners, strict=True):
+        np.add.at(row, holders.corner.reshape(-1), some.reshape(-1, 3))
+    return rest
+
+
+def posed(base: Array, indices: Any, weights: Any, moves: Array, factors: Array) -> Any:
+    """Points or vectors ``(f, N, 3)`` in some frames, from ``(1 + S, N, 3)`` in the rest pose.
+
+    `indices` and `weights` ``(N, K)`` are their influences, `moves` ``(f, B, 3, 4)`` the transforms
+    of the bones, and `factors` ``(f, S)`` the amounts of the shapes.
+    """
+    if len(base) == 1:
+        return skin(base[0], indices, weights, moves)
+    return skin_each(base[0] + np.tensordot(factors, base[1:], 1), indices, weights, moves)
 
 
 def _skin_of(skinning: Skinning) -> tuple[NDArray[np.int32], Array]:
@@ -178,18 +200,13 @@ def _angles_of_span(
     skin_of_normals = indices[holders.vertex], weights[holders.vertex]
     drawn, own = [], []
 
-    def posed(base: Array, skinned: tuple[Any, Any], moves: Array, factors: Array) -> Any:
-        if len(base) == 1:
-            return skin(base[0], *skinned, moves)
-        return skin_each(base[0] + np.tensordot(factors, base[1:], 1), *skinned, moves)
-
     for start, block in frames.blocks():
         some = slice(start, start + len(block))
         moves, factors = transforms[some], amounts[some]
         normals = surface_normals(block, holders)
-        turned = posed(rest_normals, skin_of_normals, moves * [1, 1, 1, 0], factors)
+        turned = posed(rest_normals, *skin_of_normals, moves * [1, 1, 1, 0], factors)
         drawn.append(Angles.between(normals, turned, holders.vertex))
-        surface = surface_normals(posed(rest, (indices, weights), moves, factors), holders)
+        surface = surface_normals(posed(rest, indices, weights, moves, factors), holders)
         own.append(Angles.between(normals, surface, holders.vertex))
     return Angles.joined(drawn), Angles.joined(own)
 

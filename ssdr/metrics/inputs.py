@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, Protocol
 
 import numpy as np
@@ -32,7 +33,10 @@ def as_sequence(frames: Frames, faces: ArrayLike | None, argument: str) -> MeshS
     """
     frames = skinning_in(frames)
     if isinstance(frames, Skinning):
-        frames = MeshSequence(frames.skin(), frames.faces, frames.fps, validate=False)
+        rows = frames.vertex_map
+        frames = MeshSequence(
+            frames.skin(), frames.faces, frames.fps, vertex_map=rows, validate=False
+        )
     if isinstance(frames, MeshSequence):
         if faces is None:
             return frames
@@ -47,16 +51,47 @@ def as_sequence(frames: Frames, faces: ArrayLike | None, argument: str) -> MeshS
 def as_pair(
     reference: Frames, other: Frames, faces: ArrayLike | None = None
 ) -> tuple[MeshSequence, MeshSequence]:
-    """Convert both arguments to sequences, and check that these have the same shape."""
+    """Convert both arguments to sequences of the same vertices, and check their numbers of frames.
+
+    Where one of them was welded, both are read at the vertices that are left.
+    """
     first = as_sequence(reference, faces, "reference")
     second = as_sequence(other, faces, "other")
-    if first.vertices.shape != second.vertices.shape:
+    first = _at_vertices_of(second, first)
+    return first, matched(second, first, "other", "the reference")
+
+
+def matched(
+    reference: MeshSequence,
+    model: MeshSequence | Skinning,
+    argument: str = "reference",
+    whose: str = "the model",
+) -> MeshSequence:
+    """The reference of a model, read at the vertices of the model.
+
+    Raises
+    ------
+    InputError
+        If it has other frames, or neither the vertices of the model nor those before its welding.
+    """
+    found = _at_vertices_of(model, reference)
+    if (found.n_frames, found.n_vertices) != (model.n_frames, model.n_vertices):
         raise InputError(
-            "other",
-            f"the shape of the reference, {tuple(first.vertices.shape)}",
-            f"shape {tuple(second.vertices.shape)}",
+            argument,
+            f"{model.n_frames} frames of {model.n_vertices} vertices, as {whose} has",
+            f"{reference.n_frames} frames of {reference.n_vertices}",
         )
-    return first, second
+    return found
+
+
+def _at_vertices_of(model: MeshSequence | Skinning, sequence: MeshSequence) -> MeshSequence:
+    """The first of the vertices that were welded into each of a model; else all, unchanged."""
+    rows = model.vertex_map
+    if rows is None or not len(rows) == sequence.n_vertices != model.n_vertices:
+        return sequence
+    kept = np.unique(rows, return_index=True)[1]
+    chosen = sequence.with_vertices(kept, np.asarray(rows))
+    return dataclasses.replace(chosen, faces=model.faces, surface=model.surface, validate=False)
 
 
 def check_finite(first: MeshSequence, second: MeshSequence, *results: Any) -> None:

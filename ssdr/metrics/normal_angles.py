@@ -16,7 +16,7 @@ from ..parallel import chunk_bounds
 from ..representation import short_repr
 from ..sequence import MeshSequence
 from ..skinning import Skinning, skinning_in
-from .inputs import Frames, as_pair, as_sequence, chunk_size, read
+from .inputs import Frames, as_pair, as_sequence, chunk_size, matched, read
 
 _MOST = 500  # frames measured of a result of the solver, or a few less
 
@@ -117,10 +117,7 @@ def normals(reference: Frames, model: Frames, faces: ArrayLike | None = None) ->
     first = as_sequence(reference, faces, "reference")
     model = skinning_in(model)
     if isinstance(model, Skinning):
-        expected, found = first.vertices.shape[:2], (model.n_frames, model.n_vertices)
-        if expected != found:
-            text = "{} frames and {} vertices".format
-            raise InputError("model", text(*expected), text(*found))
+        first = matched(first, model)
     else:
         first, model = as_pair(first, model, faces)
     result = known_errors(first, model)

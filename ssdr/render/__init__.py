@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from .figures import contact_sheet, render_frame, write_picture
-from .film import Film, animate
-from .parts import CLAY, FABRIC, NEUTRAL, SKIN, Part
-from .raster import Camera
+from .figures import Film, animate, contact_sheet, render_frame, write_picture
+from .palette import CLAY, FABRIC, NEUTRAL, SKIN
 from .scene import Style
 
 __all__ = [
@@ -13,9 +11,7 @@ __all__ = [
     "FABRIC",
     "NEUTRAL",
     "SKIN",
-    "Camera",
     "Film",
-    "Part",
     "Style",
     "animate",
     "contact_sheet",

@@ -1,4 +1,4 @@
-"""Lighting of every picture: a broad lamp from the side, a sky, a floor, and their shadows.
+"""Light on the subject of every picture: a broad lamp from the side, a sky, a floor, their shadows.
 
 Shadows are read from depth maps, one for the direction of each light.
 """
@@ -7,13 +7,18 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
+from scipy.ndimage import gaussian_filter
 
 from ..kernels.raster import light_shares, raster_triangles
+from ..normals import triangle_normals, unit
 from ..parallel import chunk_bounds, run_chunks
-from .raster import Camera, Float, unit
+from .camera import Camera, Float, Pixels, Size, balls_seen, between, empty_depth, triangles_seen
+from .palette import linear_from_srgb
 
 # Unit directions in view axes (right, up, towards the viewer) and linear RGB times strength, chosen
 # by eye.  The lamp grazes surfaces that face the viewer, so that folds are shaded.
@@ -28,6 +33,13 @@ _BOUNCE = 0.5  # part of the light blocked by the surface itself that it reflect
 _SKY_LIGHTS, _LAMP_LIGHTS = 40, 10  # number of directions; fewer show as bands
 _SKY_PIXELS, _LAMP_PIXELS = 144, 384  # side of a depth map
 _CHUNK = 8192  # points in a task
+_TOP, _BOTTOM = (0.957, 0.957, 0.965), (0.863, 0.871, 0.894)  # sRGB of the backdrop
+_CREASE = 0.6  # cosine of the angle between the normals of a vertex and its triangle
+_BIAS = 0.0035  # distance, relative to the diagonal, below which surfaces cast no shadow
+
+# Draws a subject in colours (V, 3), with a share of light without direction, and an opacity: the
+# picture (H, W, 3), linear RGB, and its depth buffer (H, W).
+Drawer = Callable[[Float, float, float], tuple[Float, Float]]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -194,3 +206,125 @@ def reflected(
     rim = np.clip(normal @ (axes.T @ _RIM), 0.0, 1.0)[:, None] * kept
     light = ambient + _LAMP_COLOR * direct + _RIM_COLOR * rim
     return np.asarray(albedo * (even * (0.8 + 0.35 * kept) + (1 - even) * light))
+
+
+def mesh_drawer(
+    camera: Camera,
+    size: Size,
+    points: Float,
+    faces: NDArray[np.int32],
+    normals: Float,
+    ground: float,
+    *,
+    creases: bool,
+) -> Drawer:
+    """Light a mesh, and return a function that draws it in given colours.
+
+    Parameters
+    ----------
+    camera : Camera
+    size : (int, int)
+        Width and height in pixels.
+    points : (V, 3) float64
+    faces : (T, 3) int32
+    normals : (V, 3) float64
+        Of any norm.
+    ground : float
+        Height of the floor, on which shadows fall.
+    creases : bool
+        Whether corners have the normal of their triangle where it is far from `normals`.
+    """
+    bias = _BIAS * float(np.linalg.norm(np.ptp(points, axis=0)))
+    dome, beams = sky(camera, points, faces), lamp(camera, points, faces)
+    # A quarter of the resolution is enough for soft shadows on the floor.
+    coarse = (max(1, size[0] // 4), max(1, size[1] // 4))
+    shade = Image.fromarray(_floor(camera, coarse, ground, points, dome, beams, bias))
+    floor = np.asarray(shade.resize(size, Image.Resampling.BILINEAR))
+    nearness = empty_depth(size)
+    pixels, hit, share = triangles_seen(camera, points, faces, nearness)
+    corners = faces[hit]
+    flat, smooth = triangle_normals(points, faces), unit(normals)
+    # Light of sky and floor varies slowly, so that it is computed at vertices, not pixels.
+    seen = np.unique(corners)
+    light = np.zeros((len(points), 6))
+    light[seen] = around_both_sides(dome, points[seen], smooth[seen], bias)
+    at, arrived = between(share, points[corners]), between(share, light[corners])
+    side = (flat[hit] * (camera.eye - at)).sum(axis=1, keepdims=True) > 0
+    normal = smooth[corners]
+    if creases:
+        own = flat[hit][:, None]
+        normal = np.where((normal * own).sum(axis=2, keepdims=True) < _CREASE, own, normal)
+    normal = unit(between(share, normal)) * np.where(side, 1.0, -1.0)
+    reached = beams.shares(at, normal, bias).mean(axis=1)[:, None]
+    around = np.where(side, *np.split(arrived, 2, axis=1))
+    backdrop = _backdrop(size) * floor[..., None]
+
+    def draw(colors: Float, even: float, opacity: float) -> tuple[Float, Float]:
+        albedo = between(share, colors[corners])
+        color = reflected(camera, normal, albedo, around, reached, even)
+        return _over(backdrop, pixels, color, opacity), nearness
+
+    return draw
+
+
+def cloud_drawer(camera: Camera, size: Size, points: Float, radius: float) -> Drawer:
+    """Function that draws points as balls without shadows, in given colours."""
+    nearness = empty_depth(size)
+    pixels, index, normal = balls_seen(camera, points, radius, nearness)
+
+    def draw(colors: Float, even: float, opacity: float) -> tuple[Float, Float]:
+        color = reflected(camera, normal, colors[index], even=even)
+        return _over(_backdrop(size), pixels, color, opacity), nearness
+
+    return draw
+
+
+def _over(backdrop: Float, pixels: Pixels, color: Float, opacity: float) -> Float:
+    picture = backdrop.copy()
+    picture[pixels] += opacity * (color - picture[pixels])
+    return picture
+
+
+def _backdrop(size: Size) -> Float:
+    """Background ``(H, W, 3)``: a vertical gradient, linear RGB."""
+    at = np.linspace(0, 1, size[1])[:, None]
+    rows = linear_from_srgb(np.array(_TOP) * (1 - at) + np.array(_BOTTOM) * at)
+    return np.repeat(rows[:, None], size[0], axis=1)
+
+
+def _floor(
+    camera: Camera,
+    size: Size,
+    ground: float,
+    points: Float,
+    dome: Lights,
+    beams: Lights,
+    bias: float,
+) -> NDArray[np.float32]:
+    """Share ``(H, W)`` of the light that reaches the floor; 1 in pixels without floor."""
+    out = np.ones((size[1], size[0]), dtype=np.float32)
+    # No floor in a view from below, where it would hide the subject.
+    if camera.axes[2] @ camera.vertical <= 0.02:
+        return out
+    rows, columns = np.indices(out.shape).reshape(2, -1)
+    ray = camera.rays(rows, columns, size)
+    fall, height = ray @ camera.vertical, ground - camera.eye @ camera.vertical
+    far = np.divide(height, fall, out=np.full(len(fall), -1.0), where=fall < -1e-6)
+    at = camera.eye + far[:, None] * ray
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2
+    reach = float(np.linalg.norm(np.ptp(points, axis=0)))
+    near = (far > 0) & (np.linalg.norm(at - centre, axis=1) < 1.5 * reach)
+    at, pixels = at[near], (rows[near], columns[near])
+    up = np.tile(camera.vertical, (len(at), 1))
+    # Light that grazes the floor is left out, since each direction would cast a streak.
+    cosine = dome.directions @ camera.vertical
+    high = cosine > 0.3
+    weight = cosine[high] * dome.colors[high].mean(axis=1)
+    arrived = dome.only(high).shares(at, up, bias) @ (weight / weight.sum())
+    beam = beams.shares(at, up, bias).mean(axis=1)
+    soft = np.zeros_like(out)
+    # Shadows are weakened, since a white floor in a room gets light from everywhere.
+    soft[pixels] = 0.55 * (1 - arrived)
+    out -= gaussian_filter(soft, size[1] / 22)
+    out[pixels] *= 1 - 0.22 * (1 - beam)
+    return out

@@ -5,6 +5,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+Color = tuple[float, float, float]
+CLAY: Color = (0.84, 0.82, 0.79)
+"""Light warm grey."""
+SKIN: Color = (0.87, 0.68, 0.58)
+"""Pale skin."""
+FABRIC: Color = (0.27, 0.50, 0.66)
+"""Blue cloth."""
+NEUTRAL: Color = (0.62, 0.62, 0.63)
+"""Grey of vertices that are not measured."""
+
 # Ottosson, "A perceptual color space for image processing" (OKLab), 2020: both matrices.
 _LMS_FROM_RGB = np.array(
     [

@@ -1,8 +1,9 @@
-"""Panels: frames in several styles with the same camera, lighting and scale of the error."""
+"""Panels: frames in several styles with one camera, one light and one scale of the error."""
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Sequence
 from typing import Any, get_args
@@ -10,36 +11,20 @@ from typing import Any, get_args
 import numpy as np
 from PIL import Image, ImageDraw
 
-from ..errors import InputError
-from .palette import heat, linear_from_srgb, srgb_from_linear
-from .parts import NEUTRAL
-from .raster import Float, block_mean
-from .scene import ERRORS, Scene, Style, Unit, number
+from ..checks import check_frames
+from ..errors import InputError, is_whole
+from .camera import Camera, Float, Size, up_axes
+from .light import Drawer, cloud_drawer, mesh_drawer
+from .palette import heat, srgb_from_linear
+from .scene import ERRORS, Scene, Style, evenly
 from .skeleton import draw_bones
-from .studio import Stage
-from .view import View
 
 INK, QUIET = "#20242c", "#6b7280"
-DEGREES: Unit = ("°", 1.0)
-_SAMPLES = 2  # per pixel along each axis
+Unit = tuple[str, float]
+_SIZES = (16, 8192)  # smallest and largest side in pixels; larger ones take gigabytes
+_SIDES = (25, -25, 40, -40, 60, -60, 10, -10)  # azimuths to choose from, in degrees
 _EVEN = 0.45  # share of the light without direction on colours that show values
 _GHOST = 0.55  # opacity of a surface that shows its bones
-
-
-@dataclasses.dataclass(frozen=True)
-class Scale:
-    """Colour scale of an error, which begins at 0.
-
-    Attributes
-    ----------
-    top : float
-        Error that has the last colour, in the mesh's units or in degrees.
-    exceeded : bool
-        Whether a frame has a larger error.
-    """
-
-    top: float
-    exceeded: bool
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -50,15 +35,25 @@ class Panels:
     ----------
     rows : tuple of (Scene, Style)
     frames : tuple of int
-    view : View
-    scales : dict of Style to Scale
-        Scale of each style of `rows` that shows an error.
+    camera : Camera
+    size : (int, int)
+        Width and height of a panel in pixels.
+    ground : float
+        Height of the lowest point along the camera's vertical.
+    shift : dict of int to (3,) float64
+        Vector subtracted from the points of each frame, to keep a travelling subject in view.
+    scales : dict of Style to (float, bool)
+        Of each style of `rows` that shows an error, the error with the last colour, in the mesh's
+        units or in degrees, and whether a frame has a larger one.
     """
 
     rows: tuple[tuple[Scene, Style], ...]
     frames: tuple[int, ...]
-    view: View
-    scales: dict[Style, Scale]
+    camera: Camera
+    size: Size
+    ground: float
+    shift: dict[int, Float]
+    scales: dict[Style, tuple[float, bool]]
 
     @classmethod
     def of(
@@ -66,13 +61,16 @@ class Panels:
         scene: Scene,
         styles: Sequence[Style | None],
         frames: Sequence[int],
-        size: tuple[int, int] | None,
+        size: Any = None,
         *,
+        width: int = 0,
         with_reference: bool = True,
-        top: float | None = None,
-        **look: Any,
+        scale: float | None = None,
+        up: str = "y",
+        azimuth: float | None = None,
+        elevation: float = 12.0,
     ) -> Panels:
-        """Check the arguments and return the panels of a figure.
+        """Check the arguments and return the panels of a figure; the camera follows far travel.
 
         Parameters
         ----------
@@ -80,74 +78,117 @@ class Panels:
         styles : sequence of Style
             None means "weights", or "plain" for a subject without bones.
         frames : sequence of int
-        size : (int, int) or None
-            Size of a panel in pixels.
+        size : (int, int), optional
+            Size of a panel in pixels, for a view of the whole motion.
+        width : int
+            Width of a panel instead of its size.  The height and the view fit the frames to be
+            drawn, each centred if the motion travels.
         with_reference : bool
             Whether the reference, if any, is the first row.
-        top : float, optional
-            Error with the last colour, in the mesh's units or, for "normals", in degrees; by
-            default a round number that few errors exceed.
-        **look
-            Options of :meth:`View.of`.
+        scale, up, azimuth, elevation
+            As in :func:`render_frame`.
         """
         rows = [(scene, _checked_style(style, scene)) for style in styles]
         if with_reference and scene.reference is not None:
-            parts = scene.parts if scene.has_parts else ()
-            rows.insert(0, (Scene.of(scene.reference, None, parts), "plain"))
-        order = checked_frames(frames, scene.subject.n_frames)
-        view = View.of(scene, order, size, **look)
-        scales: dict[Style, Scale] = {}
-        for style in ERRORS:
-            if any(shown == style for _, shown in rows):
-                high, largest = scene.error_range(order, style)
-                end = top or _round_up(high)
-                scales[style] = Scale(end, largest > end)
-        return cls(tuple(rows), tuple(order), view, scales)
-
-    @property
-    def scene(self) -> Scene:
-        """Scene of the subject."""
-        return self.rows[-1][0]
+            rows.insert(0, (scene.truth(), "plain"))
+        every = np.arange(scene.subject.n_frames)
+        order = every[check_frames(frames, len(every))].tolist()
+        if not order:
+            raise InputError("frames", "at least one frame", "none")
+        size = (width, width) if width else size
+        pair = isinstance(size, (tuple, list, np.ndarray)) and len(size) == 2
+        if not pair or not all(is_whole(n) and _SIZES[0] <= n <= _SIZES[1] for n in size):
+            expected = f"width and height of {_SIZES[0]} to {_SIZES[1]} pixels"
+            raise InputError("size", expected, repr(size))
+        some = sorted({*order, *(() if width else evenly(scene.subject.n_frames))})
+        points = [scene.positions(t)[scene.vertex] for t in some]
+        vertical = up_axes(up)[0]
+        boxes = np.array([[p.min(axis=0), p.max(axis=0)] for p in points])
+        middle = boxes.mean(axis=1)
+        moved = middle - middle[0]
+        moved -= np.outer(moved @ vertical, vertical)
+        body = float(np.median(np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1)))
+        moved *= np.linalg.norm(np.ptp(moved, axis=0)) > (0.1 if width else 0.8) * body
+        points = [p - d for p, d in zip(points, moved, strict=True)]
+        look = functools.partial(Camera.fit, np.concatenate(points), up=up, elevation=elevation)
+        look = functools.partial(look, azimuth=_best(look, points) if azimuth is None else azimuth)
+        if width:
+            extent = np.ptp(np.concatenate(points) @ look().axes.T, axis=0)
+            extent = np.maximum(extent[:2], 0.05 * extent.max() + 1e-30)
+            size = width, round(width / np.clip(extent[0] / extent[1], 0.7, 1.7))
+        scales: dict[Style, tuple[float, bool]] = {}
+        for style in [one for one in ERRORS if one in (shown for _, shown in rows)]:
+            high, largest = scene.error_range(order, style)
+            end = scale or _round_up(high)
+            scales[style] = end, largest > end
+        return cls(
+            tuple(rows),
+            tuple(order),
+            look(aspect=size[0] / size[1]),
+            (int(size[0]), int(size[1])),
+            min(float((p @ vertical).min()) for p in points),
+            dict(zip(some, moved, strict=True)),
+            scales,
+        )
 
     def draw(self, frame: int) -> list[Image.Image]:
         """Draw one frame in the style of each row, and return one picture per row."""
-        stages: dict[int, Stage] = {}  # by scene, since all its rows share one
+        drawers: dict[int, Drawer] = {}  # by scene, since all its rows share one
         pictures = []
         for scene, style in self.rows:
-            if id(scene) not in stages:
-                stages[id(scene)] = self._stage(scene, frame)
-            stage = stages[id(scene)]
+            if id(scene) not in drawers:
+                drawers[id(scene)] = self._drawer(scene, frame)
+            top, _ = self.scales.get(style, (1.0, False))
             even = _EVEN if style == "weights" or style in ERRORS else 0.0
+            colors = scene.colors_of(style, frame, top)[scene.vertex]
             opacity = _GHOST if style == "bones" else 1.0
-            colors = self._colors(scene, style, frame)[scene.split.vertex]
-            picture = stage.draw(colors, even, opacity)
+            picture, nearness = drawers[id(scene)](colors, even, opacity)
             if style == "bones":
-                camera, shift = self.view.camera, self.view.shift[frame]
-                draw_bones(picture, stage.nearness, camera, scene, frame, shift)
-            pixels = 255 * srgb_from_linear(block_mean(picture, _SAMPLES))
+                draw_bones(picture, nearness, self.camera, scene, frame, self.shift[frame])
+            rows = picture[::2] + picture[1::2]  # two samples per pixel along each axis
+            pixels = 255 * srgb_from_linear((rows[:, ::2] + rows[:, 1::2]) / 4)
             pictures.append(Image.fromarray(pixels.round().astype(np.uint8)))
         return pictures
 
-    def _stage(self, scene: Scene, frame: int) -> Stage:
-        size = (self.view.size[0] * _SAMPLES, self.view.size[1] * _SAMPLES)
-        split, camera = scene.split, self.view.camera
-        points = scene.visible(frame)[split.vertex] - self.view.shift[frame]
+    def _drawer(self, scene: Scene, frame: int) -> Drawer:
+        size = 2 * self.size[0], 2 * self.size[1]
+        points = scene.positions(frame)[scene.vertex] - self.shift[frame]
         if not len(scene.faces):
-            return Stage.of_cloud(camera, size, points, scene.ball_radius)
-        normals = scene.drawn_normals(frame)
-        return Stage.of_mesh(camera, size, points, split.faces, self.view.ground, normals)
+            return cloud_drawer(self.camera, size, points, scene.ball_radius)
+        mesh = points, scene.faces, scene.normals(frame), self.ground
+        return mesh_drawer(self.camera, size, *mesh, creases=not scene.has_bones)
 
-    def _colors(self, scene: Scene, style: Style, frame: int) -> Float:
-        """Linear RGB of each vertex, ``(V, 3)``."""
-        if style == "weights":
-            return scene.weight_colors
-        colors = np.zeros((len(scene.measured), 3))
-        for part in scene.parts:
-            colors[part.vertices] = linear_from_srgb(NEUTRAL if style in ERRORS else part.color)
-        if style in ERRORS:
-            errors = scene.errors(frame, style)[scene.measured]
-            colors[scene.measured] = heat(errors / self.scales[style].top)
-        return colors
+    def draw_scale(
+        self,
+        page: Image.Image,
+        style: Style,
+        unit: Unit,
+        bar: tuple[int, int, int],
+        font: Any,
+        ticks: str = "lmmmr",
+    ) -> None:
+        """Draw the colours of an error from left to right, with their values above.
+
+        `bar` is the left, the top and the width, and `ticks` the horizontal anchors of the values.
+        """
+        left, y, width = bar
+        height, (top, exceeded) = round(font.size * 0.8), self.scales[style]
+        colors = (255 * srgb_from_linear(heat(np.linspace(0, 1, width)))).round().astype(np.uint8)
+        page.paste(Image.fromarray(np.tile(colors, (height, 1, 1))), (left, y))
+        draw = ImageDraw.Draw(page)
+        draw.rectangle((left, y, left + width - 1, y + height - 1), outline="#c4c9d2")
+        for share, anchor in zip(np.linspace(0, 1, len(ticks)), ticks, strict=True):
+            x = left + (width - 1) * share
+            value = number(top * share, ("°", 1.0) if style == "normals" else unit)
+            draw.line((x, y - height / 4, x, y), fill=QUIET)
+            text = f"{'> ' if share == 1 and exceeded else ''}{value}"
+            draw.text((x, y - 0.4 * height), text, INK, font, anchor + "s")
+
+
+def number(value: float, unit: Unit) -> str:
+    """Text of a number in a unit, with three digits."""
+    name, factor = unit
+    return f"{factor * value:.3g}{'' if name == '°' else ' '}{name}".rstrip()
 
 
 def as_many(name: str, texts: Sequence[str], things: Sequence[Any]) -> list[str]:
@@ -155,20 +196,6 @@ def as_many(name: str, texts: Sequence[str], things: Sequence[Any]) -> list[str]
     if isinstance(texts, str) or len(texts) != len(things):
         raise InputError(name, f"{len(things)} texts", texts)
     return [str(t) for t in texts]
-
-
-def checked_frames(frames: Any, n_frames: int) -> list[int]:
-    """Check frame indices and return them, counted from 0.
-
-    Negative indices are counted from the end.
-    """
-    order = [int(t) for t in frames]
-    if not order:
-        raise InputError("frames", "at least one frame", "none")
-    for t in order:
-        if not -n_frames <= t < n_frames:
-            raise InputError("frames", f"indices from 0 to {n_frames - 1}", t)
-    return [t % n_frames for t in order]
 
 
 def _checked_style(style: Style | None, scene: Scene) -> Style:
@@ -189,54 +216,21 @@ def _checked_style(style: Style | None, scene: Scene) -> Style:
 def _round_up(value: float) -> float:
     """Round up to 1, 1.5, 2, 3, 4, 5, 6 or 8 times a power of ten.
 
-    A value up to 0.1 % above such a number is rounded down to it.  The result is 1 if the value is
-    not positive.
+    A value up to 0.1 % above such a number is rounded down to it.
     """
-    if not value > 0:
-        return 1.0
     power = 10.0 ** math.floor(math.log10(value))
     return next(s * power for s in (1, 1.5, 2, 3, 4, 5, 6, 8, 10, 15) if s * power >= value * 0.999)
 
 
-def draw_scale(
-    page: Image.Image,
-    shown: Scale,
-    unit: Unit,
-    bar: tuple[int, int, int],
-    scale: float,
-    font: Any,
-    ticks: str = "lmmmr",
-) -> float:
-    """Draw the colours of the error from left to right, with their values above.
-
-    Parameters
-    ----------
-    page : PIL.Image.Image
-        Updated in place.
-    shown : Scale
-    unit : (str, float)
-    bar : (int, int, int)
-        Left, top and width.
-    scale : float
-        Factor on all sizes.
-    font
-    ticks : str
-        Horizontal anchor of the text at each tick.
-
-    Returns
-    -------
-    float
-        Height of the bar.
-    """
-    left, y, width = bar
-    height = round(16 * scale)
-    colors = (255 * srgb_from_linear(heat(np.linspace(0, 1, width)))).round().astype(np.uint8)
-    page.paste(Image.fromarray(np.tile(colors, (height, 1, 1))), (left, y))
-    draw = ImageDraw.Draw(page)
-    draw.rectangle((left, y, left + width - 1, y + height - 1), outline="#c4c9d2")
-    for share, anchor in zip(np.linspace(0, 1, len(ticks)), ticks, strict=True):
-        x = left + (width - 1) * share
-        text = f"{'> ' if share == 1 and shown.exceeded else ''}{number(shown.top * share, unit)}"
-        draw.line((x, y - 4 * scale, x, y), fill=QUIET)
-        draw.text((x, y - 6 * scale), text, INK, font, anchor + "s")
-    return height
+def _best(look: Any, points: list[Float]) -> float:
+    """Azimuth at which the motion covers most of the picture, with a preference for the front."""
+    some = points[:: max(1, len(points) // 6)]
+    sample = np.concatenate([p[:: max(1, len(p) // 1500)] for p in some])
+    cell = np.ptp(sample, axis=0).max() / 40 or 1.0
+    best, chosen = -1.0, 30.0
+    for side in _SIDES:
+        flat = np.floor(sample @ look(azimuth=side).axes[:2].T / cell).astype(np.int64)
+        score = len(np.unique(flat, axis=0)) * (1.0 + 0.35 * math.cos(math.radians(side)))
+        if score > best * 1.02:
+            best, chosen = score, float(side)
+    return chosen

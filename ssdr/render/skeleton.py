@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..hierarchy.bone_ends import limb_ends
+from ..normals import triangle_normals, unit
+from .camera import Camera, Float, balls_seen, triangles_seen
 from .light import reflected
 from .palette import linear_from_srgb
-from .raster import Camera, Float, balls_seen, empty_depth, normals_of, triangles_seen, unit
 from .scene import Scene
 
 # red, green and blue for a bone's x, y and z axes, as in modelling programs
@@ -46,7 +48,7 @@ def draw_bones(
     model = scene.model
     m = model.transforms[frame].astype(np.float64)
     if model.parents is None:
-        centers, ball_colors = _moved(m, scene.centroids), scene.palette
+        centers, ball_colors = _moved(m, model.centroids()), scene.palette
         radius = scene.diagonal * 0.022 * min(1.0, (20 / len(m)) ** 0.33)
         axes = 2.3 * radius * unit(np.swapaxes(m[:, :, :3], 1, 2))
         # the wide end of an axis lies outside the ball
@@ -58,15 +60,16 @@ def draw_bones(
         leaves = np.setdiff1d(np.arange(len(parents)), parents)
         bone = np.concatenate([parents[hung], leaves])
         heads = centers[bone]
-        tails = np.concatenate([centers[hung], _moved(m, scene.limb_ends)[leaves]])
+        skin = model.rest, model.indices, model.weights
+        ends = _moved(m, limb_ends(model.joint_positions, parents, *skin))
+        tails = np.concatenate([centers[hung], ends[leaves]])
         colors, most = scene.palette[bone], _THICKEST * scene.diagonal
         ball_colors, radius = np.tile(_JOINT, (len(m), 1)), 0.45 * most
-    nearness = empty_depth((picture.shape[1], picture.shape[0]))
+    nearness = np.full_like(surface, -np.inf)
     points, faces = octahedra(heads - shift, tails - shift, most=most)
     pixels, hit, _ = triangles_seen(camera, points, faces, nearness)
-    drawn = [(pixels, normals_of(points, faces)[0][hit], colors[hit // len(_CORNERS)])]
-    radii = np.full(len(centers), radius)
-    pixels, index, normal = balls_seen(camera, centers - shift, radii, nearness)
+    drawn = [(pixels, triangle_normals(points, faces)[hit], colors[hit // len(_CORNERS)])]
+    pixels, index, normal = balls_seen(camera, centers - shift, radius, nearness)
     drawn.append((pixels, normal, ball_colors[index]))
     for pixels, normal, albedo in drawn:
         opacity = np.where(surface[pixels] > nearness[pixels], _COVERED, 1.0)[:, None]

@@ -14,13 +14,11 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ..checks import check_whole
 from ..errors import InputError, check_flag
 from ..io.atomic import atomic_path
-from ..render.raster import up_axes
-from ..sequence import MeshSequence, as_sequences
+from ..render.camera import up_axes
+from ..sequence import MeshSequence, as_sequences, joined
 from ..skinning import Skinning, skinning_in
 from .payload import Payload, payload
 
@@ -177,7 +175,7 @@ def page_text(
     up_axes(up)
     content = payload(
         subject,
-        None if reference is None else _joined(reference),
+        None if reference is None else joined(as_sequences(reference)),
         title=title or subject.name or "Animation",
         up=up,
         keep_input=check_flag(keep_input, "keep_input"),
@@ -187,15 +185,6 @@ def page_text(
     )
     scripts = (*PARTS, WEB / "main.js", WEB / "pair.js")
     return assembled(content.document, content.blocks, scripts), content
-
-
-def _joined(reference: Any) -> MeshSequence:
-    """Reference of one or several shots as one sequence."""
-    shots = as_sequences(reference)
-    if len(shots) == 1:
-        return shots[0]
-    vertices = np.concatenate([shot.frames(slice(None)) for shot in shots])
-    return dataclasses.replace(shots[0], vertices=vertices, validate=False)
 
 
 def assembled(

@@ -24,8 +24,8 @@ from ..frames.normals import holders_of
 from ..hierarchy.bone_ends import limb_ends
 from ..hierarchy.transforms import RIGID, rest_diagonal
 from ..io.corners import rest_normals
+from ..render.camera import up_axes
 from ..render.palette import bone_colors, heat, mix, srgb_from_linear
-from ..render.raster import up_axes
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..surface import Surface

@@ -15,7 +15,7 @@ def test_render_sheet_frame_and_film(run, clip, wave, tmp_path):
         "render", tmp_path / "m.npz", "-r", clip, "-o", sheet, "--width", 500, "--frames", "0,-1"
     )
     assert code == 0, err
-    assert run("render", clip, "-o", one, "--frame", 1, "--width", 80, "--parallel")[0] == 0
+    assert run("render", clip, "-o", one, "--frame", 1, "--width", 80)[0] == 0
     flags = ("-s", "weights", "-s", "bones", "--width", 40, "-q")
     assert run("render", tmp_path / "m.npz", "-r", clip, "-o", film, *flags) == (0, "", "")
     with Image.open(sheet) as a, Image.open(one) as b, Image.open(film) as c:

@@ -81,7 +81,7 @@ def test_the_result_of_the_solver_has_them(wave):
 
 def test_bad_arguments(wave):
     model = ssdr.initialize(wave, bones=2)
-    with pytest.raises(ssdr.InputError, match="model: expected 3 frames and 12 vertices, got 4"):
+    with pytest.raises(ssdr.InputError, match="reference: expected 4 frames of 12"):
         ssdr.metrics.normals(wave.vertices[:3], model)
     with pytest.raises(ssdr.InputError, match="faces: expected a triangle with an area, got none"):
         ssdr.metrics.normals(np.zeros((2, 3, 3)), np.zeros((2, 3, 3)))

@@ -99,6 +99,11 @@ def test_a_picture_that_fails_leaves_the_old_one(tmp_path):
         ("subject", lambda m, w: render.render_frame(np.zeros((2, 3, 3)))),
         ("style", lambda m, w: render.render_frame(w, style="bones")),
         ("frames", lambda m, w: render.contact_sheet(w, frames=[])),
+        ("colors", lambda m, w: render.render_frame(w, colors=(2.0, 0, 0))),
+        ("colors", lambda m, w: render.render_frame(w, colors=np.ones((3, 3)))),
+        ("measured", lambda m, w: render.render_frame(w, measured=[w.n_vertices])),
+        ("measured", lambda m, w: render.render_frame(w, measured=[])),
+        ("fps", lambda m, w: render.Film.of(w, fps=-1.0)),
         ("width", lambda m, w: render.contact_sheet(w, width=10)),
     ],
 )

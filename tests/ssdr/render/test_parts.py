@@ -1,8 +1,6 @@
-"""Parts with materials: what is coloured, what is counted, what is refused."""
+"""Colours of vertices, measured vertices, films, and light from around."""
 
 from __future__ import annotations
-
-import dataclasses
 
 import numpy as np
 import pytest
@@ -11,7 +9,7 @@ from PIL import Image
 import ssdr
 from helpers.surfaces import sphere
 from ssdr import render
-from ssdr.render.film import Film
+from ssdr.render import Film
 from ssdr.render.light import Lights, around_both_sides, sphere_directions
 from ssdr.render.scene import Scene
 
@@ -28,12 +26,11 @@ def pair():
     answer[:, n:, 1] += np.float32(0.1)
     both_faces = np.concatenate([faces, faces + n])
     made = [ssdr.MeshSequence(v, both_faces, 30.0, name="balls") for v in (truth, answer)]
-    red = (0.8, 0.1, 0.1)
-    parts = (
-        render.Part("left", slice(0, n), render.SKIN, measured=False),
-        render.Part("right", np.arange(n, 2 * n), red),
-    )
-    return *made, parts
+    right = np.arange(2 * n) >= n
+    return *made, {
+        "colors": np.where(right[:, None], (0.8, 0.1, 0.1), render.SKIN),
+        "measured": right,
+    }
 
 
 def halves(picture):
@@ -48,34 +45,26 @@ def halves(picture):
 LOOK = {"size": (160, 90), "azimuth": 0.0, "elevation": 0.0}
 
 
-def test_figures_are_those_of_the_measured_part(pair):
-    truth, answer, parts = pair
-    scene = Scene.of(answer, truth, parts)
-    assert scene.rmse() == pytest.approx(0.1, rel=1e-5)
-    assert Scene.of(answer, truth).rmse() == pytest.approx(0.1 / np.sqrt(2), rel=1e-5)
+def test_figures_are_those_of_the_measured_vertices(pair):
+    truth, answer, look = pair
+    scene = Scene.of(answer, truth, **look)
+    assert scene.distances.rmse == pytest.approx(0.1, rel=1e-5)
+    assert Scene.of(answer, truth).distances.rmse == pytest.approx(0.1 / np.sqrt(2), rel=1e-5)
     assert scene.error_range([0]) == pytest.approx((0.1, 0.1), rel=1e-5)
-    assert "RMSE: 100 mm" in scene.summary(True, ("mm", 1000.0))
-    n = truth.n_vertices
-    regions = {"all": np.arange(n) >= n // 2, "some": [n // 2]}
-    text = Scene.of(answer, truth, parts, regions).figures([1], ("mm", 1000.0))
-    assert text == "all 100 mm, some 100 mm"
 
 
-def test_parts_keep_their_colours(pair):
-    _, answer, parts = pair
-    left, right = halves(render.render_frame(answer, 0, parts=parts, **LOOK))
+def test_vertices_keep_their_colours(pair):
+    _, answer, look = pair
+    left, right = halves(render.render_frame(answer, 0, **look, **LOOK))
     assert right[0] > 1.8 * right[2]
     assert 1.05 * left[2] < left[0] < 1.8 * left[2]
-    swapped = [
-        dataclasses.replace(p, color=q.color) for p, q in zip(parts, parts[::-1], strict=True)
-    ]
-    other = halves(render.render_frame(answer, 0, parts=swapped, **LOOK))
+    other = halves(render.render_frame(answer, 0, colors=look["colors"][::-1], **LOOK))
     assert other[0][0] > 1.8 * other[0][2]
 
 
-def test_the_error_colours_the_measured_part_alone(pair):
-    truth, answer, parts = pair
-    options = {"reference": truth, "style": "error", "parts": parts, **LOOK}
+def test_the_error_colours_the_measured_vertices_alone(pair):
+    truth, answer, look = pair
+    options = {"reference": truth, "style": "error", **look, **LOOK}
     low = halves(render.render_frame(answer, 0, scale=10.0, **options))
     high = halves(render.render_frame(answer, 0, scale=0.1, **options))
     # Grey, whatever the scale.
@@ -85,61 +74,48 @@ def test_the_error_colours_the_measured_part_alone(pair):
 
 
 def test_rows_columns_and_their_names(pair, monkeypatch):
-    truth, answer, parts = pair
+    truth, answer, look = pair
     seen = []
     from ssdr.render import figures
 
     draw = figures.ImageDraw.ImageDraw
-    write, upright = draw.text, figures.upright_text
+    write = draw.text
     monkeypatch.setattr(
         draw, "text", lambda s, xy, t, *a, **k: seen.append(t) or write(s, xy, t, *a, **k)
     )
-    monkeypatch.setattr(
-        figures, "upright_text", lambda p, t, *a: seen.append(t) or upright(p, t, *a)
-    )
-    render.contact_sheet(
-        answer,
-        reference=truth,
-        frames=[0, 2],
-        width=600,
-        parts=parts,
-        row_names=("truth", "prediction", "error"),
-        captions=("first", "last\nat the end"),
-        unit=("mm", 1000.0),
-    )
-    for text in ("truth", "prediction", "error", "first", "last", "at the end"):
+    options = {"reference": truth, "frames": [0, 2], **look}
+    names = {"row_names": ("truth", "prediction", "error"), "captions": ("first", "last")}
+    render.contact_sheet(answer, width=600, unit=("mm", 1000.0), **names, **options)
+    for text in ("truth", "prediction", "error", "first", "last", "balls"):
         assert text in seen
-    assert seen.count("100 mm") >= 2
-    assert any("distance of the right to the truth" in t for t in seen)
+    assert seen.count("RMSE 100 mm") == 2
+    assert any("RMSE 100 mm (" in t for t in seen)
     for name, wrong in (("row_names", ("a", "b")), ("captions", ("a",)), ("captions", "ab")):
         with pytest.raises(ssdr.InputError) as caught:
-            render.contact_sheet(
-                answer, reference=truth, frames=[0, 2], parts=parts, **{name: wrong}
-            )
+            render.contact_sheet(answer, **{name: wrong}, **options)
         assert caught.value.argument == name
 
 
-@pytest.mark.parametrize("suffix", ["gif", "webp", "png"])
+@pytest.mark.parametrize("suffix", ["gif", "webp"])
 def test_a_film_has_its_frames_and_its_panels_differ(pair, tmp_path, suffix):
-    truth, answer, parts = pair
+    truth, answer, look = pair
     done = []
     options = {
         "reference": truth,
         "style": ["plain", "error"],
         "size": (96, 64),
-        "parts": parts,
+        **look,
         "titles": ("truth", "prediction", "error"),
         "captions": ("a", "b", "c"),
         "unit": ("mm", 1000.0),
-        "track": np.zeros((3, 3)),
     }
-    film = Film.of(answer, **options)
+    size = next(Film.of(answer, **options).pictures()).size
     path = render.animate(answer, tmp_path / f"film.{suffix}", callback=done.append, **options)
     assert done == pytest.approx([1 / 3, 2 / 3, 1])
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
     with Image.open(path) as read:
-        assert (read.n_frames, read.size) == (3, film.size)
-        assert film.size[0] % 2 == film.size[1] % 2 == 0
+        assert (read.n_frames, read.size) == (3, size)
+        assert size[0] % 2 == size[1] % 2 == 0
         read.seek(1)
         read.load()
         assert read.info["duration"] == pytest.approx(1000 / 30, abs=4)
@@ -155,41 +131,10 @@ def test_a_film_has_its_frames_and_its_panels_differ(pair, tmp_path, suffix):
 
 
 def test_a_gif_keeps_many_colours(pair, tmp_path):
-    truth, _, parts = pair
-    render.animate(truth, tmp_path / "a.gif", size=(120, 90), parts=parts)
+    truth, _, look = pair
+    render.animate(truth, tmp_path / "a.gif", size=(120, 90), **look)
     with Image.open(tmp_path / "a.gif") as film:
         assert len(set(film.convert("RGB").get_flattened_data())) > 120
-
-
-def test_bad_arguments_are_named(pair):
-    truth, answer, parts = pair
-    n, part = truth.n_vertices, render.Part
-    whole, half = part("left", slice(0, n)), part("left", slice(0, n // 2))
-    cloud = ssdr.MeshSequence(truth.vertices)
-    empty = {"free": np.zeros(n, bool)}
-
-    def draw(*some):
-        return lambda: render.render_frame(truth, 0, parts=some, **LOOK)
-
-    for argument, call in (
-        ("part 'right'", draw(half, part("right", np.ones(5, bool)))),
-        ("part 'right'", draw(half, part("right", [n]))),
-        ("part 'right'", draw(whole, part("right", np.array([], int)))),
-        ("part 'right'", draw(whole, part("right", np.ones(n)))),
-        ("parts", draw(half)),
-        ("parts", draw(whole, part("right", [3]))),
-        ("parts", draw(part("same", slice(0, 5)), part("same", slice(5, n)))),
-        ("parts", draw(*(dataclasses.replace(p, measured=False) for p in parts))),
-        ("parts", draw("left")),
-        ("parts", lambda: render.render_frame(cloud, parts=parts)),
-        ("region 'free'", lambda: render.contact_sheet(answer, parts=parts, regions=empty)),
-        ("track", lambda: Film.of(truth, parts=parts, track=np.zeros((2, 3)))),
-        ("color", lambda: part("left", [0], (2.0, 0, 0))),
-        ("color", lambda: part("left", [0], (0.0, 0))),
-    ):
-        with pytest.raises(ssdr.InputError) as caught:
-            call()
-        assert caught.value.argument == argument, argument
 
 
 def test_light_from_around_is_half_on_a_floor_beside_a_wall():
