@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 
 from ..errors import InputError
-from ..sequence import MeshSequence
+from ..sequence import MeshSequence, joined
 from ..skinning import Skinning
 from .format_options import read_options
 from .options import FILES, RUN, Force, SpaceOptions, argument, option, takes
 from .output import Output, page_row
-from .reading import join, read_any, read_pairs
+from .reading import read_any, read_pairs
 from .view import check_page
 
 if TYPE_CHECKING:
@@ -91,8 +91,8 @@ def compare(options: CompareOptions) -> None:
         whole = results[0][1]
         text = str(whole)
         if len(results) > 1:
-            a, shots = join([a for _, a, _ in pairs]), [b for _, _, b in pairs]
-            whole = drawn(measure(a, join(shots), hausdorff=False, sted=False), a, shots)
+            a, shots = joined([a for _, a, _ in pairs]), [b for _, _, b in pairs]
+            whole = drawn(measure(a, joined(shots), hausdorff=False, sted=False), a, shots)
             document["clips"] = [{"name": name, **result.as_dict()} for name, result in results]
             text = "\n\n".join([*(f"{n}: {r}" for n, r in results), f"all clips: {whole}"])
     if options.target is not None:
@@ -113,7 +113,7 @@ def _write_page(
     import ssdr
 
     if not isinstance(model, Skinning):
-        model = join([b for _, _, b in pairs])
+        model = joined([b for _, _, b in pairs])
     elif len(model.clips) > 1:
         model = model.select(*(b.clip for _, _, b in pairs))
     return ssdr.view(

@@ -14,13 +14,13 @@ from typing import Any
 from ..clips import names_of
 from ..errors import Cancelled, InputError
 from ..io.registry import SaveReport
-from ..sequence import MeshSequence
+from ..sequence import MeshSequence, joined
 from ..signals import stop_on_signals
 from ..space import Space
 from .format_options import read_options
 from .options import PAGES, FitOptions
 from .output import Output, in_words, saved_line
-from .reading import clips_document, clips_text, join, meshes_text, read_any, read_clips
+from .reading import clips_document, clips_text, meshes_text, read_any, read_clips
 from .saving import check_file, check_outputs, save_model, try_format
 from .template import options_with_template
 
@@ -200,7 +200,7 @@ def _draw(path: Path, options: FitOptions, shots: Shots, result: Any) -> SaveRep
     title = options.inputs[0].stem
     with Output.current.waiting(f"drawing {path}"):
         if path.suffix.lower() not in PAGES:
-            sheet = contact_sheet(result.skinning, reference=join(shots), title=title)
+            sheet = contact_sheet(result.skinning, reference=joined(shots), title=title)
             write_picture(sheet, path)
             return SaveReport(path=path, bytes=path.stat().st_size)
         files = [file for file in options.outputs if file.is_file()]
@@ -234,7 +234,7 @@ def _print(
     if model.shapes is None:
         largest = largest_error(shots, *arrays)
     else:
-        largest = distances(join(shots), model).max
+        largest = distances(joined(shots), model).max
     document = {
         **about,
         "version": __version__,

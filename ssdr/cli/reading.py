@@ -11,8 +11,7 @@ import numpy as np
 
 from ..clips import Clip, unique_names
 from ..errors import FormatError, InputError
-from ..sequence import MeshSequence
-from ..sequence import joined as join
+from ..sequence import MeshSequence, joined
 from ..skinning import Skinning
 from .format_options import PLACED, keywords, readable_format
 from .output import Output
@@ -119,7 +118,7 @@ def read_truth(path: Path, clips: tuple[Clip, ...], options: dict[str, Any]) -> 
     """Read the sequence of the reference, or of its clips named as in `clips` if it has several."""
     several = len(clips_in(path, options)) > 1
     names = [clip.name for clip in clips] if several and clips else None
-    return join(read_clips([path], names, [options]))
+    return joined(read_clips([path], names, [options]))
 
 
 def read_vertices(path: Path, names: list[str] | None, options: dict[str, Any]) -> MeshSequence:
@@ -225,7 +224,7 @@ def _named(found: list[tuple[Path, MeshSequence]]) -> list[MeshSequence]:
 
 def _welded(shots: list[MeshSequence]) -> list[MeshSequence]:
     """Copies in which vertices that coincide in every frame of every clip are merged."""
-    whole, _ = join(shots).weld()
+    whole, _ = joined(shots).weld()
     parts = np.split(whole.vertices, np.cumsum([len(shot) for shot in shots[:-1]]))
     own = [{name: getattr(shot, name) for name in ("fps", "name", "clip")} for shot in shots]
     return [

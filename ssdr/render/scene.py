@@ -123,7 +123,7 @@ class Scene:
         """Vertex of each lit vertex ``(N,)``: one for each normal, or every one of a cloud."""
         if not len(self.faces):
             return np.arange(self.subject.n_vertices)
-        return self._lit[0].vertex[self._used[0]]
+        return np.asarray(self._lit[0].vertex[self._used[0]])
 
     def normals(self, frame: int) -> Float:
         """Normals ``(N, 3)`` of the lit vertices in a frame, of any norm.
