@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +21,6 @@ _SPANS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32)
 # Spans for more than _MANY frames × bones, since then each span takes a second or more.
 _FEW_SPANS, _MANY = (1, 2, 4, 8), 2_000_000
 _WHOLE_SHOTS = 8  # number of shots, from the first, whose length is a span as well
-_PRICES = 12  # bisections for the highest price that holds a tolerance
 _BLOCK = 1 << 18  # frames × bones computed at a time
 
 
@@ -156,22 +153,6 @@ class Tracks:
         original = np.asarray(self.skinning.transforms, dtype=np.float64)
         transforms = np.where(whole[..., None, None], original, transforms)
         return dataclasses.replace(self.skinning, transforms=transforms, keyframes=keys)
-
-    def sparsest(self, tolerance: float, holds: Callable[[Skinning], bool]) -> Skinning | None:
-        """The sparsest of the tried skinnings for which `holds` is true, or None if it never is.
-
-        The price of a byte is bisected over a range that `tolerance`, in the mesh's units, sets.
-        """
-        low, high = 1e-12 * tolerance**2, 1e3 * tolerance**2 * self.skinning.n_vertices
-        best = None
-        for _ in range(_PRICES):
-            price = math.sqrt(low * high)
-            trial = self.play(self.choose(price)[0])
-            if holds(trial):
-                low, best = price, trial
-            else:
-                high = price
-        return best
 
     def _moments(self) -> Array:
         """Weighted second moments (F, B, 4, 4) of the vertices that move with each bone.

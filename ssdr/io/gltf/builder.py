@@ -17,11 +17,10 @@ from ..atomic import write_bytes
 from ..registry import check, reading
 from ..signatures import picture_type
 from .compression import MESHOPT
-from .document import COMPONENTS, WIDTHS, Document
+from .document import COMPONENTS, Document
 
 CODES = {dtype.name: code for code, dtype in COMPONENTS.items()}
 ARRAY, ELEMENTS = 34962, 34963
-_NORMALISED = ("NORMAL", "+NORMAL", "WEIGHTS", "rotation", "weights")
 
 
 class Builder:
@@ -43,11 +42,7 @@ class Builder:
         Contents of the copied document that cannot be kept.
     notes : list of str
         Other messages for the user.
-    packs : bool
-        Whether arrays are stored as integers where glTF allows it.
     """
-
-    packs = False
 
     def __init__(self, document: Document | None = None) -> None:
         self.document = document
@@ -84,29 +79,31 @@ class Builder:
         *,
         target: int | None = None,
         bounds: bool = False,
-        use: str = "",
+        normalized: bool = False,
     ) -> int:
         """Add an accessor for `array` and return its index.
 
         `kind` is its type in glTF, such as "VEC3"; `target` states the use of its buffer view. With
-        `bounds`, the accessor states the minimum and maximum of its values. `use` names the
-        attribute or the animated property.
+        `bounds`, the accessor states the minimum and maximum of its values. With `normalized`,
+        integers stand for numbers from 0 to 1.
         """
-        item, stored = self.place(array, kind, target, use)
-        item |= {"count": len(array), "type": kind}
-        if stored.dtype.kind in "iu" and use.startswith(_NORMALISED):
+        fields = {} if target is None else {"target": target}
+        view = self.view(np.ascontiguousarray(array).tobytes(), **fields)
+        code = CODES[array.dtype.name]
+        item = {"bufferView": view, "componentType": code, "count": len(array), "type": kind}
+        if normalized and array.dtype.kind == "u":
             item["normalized"] = True
         if bounds:
             # Validators compare bounds exactly, and item() keeps a float32's value in JSON.
-            flat = stored.reshape(len(stored), -1)[:, : WIDTHS[kind]]
+            flat = array.reshape(len(array), -1)
             item["min"] = [x.item() for x in flat.min(axis=0)]
             item["max"] = [x.item() for x in flat.max(axis=0)]
         accessors: list[Any] = self.json["accessors"]
         accessors.append(item)
         return len(accessors) - 1
 
-    def displaced(self, arrays: NDArray[Any], use: str) -> list[int]:
-        """Add accessors for what morph targets add to the attribute `use`; return their indices.
+    def displaced(self, arrays: NDArray[Any]) -> list[int]:
+        """Add accessors for what morph targets add to an attribute, and return their indices.
 
         An accessor is sparse where that takes fewer bytes. All sparse ones share two buffer views,
         since the JSON of a separate view is larger than the data of many targets.
@@ -115,20 +112,15 @@ class Builder:
         found: list[int] = []
         views: tuple[int, int] | None = None
         empty: int | None = None
-        for single in arrays.astype(np.float32):
-            stored = self.stored_displacements(single, use)
+        for stored in arrays.astype(np.float32):
             rows = np.flatnonzero(stored.any(axis=1)).astype(wide)
             if not len(rows) and empty is not None:
                 found.append(empty)
                 continue
             if len(rows) * (3 * stored.itemsize + rows.itemsize) >= stored.nbytes:
-                found.append(
-                    self.accessor(single, "VEC3", target=ARRAY, bounds=True, use="+" + use)
-                )
+                found.append(self.accessor(stored, "VEC3", target=ARRAY, bounds=True))
                 continue
-            item = {"componentType": CODES[stored.dtype.name], "count": len(stored), "type": "VEC3"}
-            if stored.dtype.kind == "i" and use == "NORMAL":
-                item["normalized"] = True
+            item = {"componentType": CODES["float32"], "count": len(stored), "type": "VEC3"}
             item["min"], item["max"] = (
                 [x.item() for x in bound(stored, axis=0)] for bound in (np.min, np.max)
             )
@@ -152,31 +144,6 @@ class Builder:
             empty = empty if len(rows) else found[-1]
         return found
 
-    def stored_displacements(self, array: NDArray[Any], use: str) -> NDArray[Any]:
-        """Array of a sparse morph target as stored."""
-        return array
-
-    def place(
-        self, array: NDArray[Any], kind: str, target: int | None, use: str
-    ) -> tuple[dict[str, Any], NDArray[Any]]:
-        """Put an array into a buffer view of its own.
-
-        Returns
-        -------
-        fields : dict
-            Fields of an accessor that say where the array is, and its component type.
-        stored : array
-            The array as stored.
-        """
-        fields = {} if target is None else {"target": target}
-        view = self.view(np.ascontiguousarray(array).tobytes(), **fields)
-        return {"bufferView": view, "componentType": CODES[array.dtype.name]}, array
-
-    def require(self, extension: str) -> None:
-        """State that readers must know an extension."""
-        for key in ("extensionsUsed", "extensionsRequired"):
-            self.json.setdefault(key, []).append(extension)
-
     def save(self, path: Path) -> int:
         """Write a ``.glb``, or a ``.gltf`` with its ``.bin``, and return the number of bytes.
 
@@ -187,18 +154,10 @@ class Builder:
         """
         self._embed_pictures(path)
         blocks: list[memoryview | bytes] = []
-        length = unpacked = 0
+        length = 0
         for view in self.json["bufferViews"]:
             block = self.blocks[view["buffer"]]
-            place = {"buffer": 0, "byteOffset": length, "byteLength": len(block)}
-            packed = view.get("extensions", {}).get(MESHOPT[0])
-            if packed is None:
-                view |= place
-            else:  # the view itself describes decoded bytes, in a buffer without data
-                packed |= place
-                size = packed["count"] * packed["byteStride"]
-                view |= {"buffer": 1, "byteOffset": unpacked, "byteLength": size}
-                unpacked += size + -size % 4
+            view |= {"buffer": 0, "byteOffset": length, "byteLength": len(block)}
             blocks += [block, b"\0" * (-len(block) % 4)]
             length += len(block) + -len(block) % 4
         buffer: dict[str, Any] = {}
@@ -208,9 +167,6 @@ class Builder:
             buffer.pop(key, None)
         buffer["byteLength"] = length
         self.json["buffers"] = [buffer] if length else []
-        if unpacked:
-            absent = {MESHOPT[0]: {"fallback": True}}
-            self.json["buffers"].append({"byteLength": unpacked, "extensions": absent})
         for key in ("accessors", "bufferViews", "buffers", "extensionsUsed", "extensionsRequired"):
             if not self.json.get(key, True):
                 del self.json[key]

@@ -22,7 +22,7 @@ def add_targets(
     attributes = {"POSITION": shapes.displacements[:, corners.vertex]}
     if normals is not None:
         attributes["NORMAL"] = normals.added[:, corners.number]
-    found = {name: builder.displaced(values, name) for name, values in attributes.items()}
+    found = {name: builder.displaced(values) for name, values in attributes.items()}
     return [dict(zip(found, one, strict=True)) for one in zip(*found.values(), strict=True)]
 
 
@@ -44,19 +44,14 @@ def add_channel(
     amounts = shapes.amounts[clip.frames].reshape(-1)
     target = {"node": 0, "path": "weights"}
     animation["channels"].append({"sampler": len(animation["samplers"]), "target": target})
-    output = builder.accessor(stored_amounts(amounts, builder.packs), "SCALAR", use="weights")
+    output = builder.accessor(_stored_amounts(amounts), "SCALAR", normalized=True)
     stamps = builder.accessor(times, "SCALAR", bounds=True)
     animation["samplers"].append({"input": stamps, "output": output, "interpolation": "LINEAR"})
 
 
-def stored_amounts(amounts: NDArray[Any], packed: bool) -> NDArray[Any]:
-    """Amounts as stored: uint8 if all are multiples of 1/255 in [0, 1], otherwise float32.
-
-    If `packed`, other amounts in [0, 1] are stored as uint16.
-    """
+def _stored_amounts(amounts: NDArray[Any]) -> NDArray[Any]:
+    """Amounts as stored: uint8 if all are multiples of 1/255 in [0, 1], otherwise float32."""
     inside = amounts.min(initial=0) >= 0 and amounts.max(initial=0) <= 1
     if inside and np.abs(255 * amounts - np.rint(255 * amounts)).max(initial=0) < 1e-5:
         return np.asarray(np.rint(255 * amounts), dtype=np.uint8)
-    if inside and packed:
-        return np.asarray(np.rint(65535 * amounts), dtype=np.uint16)
     return np.asarray(amounts, dtype=np.float32)

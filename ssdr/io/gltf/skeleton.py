@@ -28,7 +28,10 @@ def add_weights(builder: Builder, rig: Rig, vertex: NDArray[np.integer]) -> dict
     for k in range(joints.shape[1] // 4):
         four = slice(4 * k, 4 * k + 4)
         for name, values in ((f"JOINTS_{k}", joints), (f"WEIGHTS_{k}", weights)):
-            attributes[name] = builder.accessor(values[:, four], "VEC4", target=ARRAY, use=name)
+            share = name.startswith("WEIGHTS")
+            attributes[name] = builder.accessor(
+                values[:, four], "VEC4", target=ARRAY, normalized=share
+            )
     return attributes
 
 
@@ -62,7 +65,7 @@ def add_skin(builder: Builder, rig: Rig, title: str, first: int) -> dict[str, An
     inverse[:, 3, :3] = -np.einsum("bji,bj->bi", axes, rig.centers[moving].astype(np.float64))
     return {
         "name": title,
-        "inverseBindMatrices": builder.accessor(inverse.reshape(-1, 16), "MAT4", use="inverse"),
+        "inverseBindMatrices": builder.accessor(inverse.reshape(-1, 16), "MAT4"),
         "skeleton": first,
         "joints": (first + 1 + moving).tolist(),
     }
@@ -103,7 +106,7 @@ def add_animation(
         for path, values, kind in tracks:
             target = {"node": first + 1 + bone, "path": path}
             channels.append({"sampler": len(samplers), "target": target})
-            output = builder.accessor(values, kind, use=path)
+            output = builder.accessor(values, kind)
             samplers.append({"input": inputs[keys.tobytes()], "output": output})
     stated: dict[str, Any] = {"fps": clip.fps, "frames": clip.n_frames}
     if start:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,12 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...checks import parse_tolerance
-from ...errors import InputError, check_choice
+from ...errors import InputError
 from ...frames.shaped_normals import shaped_normals
 from ...hierarchy.bone_ends import limb_axes, limb_ends
-from ...hierarchy.transforms import rest_diagonal
-from ...quantisation import WeightStorage, weight_values
+from ...quantisation import WeightStorage
 from ...rigid import matrix_from_quaternion, quaternion_from_matrix, unflip_quaternions
 from ...skinning import Skinning, refuse_shapes
 from ...surface import Material, Surface
@@ -25,7 +22,6 @@ from ..corners import Corners, rest_normals, split_corners
 from ..registry import SaveReport
 from ..rig import Rig, build_rig
 from .builder import ARRAY, ELEMENTS, Builder
-from .compact import Compression, Packed, coarse_rig, fetch_order, steady_slots
 from .shapes import add_channel, add_targets, state_targets
 from .skeleton import add_animation, add_skin, add_weights, skeleton_nodes
 from .template import Template
@@ -42,8 +38,6 @@ def write_skinning(
     meshes: str | Sequence[str] | None = None,
     clip_names: Mapping[str, str | None] | None = None,
     strict: bool = False,
-    compression: Compression = "none",
-    tolerance: float | str | None = None,
 ) -> SaveReport:
     """Write a skinning as ``.glb``, or as ``.gltf`` with a ``.bin`` of the same name beside it.
 
@@ -75,14 +69,6 @@ def write_skinning(
     strict : bool
         Whether to raise an error, instead of reporting the loss, if contents of the template
         cannot be kept.
-    compression : {"none", "quantized", "meshopt"}
-        "quantized" stores integers (``KHR_mesh_quantization``), "meshopt" compresses them as well
-        (``EXT_meshopt_compression``; needs the extra meshopt).  The order of the vertices is not
-        kept.
-    tolerance : float or str, optional
-        With a compression: largest distance of a vertex, in any frame, from its position in the
-        model, as a length or a share of the diagonal such as ``"0.1%"``.  Keys are left out, and
-        numbers rounded, as far as it allows.  By default all keys and 16 bits are kept.
 
     Returns
     -------
@@ -100,95 +86,19 @@ def write_skinning(
     ----------
     Khronos, "glTF 2.0 specification", sections 3.7.3 (skins) and 3.11 (animations).
     """
-    rounding = _rounding(influences, weights)
     title = name or skinning.name or path.stem
-    rig, builder = _rounded(skinning, compression, tolerance, rounding)
+    rig = build_rig(skinning, influences=influences, most=8, storage=weights, stretch=True)
+    if rig.n_bones > 65535:
+        raise InputError("thing", "at most 65535 bones", rig.n_bones)
     if template is None:
-        _fill(builder, skinning, rig, title)
-        return _report(skinning, rig, path, builder)
+        return _report(skinning, rig, path, _document(skinning, rig, title))
     refuse_shapes(skinning, "thing", "a file with a template")
-    if compression != "none":
-        raise InputError("template", "None beside a compression", str(template))
     old = Template(Path(template), skinning, meshes, clip_names or {})
     old.put(rig, title)
     if strict and old.builder.lost:
         lost = "; ".join(old.builder.lost)
         raise InputError("template", "a file all of which can be kept", lost)
     return _report(skinning, rig, path, old.builder)
-
-
-def compact_size(
-    skinning: Skinning,
-    *,
-    influences: int | None = None,
-    weights: WeightStorage = "float32",
-    name: str | None = None,
-    compression: Compression = "meshopt",
-    tolerance: float | str | None = None,
-) -> tuple[int, Skinning]:
-    """Size in bytes of a model's ``.glb``, and the skinning that a reader decodes from the file.
-
-    The file is written to a temporary folder.
-
-    Parameters
-    ----------
-    skinning, influences, weights, name, compression, tolerance
-        As for :func:`write_skinning`.
-    """
-    rounding = _rounding(influences, weights)
-    rig, builder = _rounded(skinning, compression, tolerance, rounding)
-    _fill(builder, skinning, rig, name or skinning.name)
-    with tempfile.TemporaryDirectory(prefix="ssdr-") as folder:
-        size = builder.save(Path(folder) / "a.glb")
-    normals, surface = rest_normals(skinning, rig.rest), skinning.surface
-    if normals is not None and isinstance(builder, Packed):
-        normals = builder.decoded_normals(normals)
-        surface = dataclasses.replace(surface or Surface(), normals=normals)
-    decoded = dataclasses.replace(
-        skinning,
-        rest=rig.rest.astype(np.float64),
-        indices=rig.indices,
-        weights=weight_values(rig.weights),
-        transforms=rig.bone_matrices(np.arange(rig.n_frames, dtype=np.float64)),
-        surface=surface,
-        shapes=rig.shapes,
-        parents=None,
-        joint_positions=None,
-        keyframes=None,
-    )
-    return size, decoded
-
-
-def _rounding(influences: int | None, weights: WeightStorage) -> dict[str, Any]:
-    """Keyword arguments of :func:`~ssdr.io.rig.build_rig` for glTF.
-
-    They are the influences to keep (at most 8 per vertex), the storage of weights, and that bones
-    may stretch.
-    """
-    return {"influences": influences, "most": 8, "storage": weights, "stretch": True}
-
-
-def _rounded(
-    skinning: Skinning,
-    compression: Compression,
-    tolerance: float | str | None,
-    rounding: dict[str, Any],
-) -> tuple[Rig, Builder]:
-    """Rig of a model, rounded for a compression, and an empty document for it."""
-    check_choice(compression, "compression", Compression)
-    builder = Builder()
-    if compression == "none":
-        if tolerance is not None:
-            raise InputError("tolerance", "None without a compression", tolerance)
-        rig = build_rig(skinning, **rounding)
-    else:
-        if tolerance is not None:
-            tolerance = parse_tolerance(tolerance, rest_diagonal(skinning.rest))
-        rig, grid = coarse_rig(skinning, tolerance, **rounding)
-        builder = Packed(grid, meshopt=compression == "meshopt")
-    if rig.n_bones > 65535:
-        raise InputError("thing", "at most 65535 bones", rig.n_bones)
-    return rig, builder
 
 
 def write_along_bones(
@@ -218,8 +128,7 @@ def write_along_bones(
         rig = orient_joints(rig, limb_axes(rig.centers, rig.parents, ends))
         sizes = np.linalg.norm(ends - rig.centers, axis=1).tolist()
         lengths = dict(zip(rig.names, sizes, strict=True))
-    builder = Builder()
-    _fill(builder, skinning, rig, name or skinning.name or path.stem)
+    builder = _document(skinning, rig, name or skinning.name or path.stem)
     return _report(skinning, rig, path, builder), lengths
 
 
@@ -245,8 +154,9 @@ def orient_joints(rig: Rig, axes: NDArray[np.float64]) -> Rig:
     )
 
 
-def _fill(builder: Builder, model: Skinning, rig: Rig, title: str) -> None:
-    """Fill an empty document with the model."""
+def _document(model: Skinning, rig: Rig, title: str) -> Builder:
+    """A new document with the model."""
+    builder = Builder()
     json = builder.json
     json["meshes"] = [{"name": title, "primitives": _mesh(builder, model, rig)}]
     # The mesh stands at the top of the scene: glTF ignores the transform of a
@@ -263,6 +173,7 @@ def _fill(builder: Builder, model: Skinning, rig: Rig, title: str) -> None:
         state_targets(json["meshes"][0], rig.shapes)
         for clip, animation in zip(rig.clips, json["animations"], strict=True):
             add_channel(builder, animation, rig.shapes, clip)
+    return builder
 
 
 def _mesh(builder: Builder, model: Skinning, rig: Rig) -> list[dict[str, Any]]:
@@ -281,8 +192,6 @@ def _mesh(builder: Builder, model: Skinning, rig: Rig) -> list[dict[str, Any]]:
     index = np.zeros(len(corners.faces), dtype=np.int32)
     if surface is not None and surface.material_index is not None:
         index = surface.material_index
-    if isinstance(builder, Packed) and builder.meshopt:
-        corners, index = fetch_order(corners, index)
     attributes = _attributes(builder, rig, corners)
     primitives: list[dict[str, Any]] = [{"attributes": attributes, "mode": 0}]
     if len(corners.faces):
@@ -307,16 +216,12 @@ def _attributes(builder: Builder, rig: Rig, corners: Corners) -> dict[str, int]:
         return builder.accessor(array, kind, target=ARRAY, **fields)
 
     vertex = corners.vertex
-    attributes = {"POSITION": put(rig.rest[vertex], "VEC3", bounds=True, use="POSITION")}
+    attributes = {"POSITION": put(rig.rest[vertex], "VEC3", bounds=True)}
     if corners.normals is not None:
-        attributes["NORMAL"] = put(corners.normals, "VEC3", use="NORMAL")
+        attributes["NORMAL"] = put(corners.normals, "VEC3")
     if corners.uv is not None:
         flipped = np.stack([corners.uv[:, 0], 1 - corners.uv[:, 1]], axis=1)
         attributes["TEXCOORD_0"] = put(flipped.astype(np.float32), "VEC2")
-    if isinstance(builder, Packed):
-        indices, weights = steady_slots(rig, vertex)
-        own = dataclasses.replace(rig, indices=indices, weights=weights)
-        return attributes | add_weights(builder, own, np.arange(len(vertex)))
     attributes |= add_weights(builder, rig, vertex)
     # The model's vertex at each vertex of the file, so that reading can close the seams. Attributes
     # cannot be uint32, and float32 holds integers exactly up to 2^24.

@@ -9,7 +9,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
 
 import ssdr
 from helpers import drawn, naive
@@ -54,19 +53,6 @@ def test_gltf_is_drawn_as_measured_and_better_than_geometric_normals(tmp_path, b
     ssdr.save(dataclasses.replace(result.skinning, surface=surface), tmp_path / "b.glb")
     smooth = dataclasses.replace(bent, surface=None)
     assert error < error_in(tmp_path / "b.glb", smooth)
-
-
-@pytest.mark.parametrize("compression", ["quantized", "meshopt"])
-def test_compact_files_round_the_normals_and_no_more(tmp_path, bent, compression):
-    if compression == "meshopt":
-        pytest.importorskip("meshoptimizer")
-    model = ssdr.decompose(bent, bones=5, effort="fast").skinning
-    ssdr.save(model, tmp_path / "a.glb", compression=compression)
-    read = ssdr.load_skinning(tmp_path / "a.glb")
-    place, triangle = (m.skin([0])[0, m.faces].reshape(-1, 3) for m in (read, model))
-    for corner, n in zip(place, read.surface.normals.reshape(-1, 3), strict=True):
-        near = cKDTree(triangle).query_ball_point(corner, 1e-3)
-        assert naive.angles(model.surface.normals.reshape(-1, 3)[near], n[None]).min() < 1.2
 
 
 def test_usd_is_drawn_as_measured(tmp_path, bent):

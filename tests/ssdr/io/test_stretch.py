@@ -89,23 +89,7 @@ def test_round_trip(tmp_path, model, suffix):
 def test_keys_that_are_left_out_play_in_a_file_as_in_the_model(tmp_path):
     model = stretched(tube())
     tracks = Tracks(model, np.array([0, model.n_frames]))
-
-    def near(other):
-        return largest_distance(other.skin(), model.skin()) < 0.05
-
-    kept = tracks.sparsest(0.05, near)
+    kept = tracks.play(tracks.choose(5e-3)[0])
     assert kept.keyframes.mean() < 0.7
-    assert near(kept)
+    assert 0.01 < largest_distance(kept.skin(), model.skin()) < 0.1
     assert ssdr.save(kept, tmp_path / "a.glb").max_error < 1e-5
-    assert tracks.sparsest(0.05, lambda _: False) is None
-
-
-@pytest.mark.parametrize("compression", ["quantized", "meshopt"])
-def test_small_files(tmp_path, compression):
-    if compression == "meshopt":
-        pytest.importorskip("meshoptimizer")
-    model = stretched(tube(frames=60))
-    options = {"compression": compression, "tolerance": 0.02}
-    report = ssdr.save(model, tmp_path / "a.glb", **options)
-    assert report.max_error <= 0.02
-    assert report.bytes < ssdr.save(model, tmp_path / "b.glb", compression=compression).bytes
