@@ -51,6 +51,5 @@ from .start import Start as Start
 from .surface import Material as Material
 from .surface import Surface as Surface
 from .viewer.page import view as view
-from .weight_rounding import round_weights as round_weights
 
 __version__: str

@@ -12,7 +12,6 @@ from .problem.answer import finished
 from .problem.check import check_problem
 from .problem.problem import Effort
 from .progress import Callback
-from .quantisation import WeightStorage
 from .result import Decomposition
 from .search.solve import solve
 from .sequence import MeshSequence
@@ -27,7 +26,7 @@ def decompose(
     faces: Any = None,
     *,
     bones: int | None = None,
-    influences: int | tuple[int, WeightStorage] = 4,
+    influences: int = 4,
     effort: Effort = "balanced",
     bone_model: BoneModel = "rigid",
     rig: str | Skeleton | None = None,
@@ -61,11 +60,8 @@ def decompose(
     bones : int
         Number of bones of the result, 1 to V.  Can be omitted if a skeleton or a model to start
         from determines it.
-    influences : int or (int, {"uint8", "uint16", "float32"})
-        Largest number of bones that move a vertex (K), and the type in which files will store the
-        weights, such as ``(4, "uint8")``.  With "uint8" or "uint16", the weights of the result are
-        multiples of 1/255 or 1/65535, which writers keep exactly, and rest pose and bones are
-        solved for these weights.
+    influences : int
+        Largest number of bones that move a vertex (K).
     effort : {"fast", "balanced", "best"}
         Trade-off between speed and accuracy.
     bone_model : {"rigid", "similarity", "affine"}

@@ -11,8 +11,6 @@ from .errors import check_choice
 
 WeightStorage = Literal["float32", "uint16", "uint8"]
 
-_OFF = 1e-2  # steps; more than the rounding of 16-bit weights to float32
-
 
 def quantise(
     indices: NDArray[np.int32], weights: NDArray[np.float64], storage: WeightStorage
@@ -50,11 +48,3 @@ def weight_values(stored: NDArray[Any]) -> NDArray[np.float64]:
     """Weights in float64 from stored weights; integers are divided by the maximum of their type."""
     steps = np.iinfo(stored.dtype).max if stored.dtype.kind == "u" else 1
     return np.asarray(stored / np.float64(steps))
-
-
-def is_stored(weights: NDArray[np.floating], storage: WeightStorage) -> bool:
-    """Whether `storage` holds weights ``(V, K)`` exactly, up to the rounding of float32."""
-    if storage == "float32":
-        return True
-    units = weights.astype(np.float64) * np.iinfo(storage).max
-    return bool(np.abs(units - np.rint(units)).max() < _OFF)

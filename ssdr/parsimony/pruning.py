@@ -22,7 +22,7 @@ from ..solver.gauss_newton import GaussNewton
 from ..solver.model import Constraints, Model
 from ..solver.trajectories import Trajectories
 from ..storage.keyframes import Tracks
-from ..storage.size import influence_bytes
+from ..storage.size import influence_bytes, size
 from .report import Pruning
 from .solved_frames import SolvedFrames
 
@@ -164,7 +164,7 @@ def prune(
 
     usual, endings = _schedules(frames)
     before = frames.error_of_all(skinning)
-    best = Pruned(skinning, skinning, before, before, frames.size(skinning).total)
+    best = Pruned(skinning, skinning, before, before, size(skinning).total)
     price, low, high = _first_price(frames, fewer, tolerance, skinning), None, None
     streamed = frames.scan is not None
     for _ in range(_FEW_PRICES if streamed else _PRICES):
@@ -236,7 +236,7 @@ def _first_price(
     tracks = Tracks(skinning, frames.problem.offsets)
     # factor from squared errors in the solver's space to those of all frames in mesh units
     unit = data.scale**2 * skinning.n_frames / data.n_frames
-    influence = influence_bytes(skinning.n_bones, frames.problem.storage) / unit
+    influence = influence_bytes(skinning.n_bones) / unit
     least = fewer.choose(0.0)[1]
     low, high = 1e-12 * budget, budget
     for _ in range(_HALVINGS):
@@ -256,8 +256,7 @@ def _pruned(
     skinning_of_all: Callable[[Model, Trajectories], Skinning],
 ) -> Pruned:
     """Remove the influences and keys that are not worth the price, and return a Pruned."""
-    storage = frames.problem.storage
-    influence = influence_bytes(fewer.models[0].n_bones, storage) / frames.data.scale**2
+    influence = influence_bytes(fewer.models[0].n_bones) / frames.data.scale**2
     model = fewer.build(fewer.choose(price * influence)[0])
     d = frames.descent(model.n_bones)
     d.begin_with(model)
@@ -268,7 +267,7 @@ def _pruned(
         return Pruned(skinning, skinning, error, error, 0)
     tracks = Tracks(skinning, frames.problem.offsets)
     keyed = tracks.play(tracks.choose(price)[0])
-    return Pruned(skinning, keyed, error, frames.error_of_all(keyed), frames.size(keyed).total)
+    return Pruned(skinning, keyed, error, frames.error_of_all(keyed), size(keyed).total)
 
 
 def _record(
@@ -286,5 +285,5 @@ def _record(
             return int(np.count_nonzero(s.weights))
         return s.n_frames * s.n_bones if s.keyframes is None else int(np.sum(s.keyframes))
 
-    size_a, size_b = (frames.size(s).total for s in (a, b))
+    size_a, size_b = (size(s).total for s in (a, b))
     return Pruning(what, count(a), count(b), size_a, size_b, before, after)

@@ -20,6 +20,7 @@ from ..search.tree_steps import attach_unattached
 from ..skinning import Skinning
 from ..solver.model import Model
 from ..solver.trajectories import Trajectories
+from ..storage.size import size
 from .fewest_bones import Bounds, fewest_bones, polish_fewest
 from .models_by_bones import PRUNING, ModelsByBones
 from .pruning import prune
@@ -85,9 +86,8 @@ def find_smallest(
         if problem.start is not None:
             bones = problem.start.n_bones
             models.attempt(bones, _begin_with_model, "given", initial=frames.initial)
-        # If frames are streamed, the search solves representative ones, and if weights are stored
-        # in integers, it ignores the rounding.  It is then repeated with a
-        # stricter tolerance until the rounded model holds the tolerance on all frames.
+        # If frames are streamed, the search solves representative ones.  It is then repeated with a
+        # stricter tolerance until the model holds the tolerance on all frames.
         for _ in range(_RETRIES):
             fewest_bones(models, bounds, problem.effort)
             held, passes = models.fewest, PASSES[problem.effort]
@@ -98,7 +98,7 @@ def find_smallest(
             skinning = frames.skinning_of_all(model, passes=passes, report=on_all_frames)
             monitor.raise_if_stopped()
             error = frames.error_of_all(skinning)
-            if error <= tolerance or frames.are_all_exact:
+            if error <= tolerance or frames.scan is None:
                 break
             models.tolerance *= 0.99 * tolerance / error
             bounds = dataclasses.replace(bounds, least=held)
@@ -175,7 +175,7 @@ def _result(
         bones=skinning.n_bones,
         influences=skinning.n_influences,
         least_bones=least,
-        size=frames.size(skinning),
+        size=size(skinning),
         prunings=tuple(prunings),
         attempts=tuple(models.attempts),
     )

@@ -16,7 +16,6 @@ from ..problem.check import check_problem
 from ..problem.check_start import refuse_parts
 from ..problem.problem import Effort, Problem
 from ..progress import Callback
-from ..quantisation import WeightStorage
 from ..result import Decomposition
 from ..sequence import MeshSequence
 from ..skinning import Skinning, skinning_in
@@ -39,7 +38,7 @@ def smallest(
     tolerance: float | str,
     measure: Measure = "rmse",
     bones: int | None = None,
-    influences: int | tuple[int, WeightStorage] = 4,
+    influences: int = 4,
     effort: Effort = "balanced",
     bone_model: BoneModel = "rigid",
     rig: str | None = None,
@@ -74,9 +73,8 @@ def smallest(
         The solver minimises squares, so that "max" takes more bones than necessary.
     bones : int, optional
         Largest number of bones; by default 256, or the number of vertices if that is less.
-    influences : int or (int, {"uint8", "uint16", "float32"})
-        Most influences per vertex (K), and the type in which files will store their weights, as in
-        :func:`decompose`.  The tolerance holds for the stored weights.
+    influences : int
+        Largest number of bones that move a vertex (K).
     effort : {"fast", "balanced", "best"}
         Work spent on each number of bones before it is given up.
     bone_model : {"rigid", "similarity", "affine"}

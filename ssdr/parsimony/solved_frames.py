@@ -18,12 +18,12 @@ from ..problem.problem import Initial, Problem
 from ..problem.scan import needs_streaming
 from ..search.descent import Descent
 from ..search.passes import ENTERING, AllFrames
-from ..search.solve import read_frames, rounded, scan_of
+from ..search.solve import read_frames, scan_of
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.model import Model
 from ..solver.trajectories import Trajectories
-from ..storage.size import Size, size
+from ..storage.size import size
 from .report import Measure
 
 
@@ -79,11 +79,6 @@ class SolvedFrames:
             normals=True,
         )
 
-    @property
-    def are_all_exact(self) -> bool:
-        """Whether all frames are solved, and weights returned as solved, not rounded."""
-        return self.scan is None and self.problem.storage == "float32"
-
     def error(self, model: Model, measure: Measure | None = None) -> float:
         """Error of a model on the frames that the search solves, in the mesh's units."""
         measure = measure or self.measure
@@ -117,8 +112,6 @@ class SolvedFrames:
     ) -> Skinning:
         """Convert a model to a skinning of all frames; streamed frames are solved in passes.
 
-        Weights are rounded to the type `problem.storage`.
-
         Parameters
         ----------
         model : Model
@@ -128,15 +121,11 @@ class SolvedFrames:
         entering : int
             Number of bones that may enter the support of a vertex in a pass.
         report : callable
-            Called after each round of rounding and within each pass; one in which it raises Stop
-            is the last.
+            Called within each pass; one in which it raises Stop is the last.
         data : Trajectories, optional
             Copy of the trajectories with which the model was solved.
         """
         problem, data = self.problem, data or self.data
-        model, constraints = rounded(problem, data, model, lambda _: report()), problem.constraints
-        if problem.storage != "float32":
-            constraints = constraints.with_weights(problem.n_vertices)
         if self.scan is None:
             return self.skinning(model)
         frames = AllFrames(
@@ -144,7 +133,7 @@ class SolvedFrames:
             self.scan,
             data,
             model,
-            constraints=constraints,
+            constraints=problem.constraints,
             initial=Initial(),
             importance=problem.frame_importance,
             executor=problem.executor,
@@ -153,13 +142,9 @@ class SolvedFrames:
             pass
         return _trimmed(skinning_of(problem, frames.alignment, frames.model))
 
-    def size(self, skinning: Skinning) -> Size:
-        """Size in bytes of a skinning, with weights counted in the type `problem.storage`."""
-        return size(skinning, storage=self.problem.storage)
-
     def bytes(self, model: Model) -> int:
         """Bytes of a model for all frames, in which every bone has a key at every frame."""
-        stored, frames = self.size(self.skinning(model)), self.data.n_frames
+        stored, frames = size(self.skinning(model)), self.data.n_frames
         return stored.total + stored.keys // frames * (self.problem.n_frames - frames)
 
 

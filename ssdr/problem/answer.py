@@ -19,7 +19,6 @@ from ..joints.placement import refit_joints, spanning_tree
 from ..metrics.normal_angles import NormalErrors, errors_of_model
 from ..normals import corner_normals
 from ..progress import Record
-from ..quantisation import is_stored
 from ..result import Decomposition
 from ..sequence import MeshSequence
 from ..skinning import Skinning
@@ -151,16 +150,14 @@ def _is_an_answer(problem: Problem, start: Skinning) -> bool:
     """Whether the call may return its start model unchanged.
 
     It may if the model has all frames of the problem, the call has neither importances nor
-    smoothness, the weights are already rounded for the storage and, for a rigid rig, the given
-    tree is rigid.
+    smoothness and, for a rigid rig, the given tree is rigid.
     """
     plain = not problem.weighted
     rigid = problem.rig != "rigid" or (
         problem.initial.tree is not None and problem.initial.tree.rigid
     )
     frames = start.n_frames == problem.n_frames
-    stored = is_stored(start.weights, problem.storage)
-    return plain and rigid and frames and stored and problem.smoothness == 0
+    return plain and rigid and frames and problem.smoothness == 0
 
 
 def _start_as_result(problem: Problem, found: Skinning) -> Skinning:

@@ -18,7 +18,6 @@ from ..checks import (
 from ..copies import told_apart
 from ..errors import InputError, check_choice, check_flag, is_real, is_whole
 from ..progress import Monitor
-from ..quantisation import WeightStorage
 from ..sequence import as_sequences, labels_of, without_copies
 from ..skinning import Skinning
 from ..solver.model import Constraints
@@ -68,7 +67,7 @@ def check_problem(
     """
     sequences = as_sequences(sequence, faces)
     n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
-    influences, storage = _check_stored(influences)
+    influences = check_influences(influences)
     bone_model = check_bone_model(bone_model)
     check_choice(effort, "effort", Effort)
     check_choice(rest_pose, "rest_pose", RestPose)
@@ -113,7 +112,6 @@ def check_problem(
         rows=rows,
         bones=bones,
         influences=influences,
-        storage=storage,
         effort=effort,
         rig=kind,
         names=names,
@@ -129,19 +127,6 @@ def check_problem(
         rng=check_rng(rng),
         monitor=Monitor(check_callback(callback), time_limit=time_limit, checkpoint=checkpoint),
     )
-
-
-def _check_stored(influences: Any) -> tuple[int, WeightStorage]:
-    """Check `influences`, a number or a pair (number, storage), and return it as a pair.
-
-    The pair is the largest number of influences per vertex, and the type in which weights are
-    stored.
-    """
-    if not (isinstance(influences, tuple) and len(influences) == 2):
-        return check_influences(influences), "float32"
-    count, storage = influences
-    check_choice(storage, "influences[1]", WeightStorage)
-    return check_influences(count), storage
 
 
 def _is_kind(rig: Any) -> bool:

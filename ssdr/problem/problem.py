@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from ..frames.executor import Executor, Local, executor_for
 from ..hierarchy.tree import Tree
 from ..progress import Monitor
-from ..quantisation import WeightStorage
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.alignment import Alignment
@@ -133,8 +132,6 @@ class Problem:
         Index of the vertex of `sequences` for each vertex of `inputs`; None if no two coincide in
         every frame.
     bones, influences : int
-    storage : {"float32", "uint16", "uint8"}
-        Type in which the weights will be stored.
     effort : {"fast", "balanced", "best"}
     rig : {"none", "loose", "rigid"}
     names : tuple of str
@@ -164,7 +161,6 @@ class Problem:
     rows: NDArray[np.intp] | None
     bones: int
     influences: int
-    storage: WeightStorage
     effort: Effort
     rig: RigKind
     names: tuple[str, ...]

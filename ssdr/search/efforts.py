@@ -31,8 +31,6 @@ class Numbers:
         Trials of a search for better weights on a skeleton.
     rounds : int
         How many times the weights on a skeleton are relaxed and searched.
-    rounding : int
-        Rounds of polish steps before weights are rounded to integers.
     """
 
     polish: int
@@ -42,18 +40,15 @@ class Numbers:
     limbs: int
     weight_trials: int
     rounds: int
-    rounding: int
 
 
 NUMBERS: dict[Effort, Numbers] = {
-    "fast": Numbers(
-        polish=10, settle=6, smooth=20, trees=1, limbs=1, weight_trials=0, rounds=0, rounding=0
-    ),
+    "fast": Numbers(polish=10, settle=6, smooth=20, trees=1, limbs=1, weight_trials=0, rounds=0),
     "balanced": Numbers(
-        polish=40, settle=20, smooth=100, trees=3, limbs=1, weight_trials=4, rounds=1, rounding=1
+        polish=40, settle=20, smooth=100, trees=3, limbs=1, weight_trials=4, rounds=1
     ),
     "best": Numbers(
-        polish=120, settle=60, smooth=400, trees=6, limbs=4, weight_trials=16, rounds=3, rounding=3
+        polish=120, settle=60, smooth=400, trees=6, limbs=4, weight_trials=16, rounds=3
     ),
 }
 

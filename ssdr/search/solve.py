@@ -12,7 +12,6 @@ computed a part.
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import math
 from collections.abc import Callable
@@ -22,15 +21,12 @@ from ..errors import InputError
 from ..problem.answer import Step, outcome_of, skinning_of
 from ..problem.problem import Initial, Problem
 from ..problem.scan import Scan, needs_streaming, scan, subset
-from ..progress import Stop
 from ..result import Decomposition
 from ..sequence import MeshSequence
 from ..solver.model import Model
 from ..solver.objective import WeightSmoothness
-from ..solver.rounding import rounded_models
 from ..solver.trajectories import Trajectories, gather
 from .descent import Descent, Schedule
-from .efforts import NUMBERS
 from .passes import ENTERING, AllFrames, carried
 from .schedules import follow_effort, settle
 
@@ -59,9 +55,10 @@ def solve(problem: Problem, schedule: Schedule | None = None) -> Decomposition:
     d = _begin(problem, data, initial, normals=True)
     del data  # frees the frames once they have been compressed
     reason = d.follow(schedule or _schedule_of(problem), _report(problem, d, sequences))
-    removable, (model, records) = d.removable_bones, _rounded_best(problem, d, done=1.0)
-    reason = problem.monitor.stopped or reason
-    return outcome_of(problem, d.data, model, records, reason=reason, removable=removable)
+    reason, records = problem.monitor.stopped or reason, list(d.records)
+    return outcome_of(
+        problem, d.data, d.best.model, records, reason=reason, removable=d.removable_bones
+    )
 
 
 def _solve_streamed(problem: Problem) -> Decomposition:
@@ -81,18 +78,18 @@ def _solve_streamed(problem: Problem) -> Decomposition:
     del data
     with monitor.part(SCANNED, _REPRESENTED):
         reason = d.follow(_schedule_of(problem), _report(problem, d, sequences))
-    later, done = problem, _REPRESENTED
+    later = problem
     if d.initial.transforms is None:  # those of a start may turn out to be of other frames
         initial = dataclasses.replace(problem.initial, transforms=None)
         later = dataclasses.replace(problem, initial=initial)
     if more is not None and monitor.stopped is None:
         d, sequences = _carried(later, d, chosen, more)
-        chosen, done = more, _SETTLED
+        chosen = more
         with monitor.part(_REPRESENTED, _SETTLED):
             last = partial(settle, effort=problem.effort)
             reason = d.follow(last, _report(problem, d, sequences))
-    removable, (model, _) = d.removable_bones, _rounded_best(problem, d, done=done)
-    model, records = _passes_over_all(later, d, chosen, model)
+    removable = d.removable_bones
+    model, records = _passes_over_all(later, d, chosen, d.best.model)
     reason = monitor.stopped or reason
     return outcome_of(problem, alignment, model, records, reason=reason, removable=removable)
 
@@ -134,45 +131,6 @@ def read_frames(
         compress=False,
     )
     return sequences, data, initial.inside(data)
-
-
-def rounded(
-    problem: Problem, data: Trajectories, model: Model, report: Callable[[Model], None]
-) -> Model:
-    """Round the weights of a model to the type `problem.storage`, and return the model.
-
-    After each round of polish steps `report` is called; if it raises Stop, the rounds end.
-    """
-    constraints = problem.constraints
-    if problem.smoothness > 0:  # the rounding would ignore this penalty
-        constraints = constraints.with_weights(data.n_vertices)
-    if problem.storage == "float32":
-        return model
-    rounds = NUMBERS[problem.effort].rounding
-    best = model
-    with contextlib.suppress(Stop):
-        for best in rounded_models(
-            data, model, problem.storage, constraints=constraints, rounds=rounds
-        ):
-            report(best)
-    return best
-
-
-def _rounded_best(problem: Problem, d: Descent, *, done: float) -> tuple[Model, list[Step]]:
-    """Round the weights of the best model for storage; return it and the records of all steps.
-
-    `done` is the fraction of the work already done.
-    """
-
-    def report(model: Model) -> None:
-        rmse = d.data.rmse(model.weighted_error(d.data))
-        problem.monitor.report("round weights", iteration=d.iteration, rmse=rmse, fraction=done)
-
-    model, records = rounded(problem, d.data, d.best.model, report), list(d.records)
-    if problem.storage != "float32":
-        error = model.weighted_error(d.data)
-        records.append((d.iteration, problem.monitor.elapsed, error, "round weights"))
-    return model, records
 
 
 def _begin(problem: Problem, data: Trajectories, initial: Initial, *, normals: bool) -> Descent:
@@ -247,8 +205,7 @@ def _passes_over_all(
     `model` was solved on the frames `chosen`.  Returns the last model and a record of each pass.
     """
     monitor, most, constraints = problem.monitor, PASSES[problem.effort], problem.constraints
-    if d.smoothness is not None or problem.storage != "float32":
-        # a pass ignores penalty and rounding, so it must not change the weights
+    if d.smoothness is not None:  # a pass ignores the penalty, so it must not change the weights
         constraints = constraints.with_weights(d.data.n_vertices)
     frames = AllFrames(
         problem.sequences,

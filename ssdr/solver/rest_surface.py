@@ -149,17 +149,6 @@ class RestSurface:
             reached += self.edges @ reached
         return np.flatnonzero(reached)
 
-    def extended(self, rows: NDArray[np.intp]) -> RestSurface:
-        """A surface with a row for each of the vertices `rows`.
-
-        The first V rows are all vertices in order, with the edges of this surface.  The other rows
-        are copies of vertices; these have no edges, and so are not pulled.
-        """
-        n, more = len(rows), len(rows) - len(self.pose)
-        known = self.edges.tocoo()
-        edges = csr_array((known.data, (known.row, known.col)), shape=(n, n))
-        return RestSurface(self.pose[rows], edges, np.pad(self.degree, (0, more)))
-
     def scaled(self, ratio: float) -> RestSurface:
         """The same surface in units of length that are 1/ratio times as large."""
         edges = csr_array(self.edges / ratio**2)

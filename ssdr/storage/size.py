@@ -7,9 +7,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import check_choice
 from ..hierarchy.transforms import rest_diagonal, translating
-from ..quantisation import WeightStorage
 from ..shapes import Shapes
 from ..skinning import Skinning, check_skinning
 
@@ -28,8 +26,7 @@ class Size:
         Bytes of the rest pose: 12 per vertex (three float32).
     weights : int
         Bytes of the weights: 1 per vertex for the number of its influences, and per influence 2 for
-        a weight of 16 bits (1 of 8 bits) and 1 for the bone's index (2 if there are more than 256
-        bones).
+        a weight of 16 bits and 1 for the bone's index (2 if there are more than 256 bones).
     joints : int
         Bytes of the joints: 12 per bone for its position in the rest pose, and in a hierarchy 1 for
         its parent (2 if there are more than 256 bones).
@@ -61,15 +58,13 @@ class Size:
         return self.rest + self.weights + self.joints + self.keys + self.shapes
 
 
-def size(skinning: Skinning, *, storage: WeightStorage = "uint16") -> Size:
+def size(skinning: Skinning) -> Size:
     """Bytes of a model: rest pose, nonzero weights, joints, and keys.
 
     Parameters
     ----------
     skinning : Skinning
         If its `keyframes` are None, every frame is a key of every bone.
-    storage : {"uint16", "uint8", "float32"}
-        Type in which a weight is stored; "float32" counts as "uint16", which is precise enough.
 
     Returns
     -------
@@ -92,8 +87,7 @@ def size(skinning: Skinning, *, storage: WeightStorage = "uint16") -> Size:
     keys = np.full(bones, frames)
     if skinning.keyframes is not None:
         keys = np.asarray(skinning.keyframes).sum(axis=0)
-    check_choice(storage, "storage", WeightStorage)
-    influence = influence_bytes(bones, storage)
+    influence = influence_bytes(bones)
     parent = index_bytes(bones) if skinning.parents is not None else 0
     times = np.where(keys < frames, keys * time_bytes(frames), 0)
     return Size(
@@ -118,9 +112,9 @@ def _shape_bytes(shapes: Shapes) -> int:
     return total
 
 
-def influence_bytes(bones: int, storage: WeightStorage) -> int:
-    """Number of bytes per influence: a weight of 16 bits, or of 8, and an index."""
-    return (1 if storage == "uint8" else 2) + index_bytes(bones)
+def influence_bytes(bones: int) -> int:
+    """Number of bytes per influence: a weight of 16 bits, and an index."""
+    return 2 + index_bytes(bones)
 
 
 def index_bytes(bones: int) -> int:

@@ -242,37 +242,6 @@ def rest_position(frames, indices, weights, transforms):
     return out
 
 
-def move_units(frames, rest, units, transforms, influences, *, move_rest):
-    """Units of weight (V, B) after the best moves of one unit, and squared errors, a vertex each.
-
-    With `move_rest` every move is judged at the rest position that suits it best.
-    """
-    units, errors = units.copy(), np.zeros(len(units))
-    for i in range(len(units)):
-        x = frames[:, i : i + 1]
-
-        def error(u, x=x, p=rest[i : i + 1]):
-            bones = np.flatnonzero(u)[None]
-            w = u[bones] / u.sum()
-            p = rest_position(x, bones, w, transforms) if move_rest else p
-            return squared_error(x, p, bones, w, transforms)[0]
-
-        errors[i] = error(units[i])
-        while True:
-            trials = []
-            for down in np.flatnonzero(units[i]):
-                for up in range(len(units[i])):
-                    u = units[i].copy()
-                    u[down] -= 1
-                    u[up] += 1
-                    if up != down and np.count_nonzero(u) <= influences:
-                        trials.append((error(u), tuple(u)))
-            if min(trials)[0] >= errors[i] * (1 - 1e-9):
-                break
-            errors[i], units[i] = min(trials)
-    return units, errors
-
-
 def dirichlet(faces, indices, weights, n_bones):
     """Sum over the mesh's edges of the squared jump of all weights."""
     dense = np.zeros((len(indices), n_bones))

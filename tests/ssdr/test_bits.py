@@ -61,7 +61,6 @@ CALLS: dict[str, Callable[[], Any]] = {
     "rig": lambda: Decompose(big(), bones=6, influences=3, rig="rigid"),
     "surface": lambda: Decompose(*sheet(), bones=4, effort="balanced"),
     "rig with a surface": lambda: Decompose(*sheet(), bones=4, rig="rigid"),
-    "8 bits": lambda: Decompose(*sheet(), bones=4, influences=(4, "uint8")),
     "smooth": lambda: Decompose(*sheet(), bones=4, smoothness=0.05),
     "smallest": lambda: ssdr.smallest(wavy(), tolerance="0.8%", effort="fast"),
     "gradients": gradients,

@@ -35,7 +35,6 @@ CALLS: dict[str, Callable[..., Any]] = {
     "affine": lambda s, f: ssdr.decompose(s, f, bones=4, bone_model="affine", effort="fast"),
     "free": lambda s, f: ssdr.decompose(s, f, bones=4, rest_pose="free", effort="fast"),
     "joints": lambda s, f: ssdr.decompose(s, f, bones=4, rig="rigid", effort="fast"),
-    "8 bits": lambda s, f: ssdr.decompose(s, f, bones=4, influences=(4, "uint8"), effort="fast"),
     "smooth": lambda s, f: ssdr.decompose(s, f, bones=4, smoothness=0.01, effort="fast"),
     "smallest": lambda s, f: ssdr.smallest(s, f, tolerance="2%", effort="fast"),
 }

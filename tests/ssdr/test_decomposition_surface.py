@@ -70,7 +70,7 @@ def test_surface_and_normals_are_paid_for_by_error() -> None:
 
 def test_a_cloud_of_points_has_neither() -> None:
     free: dict[str, Any] = {"rest_pose": "free", "normals": False}
-    for options in ({}, {"rig": "rigid"}, {"bone_model": "affine"}, {"influences": (4, "uint8")}):
+    for options in ({}, {"rig": "rigid"}, {"bone_model": "affine"}):
         options = {"bones": 4, "effort": "fast"} | options
         default, bare = (
             ssdr.decompose(frames(), **options),

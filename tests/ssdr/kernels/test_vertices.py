@@ -13,7 +13,6 @@ from helpers import motions, naive, terms
 from ssdr.kernels.lanes import LANES
 from ssdr.kernels.newton import polish_vertices
 from ssdr.kernels.polish import choose_influences
-from ssdr.kernels.rounding import move_units
 from ssdr.kernels.vertices import solve_vertices
 from ssdr.solver.model import Model
 from ssdr.solver.moments import transform_sums
@@ -219,40 +218,3 @@ def test_the_polish_ends_at_a_minimum(problem: Problem) -> None:
             options={"ftol": 1e-14, "maxiter": 200},
         )
         assert found.fun > least * (1 - 1e-4)
-
-
-@pytest.mark.parametrize("move_rest", [True, False])
-def test_units_move_while_the_error_falls(problem: Problem, move_rest: bool) -> None:
-    model, steps = problem.model, 7
-    rng = np.random.default_rng(0)
-    units = rng.multinomial(steps, np.full(BONES, 1 / BONES), size=N)
-    indices = np.argsort(-units, axis=1, kind="stable").astype(np.int32)
-    model.indices = indices
-    model.weights = np.take_along_axis(units, indices, axis=1) / steps
-    model.indices[model.weights == 0] = 0
-    rest = model.rest.copy()
-    y, x2, gram, _ = problem.sums()
-    pairs = np.ascontiguousarray(gram.transpose(0, 2, 1))
-    rows = model.rest, model.indices, model.weights, model.error, model.normals, model.normal_error
-    move_units(y, x2, pairs, *rows, problem.hold, LENGTH, LOCKED, move_rest, steps)
-
-    def best(i: int, u: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        w = u / steps
-        p, n = problem.best_places(i, w)
-        p = p if move_rest else rest[i]
-        return problem.error(i, w, p, n), p, n
-
-    for i in range(N):
-        u = units[i]
-        while not LOCKED[i]:
-            ways = [a - b for a in np.eye(BONES, dtype=int) for b in np.eye(BONES, dtype=int)]
-            trials = [u + way for way in ways if way.any() and (u + way >= 0).all()]
-            least = min(trials, key=lambda trial: best(i, trial)[0])
-            if best(i, least)[0] >= best(i, u)[0] * (1 - 1e-9):
-                break
-            u = least
-        _, p, n = best(i, u)
-        np.testing.assert_allclose(model.dense_weights()[i], u / steps, atol=1e-12)
-        np.testing.assert_allclose(model.rest[i], p, atol=1e-9)
-        np.testing.assert_allclose(model.normals[i, 0], n, atol=1e-9)
-    _errors_are_those_of_loops(problem)
