@@ -232,8 +232,9 @@ def _write_mp4(film: Film, path: Path, progress: Callable[[float], None]) -> Non
         stream.pix_fmt = "yuv420p"
         if codec == "libx264":
             stream.options = {"crf": "20", "preset": "slow"}
-        for picture in film.pictures(progress):
-            stream.width, stream.height = picture.size
+        for k, picture in enumerate(film.pictures(progress)):
+            if k == 0:
+                stream.width, stream.height = picture.size
             for packet in stream.encode(av.VideoFrame.from_image(picture)):
                 file.mux(packet)
         for packet in stream.encode():
