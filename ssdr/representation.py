@@ -1,8 +1,9 @@
-"""Representations of results in a few words, whatever the size of their arrays."""
+"""Representations of results: a few words, whatever the size of their arrays, or a notebook's cell."""
 
 from __future__ import annotations
 
 import dataclasses
+import importlib
 from typing import Any
 
 import numpy as np
@@ -27,3 +28,12 @@ def _short(value: Any) -> str:
     if shape is not None and dtype is not None and shape != ():
         return f"<{dtype} {tuple(shape)}>"
     return repr(value)
+
+
+def notebook_html(self: Any) -> str:
+    """HTML for a notebook: the ``_repr_html_`` of the classes that :func:`ssdr.view` takes.
+
+    The page is imported when it is shown: what draws models is above the models.
+    """
+    shown = importlib.import_module(".viewer.notebook", __package__)
+    return str(shown.notebook_html(self))

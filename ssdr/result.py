@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from .frames.error import share_of
 from .metrics.normal_angles import NormalErrors
 from .progress import Record
+from .representation import notebook_html
 from .skinning import Skinning
 
 
@@ -93,7 +94,4 @@ class Decomposition:
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.skinning!r}, rmse={self.rmse:.6g}, {self.stop_reason})"
 
-    def _repr_html_(self) -> str:
-        from .viewer.notebook import notebook_html
-
-        return notebook_html(self)
+    _repr_html_ = notebook_html

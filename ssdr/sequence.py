@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 from .checks import as_array, check_faces, check_range, remedy_of_shape
 from .copies import Selected, coincident, distinct
 from .errors import InputError, is_real
+from .representation import notebook_html
 from .space import UNKNOWN, Space, check_space
 from .surface import Material, Surface, check_surface
 
@@ -140,10 +141,7 @@ class MeshSequence:
             f"T={len(self.faces)}, fps={self.fps:g}, {self.vertices.dtype})"
         )
 
-    def _repr_html_(self) -> str:
-        from .viewer.notebook import notebook_html
-
-        return notebook_html(self)
+    _repr_html_ = notebook_html
 
     def frames(self, index: int | slice | ArrayLike) -> NDArray[np.floating]:
         """Read frames into memory: ``(n, V, 3)``, or ``(V, 3)`` if `index` is an integer."""

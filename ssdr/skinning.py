@@ -15,6 +15,7 @@ from .errors import InputError, check_choice, is_whole
 from .hierarchy.articulated import Articulated
 from .hierarchy.transforms import check_parents
 from .lbs import skin, skin_each
+from .representation import notebook_html
 from .sequence import check_vertex_map
 from .shapes import Shapes
 from .space import UNKNOWN, Space, check_space
@@ -243,10 +244,7 @@ class Skinning(Articulated):
             f"F={self.n_frames}, {shapes}{self.bone_model})"
         )
 
-    def _repr_html_(self) -> str:
-        from .viewer.notebook import notebook_html
-
-        return notebook_html(self)
+    _repr_html_ = notebook_html
 
     def names(self) -> tuple[str, ...]:
         """Names of the bones."""

@@ -24,11 +24,15 @@ from ssdr.hierarchy.bone_ends import limb_ends
 from ssdr.render import FABRIC, SKIN
 from ssdr.render.palette import bone_colors, srgb_from_linear
 from ssdr.surface import Material, Surface
-from ssdr.viewer.blocks import Blocks
+from ssdr.viewer.blocks import (
+    Blocks,
+    difference_entry,
+    heat_scales,
+    surface_entries,
+    weight_entries,
+)
 from ssdr.viewer.motion import Outermost
 from ssdr.viewer.page import PARTS, WEB, assembled
-from ssdr.viewer.payload import difference_entry, heat_scales, weight_entries
-from ssdr.viewer.surface import surface_entries
 
 from ..collision.outward import push_of
 from ..data.parameters import RANGES, SimulationParameters

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..checks import LARGEST
 from ..errors import InputError
+from ..parallel import chunk_bounds
 from ..sequence import MeshSequence
 from ..skinning import Skinning, skinning_in
 
@@ -94,7 +95,7 @@ def _at_vertices_of(model: MeshSequence | Skinning, sequence: MeshSequence) -> M
     return dataclasses.replace(chosen, faces=model.faces, surface=model.surface, validate=False)
 
 
-def check_finite(first: MeshSequence, second: MeshSequence, *results: Any) -> None:
+def check_finite(first: MeshSequence, second: MeshSequence | Skinning, *results: Any) -> None:
     """Raise an InputError if a result is not finite.
 
     Raises
@@ -107,8 +108,8 @@ def check_finite(first: MeshSequence, second: MeshSequence, *results: Any) -> No
         return
     expected = f"coordinates of less than {LARGEST:g}, which can be squared and summed"
     for name, sequence in (("reference", first), ("other", second)):
-        for start, block in sequence.chunks():
-            size = np.abs(block).max(axis=(1, 2))
+        for start, stop in chunk_bounds(sequence.n_frames, chunk_size(sequence)):
+            size = np.abs(read(sequence, start, stop)).max(axis=(1, 2))
             if not size.max() < LARGEST:
                 raise InputError(name, expected, f"larger ones in frame {start + size.argmax()}")
     raise InputError("reference and other", "a result within float64", "parameters that give none")
@@ -121,11 +122,13 @@ def edges_of(first: MeshSequence, second: MeshSequence) -> NDArray[np.int32]:
     return np.unique(ends[ends[:, 0] != ends[:, 1]], axis=0)
 
 
-def chunk_size(sequence: MeshSequence, per_frame: int = 0) -> int:
+def chunk_size(sequence: MeshSequence | Skinning, per_frame: int = 0) -> int:
     """Number of frames in a chunk, if a frame takes `per_frame` numbers (at least 3 V)."""
     return max(1, _CHUNK_BYTES // (8 * max(per_frame, 3 * sequence.n_vertices)))
 
 
-def read(sequence: MeshSequence, start: int, stop: int) -> NDArray[np.float64]:
-    """Read the frames ``start:stop`` as a float64 array ``(n, V, 3)``."""
-    return np.asarray(sequence.frames(slice(start, stop)), dtype=np.float64)
+def read(frames: MeshSequence | Skinning, start: int, stop: int) -> NDArray[np.float64]:
+    """Read or skin the frames ``start:stop`` as a float64 array ``(n, V, 3)``."""
+    some = slice(start, stop)
+    block = frames.skin(some) if isinstance(frames, Skinning) else frames.frames(some)
+    return np.asarray(block, dtype=np.float64)

@@ -8,10 +8,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..frames.error import motion_rms, share_of
+from ..frames.error import motion_rms, rmse_of, share_of
 from ..parallel import chunk_bounds
 from ..representation import short_repr
-from .inputs import Frames, as_pair, check_finite, chunk_size, read
+from ..skinning import Skinning, skinning_in
+from .inputs import Frames, as_pair, as_sequence, check_finite, chunk_size, matched, read
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -94,15 +95,20 @@ def distances(reference: Frames, other: Frames) -> Distances:
     >>> round(result.mean, 3), result.per_frame.shape
     (5.0, (2,))
     """
-    first, second = as_pair(reference, other)
+    model = skinning_in(other)
+    first, second = as_sequence(reference, None, "reference"), model
+    if isinstance(model, Skinning):
+        first = matched(first, model)
+    else:
+        first, second = as_pair(first, model)
     n_frames, n_vertices = first.n_frames, first.n_vertices
     per_frame = np.empty(n_frames)
     per_vertex = np.zeros(n_vertices)
     total, largest, where, diagonal = 0.0, -1.0, (0, 0), 0.0
     for start, stop in chunk_bounds(n_frames, chunk_size(first)):
-        a, b = read(first, start, stop), read(second, start, stop)
+        a = read(first, start, stop)
         with np.errstate(over="ignore", invalid="ignore"):
-            square = ((a - b) ** 2).sum(axis=2)
+            square = ((a - read(second, start, stop)) ** 2).sum(axis=2)
             extent = ((a.max(axis=1) - a.min(axis=1)) ** 2).sum(axis=1)
         check_finite(first, second, square, extent)
         per_frame[start:stop] = square.mean(axis=1)
@@ -112,7 +118,7 @@ def distances(reference: Frames, other: Frames) -> Distances:
         if square[t, i] > largest:
             largest, where = float(square[t, i]), (start + int(t), int(i))
         diagonal = max(diagonal, float(extent.max()))
-    pooled = math.sqrt(per_vertex.sum() / (n_frames * n_vertices))
+    pooled = rmse_of(per_vertex, n_frames)
     diagonal = math.sqrt(diagonal)
     motion = motion_rms([first])
     share = pooled / diagonal if diagonal > 0 else (0.0 if pooled == 0 else math.inf)

@@ -1,26 +1,24 @@
-"""Bounding boxes, errors and path of a model and its input, from one pass over all frames."""
+"""Bounding boxes, path and errors of a model and its input, from one pass over all frames."""
 
 from __future__ import annotations
 
 import dataclasses
-import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import check_squarable
-from ..errors import InputError
+from ..metrics.inputs import chunk_size, read
+from ..parallel import chunk_bounds
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 
 Float = NDArray[np.float64]
 _OUTLINES = 64  # frames whose outermost vertices are looked for
-_CHUNK_BYTES = 32 << 20  # of vertices that are skinned at a time
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class MotionFigures:
+class Motion:
     """Extent, path and errors of a model over all frames.
 
     Attributes
@@ -35,8 +33,8 @@ class MotionFigures:
         Outermost vertices as in `whole`, after `path` is subtracted from them.
     diagonal : float
         Diagonal of the bounding box (of the reference, if any) in the frame where it is largest.
-    mean, rms, largest, high : (F,) float64
-        Mean, root mean square, largest and 99.5th percentile of the errors of each frame.
+    mean, largest, high : (F,) float64
+        Mean, largest and 99.5th percentile of the errors of each frame.
     worst : (F,) int64
         Index of the vertex with the largest error in each frame.
     reach : float
@@ -49,73 +47,15 @@ class MotionFigures:
     body: Float
     diagonal: float
     mean: Float
-    rms: Float
     largest: Float
     high: Float
     worst: NDArray[np.int64]
     reach: float
 
-    @property
-    def rmse(self) -> float:
-        """Root mean square of all errors."""
-        return math.sqrt(float((self.rms**2).mean()))
-
-    @property
-    def worst_frame(self) -> int:
-        """Index of the frame with the largest error."""
-        return int(self.largest.argmax())
-
-    def in_words(self, length: float) -> str:
-        """Text of a length, with its percentage of the diagonal."""
-        return f"{length:.3g} ({100 * length / (self.diagonal or 1.0):.2g} %)"
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Truth:
-    """A reference sequence, read at the vertices of the model.
-
-    `rows` (V,) holds the reference's indices of these vertices if the model was welded and the
-    reference was not.  Otherwise it is None.
-    """
-
-    sequence: MeshSequence
-    rows: NDArray[np.intp] | None
-
-    @classmethod
-    def of(cls, model: Skinning, reference: MeshSequence) -> Truth:
-        """Check that a reference has the frames and vertices of a model, and return it as a Truth.
-
-        Raises
-        ------
-        InputError
-            If its number of frames or vertices differs from the model's.
-        """
-        rows, count = None, model.n_vertices
-        if model.vertex_map is not None and reference.n_vertices != count:
-            count = len(model.vertex_map)
-            _, rows = np.unique(model.vertex_map, return_index=True)
-        if (reference.n_frames, reference.n_vertices) != (model.n_frames, count):
-            raise InputError(
-                "reference",
-                f"{model.n_frames} frames of {count} vertices, as the model has",
-                f"{reference.n_frames} frames of {reference.n_vertices}",
-            )
-        return cls(reference, rows)
-
-    def on(self, model: Skinning) -> MeshSequence:
-        """The reference with the vertices, triangles and hard edges of the model."""
-        vertices = self.sequence.vertices if self.rows is None else self.read(slice(None))
-        return MeshSequence(vertices, model.faces, surface=model.surface, validate=False)
-
-    def read(self, frames: slice) -> Float:
-        """Vertices ``(f, V, 3)`` of some frames."""
-        block = np.asarray(self.sequence.frames(frames), dtype=np.float64)
-        return block if self.rows is None else block[:, self.rows]
-
 
 def walk(
-    model: Skinning, truth: Truth | None, vertical: Float, *, hidden: bool = False
-) -> MotionFigures:
+    model: Skinning, truth: MeshSequence | None, vertical: Float, *, hidden: bool = False
+) -> Motion:
     """Extent and path of a model over all frames, and its errors against a reference.
 
     A `hidden` model counts only for the errors, not for extent and path.
@@ -125,49 +65,42 @@ def walk(
     InputError
         If coordinates are too large to be squared.
     """
-    boxes, paths, diagonal, reach = [], [], 0.0, 0.0
+    count = model.n_frames
+    boxes, path = np.empty((count, 2, 3)), np.empty((count, 3))
+    mean, largest, high = np.zeros((3, count))
+    worst, diagonal, reach = np.zeros(count, dtype=np.int64), 0.0, 0.0
     outer = Outermost(), Outermost()
-    every_nth = -(-model.n_frames // _OUTLINES)
-    found: list[tuple[Any, ...]] = []
-    for frames in _chunks(model.n_frames, model.n_vertices):
-        shown = model.skin(frames, dtype=np.float64)
+    every_nth = -(-count // _OUTLINES)
+    for start, stop in chunk_bounds(count, chunk_size(model)):
+        some = slice(start, stop)
+        shown = model.skin(some, dtype=np.float64)
         check_squarable(shown, "model")
         seen = [] if hidden else [shown]
-        if truth is None:
-            found.append((np.zeros(len(shown)),) * 4 + (np.zeros(len(shown), dtype=np.int64),))
-        else:
-            off = truth.read(frames)
-            check_squarable(off, "reference")
-            size_of = np.linalg.norm(np.ptp(off, axis=1), axis=1)
-            diagonal = max(diagonal, float(size_of.max()))
-            seen.append(off)
-            off = off - shown
+        if truth is not None:
+            true = read(truth, start, stop)
+            check_squarable(true, "reference")
+            seen.append(true)
+            off = true - shown
             reach = max(reach, float(np.abs(off).max()))
             error = np.linalg.norm(off, axis=2)
-            mean, rms = error.mean(axis=1), np.sqrt((error**2).mean(axis=1))
-            high = np.quantile(error, 0.995, axis=1)
-            found.append((mean, rms, error.max(axis=1), high, error.argmax(axis=1)))
+            mean[some], largest[some] = error.mean(axis=1), error.max(axis=1)
+            high[some], worst[some] = np.quantile(error, 0.995, axis=1), error.argmax(axis=1)
         points = seen[0] if len(seen) == 1 else np.concatenate(seen, axis=1)
-        box = np.stack([points.min(axis=1), points.max(axis=1)], axis=1)
-        boxes.append(box)
-        path = box.mean(axis=1) - boxes[0][0].mean(axis=0)
-        paths.append(path - np.outer(path @ vertical, vertical))
-        for k in range(-frames.start % every_nth, len(points), every_nth):
+        boxes[some] = np.stack([points.min(axis=1), points.max(axis=1)], axis=1)
+        size = np.linalg.norm(np.ptp(seen[-1], axis=1), axis=1)
+        diagonal = max(diagonal, float(size.max()))
+        path[some] = boxes[some].mean(axis=1) - boxes[0].mean(axis=0)
+        path[some] -= np.outer(path[some] @ vertical, vertical)
+        for k in range(-start % every_nth, len(points), every_nth):
             outer[0].add(points[k])
-            outer[1].add(points[k] - paths[-1][k])
-    every = np.concatenate(boxes)
-    center = (every[:, 0].min(axis=0) + every[:, 1].max(axis=0)) / 2
-    if truth is None:
-        diagonal = float(np.linalg.norm(every[:, 1] - every[:, 0], axis=1).max())
-    mean, rms, largest, high, worst = (np.concatenate(x) for x in zip(*found, strict=True))
-    return MotionFigures(
-        center=center,
+            outer[1].add(points[k] - path[start + k])
+    return Motion(
+        center=(boxes[:, 0].min(axis=0) + boxes[:, 1].max(axis=0)) / 2,
         whole=outer[0].points,
-        path=np.concatenate(paths),
+        path=path,
         body=outer[1].points,
         diagonal=diagonal,
         mean=mean,
-        rms=rms,
         largest=largest,
         high=high,
         worst=worst,
@@ -196,8 +129,3 @@ class Outermost:
         farther = reach > self._reach
         self._reach[farther] = reach[farther]
         self.points[farther] = points[last[farther]]
-
-
-def _chunks(n_frames: int, n_vertices: int) -> list[slice]:
-    step = max(1, _CHUNK_BYTES // (24 * n_vertices))
-    return [slice(k, min(k + step, n_frames)) for k in range(0, n_frames, step)]

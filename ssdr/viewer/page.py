@@ -14,13 +14,9 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
-from ..checks import check_whole
-from ..errors import InputError, check_flag
+from ..errors import check_flag
 from ..io.atomic import atomic_path
-from ..render.camera import up_axes
-from ..sequence import MeshSequence, as_sequences, joined
-from ..skinning import Skinning, skinning_in
-from .payload import Payload, payload
+from .payload import MAX_BYTES, Payload, payload
 
 WEB = files(__package__) / "web"
 # Joined into one script in this order: each may use the names of those before it.
@@ -38,7 +34,6 @@ PARTS = tuple(
         "keys",
     )
 )
-_MAX_BYTES = 64_000_000
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -79,7 +74,7 @@ def view(
     keep_input: bool = True,
     file: Path | str | None = None,
     reference_name: str = "",
-    max_bytes: int = _MAX_BYTES,
+    max_bytes: int = MAX_BYTES,
     open: bool | None = None,
 ) -> Page:
     """Write a page that shows a model or a sequence beside a reference; open it in the browser.
@@ -156,33 +151,9 @@ def view(
     )
 
 
-def page_text(
-    model: Any,
-    reference: Any = None,
-    *,
-    title: str | None = None,
-    up: str = "y",
-    keep_input: bool = True,
-    file: Path | str | None = None,
-    reference_name: str = "",
-    max_bytes: int = _MAX_BYTES,
-) -> tuple[str, Payload]:
-    """HTML text of a page, and its Payload; parameters and errors are those of :func:`view`."""
-    subject = skinning_in(model)
-    if not isinstance(subject, (Skinning, MeshSequence)):
-        expected = "a Skinning, Decomposition or MeshSequence"
-        raise InputError("model", expected, type(model).__name__)
-    up_axes(up)
-    content = payload(
-        subject,
-        None if reference is None else joined(as_sequences(reference)),
-        title=title or subject.name or "Animation",
-        up=up,
-        keep_input=check_flag(keep_input, "keep_input"),
-        file=None if file is None else Path(file),
-        reference_name=reference_name or "the input",
-        max_bytes=check_whole(max_bytes, "max_bytes", 1),
-    )
+def page_text(model: Any, reference: Any = None, **options: Any) -> tuple[str, Payload]:
+    """HTML text of a page, and its Payload; parameters and errors are those of :func:`payload`."""
+    content = payload(model, reference, **options)
     scripts = (*PARTS, WEB / "main.js", WEB / "pair.js")
     return assembled(content.document, content.blocks, scripts), content
 

@@ -9,34 +9,35 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.filesize import decimal
 
 from .. import metrics
+from ..checks import check_whole
 from ..clips import Clip
 from ..driving import is_driven
-from ..errors import InputError
+from ..errors import InputError, check_flag
 from ..frames.normals import holders_of
 from ..hierarchy.bone_ends import limb_ends
 from ..hierarchy.transforms import RIGID, rest_diagonal
 from ..io.corners import rest_normals
+from ..metrics.inputs import matched
+from ..metrics.normal_angles import known_errors
 from ..render.camera import up_axes
-from ..render.palette import bone_colors, heat, mix, srgb_from_linear
-from ..sequence import MeshSequence
-from ..skinning import Skinning
+from ..render.palette import bone_colors, mix, srgb_from_linear
+from ..sequence import MeshSequence, as_sequences, joined
+from ..skinning import Skinning, skinning_in
+from ..storage.size import size
 from ..surface import Surface
-from .blocks import Blocks
-from .figures import figures, summary
-from .motion import MotionFigures, Truth, walk
-from .surface import surface_entries
+from .blocks import Blocks, difference_entry, heat_scales, surface_entries, weight_entries
+from .motion import Motion, walk
 
+MAX_BYTES = 64_000_000
 MOST_INFLUENCES = 8  # that the shader sums
-_SPAN_BYTES = 1 << 20  # of 16-bit differences that are decoded at a time
-_WEIGHT_STEPS = 1 << 20
 _EMPTY_BYTES = 100_000  # of a page without content: markup, style and script
 _LEAST_ANGLE = 1.0  # degrees at the end of a scale
 _TRAVELS = 0.8  # of the diagonal: the camera follows a mesh that goes farther
@@ -62,42 +63,53 @@ class Payload:
 
 
 def payload(
-    subject: Skinning | MeshSequence,
-    reference: MeshSequence | None,
+    model: Any,
+    reference: Any = None,
     *,
-    title: str,
-    up: str,
-    keep_input: bool,
-    file: Path | None,
-    reference_name: str,
-    max_bytes: int,
+    title: str | None = None,
+    up: str = "y",
+    keep_input: bool = True,
+    file: Path | str | None = None,
+    reference_name: str = "",
+    max_bytes: int = MAX_BYTES,
 ) -> Payload:
     """Content of the page of a model and its input; arguments are those of :func:`ssdr.view`.
 
     Raises
     ------
     InputError
-        If the reference does not match the model, or even one frame is too large for a page.
+        If an argument is not valid, the reference does not match the model, or even one frame is
+        too large for a page.
     """
+    subject = skinning_in(model)
+    if not isinstance(subject, (Skinning, MeshSequence)):
+        expected = "a Skinning, Decomposition or MeshSequence"
+        raise InputError("model", expected, type(model).__name__)
     basis = np.stack([up_axes(up)[k] for k in (2, 0, 1)])
+    check_flag(keep_input, "keep_input")
+    check_whole(max_bytes, "max_bytes", 1)
+    file = None if file is None else Path(file)
+    truth = None if reference is None else joined(as_sequences(reference))
     skinned, alone = isinstance(subject, Skinning), False
     if isinstance(subject, Skinning):
         model = subject
-    elif reference is not None:
+    elif truth is not None:
         model = _of_vertices(subject)
     else:
         model, alone = _standing(subject), True
-        reference, keep_input = subject, True
+        truth, keep_input = subject, True
     notes = []
     if model.n_influences > MOST_INFLUENCES:
         model = model.prune(MOST_INFLUENCES)
         notes.append(f"The {MOST_INFLUENCES} largest weights of each vertex are shown.")
-    truth = None if reference is None else Truth.of(model, reference)
+    if truth is not None:
+        own = {"faces": model.faces, "surface": model.surface, "vertex_map": None}
+        truth = dataclasses.replace(matched(truth, model), **own, validate=False)
     motion = walk(model, truth, basis[1], hidden=alone)
-    measured = None if alone else truth
-    angles = (
-        None if measured is None else _angles(measured.on(model), model if skinned else subject)
-    )
+    errors = angles = None
+    if truth is not None and not alone:
+        errors = metrics.distances(truth, model)
+        angles = known_errors(truth, model if skinned else subject)
     scale = motion.diagonal or 1.0
     surface = model.surface
     if skinned:
@@ -107,7 +119,7 @@ def payload(
     rest = model.rest.astype(np.float64)
     rest_center = (rest.min(axis=0) + rest.max(axis=0)) / 2
     document: dict[str, Any] = {
-        "title": title,
+        "title": title or subject.name or "Animation",
         "skinned": skinned,
         "basis": basis.ravel().tolist(),
         "vertices": model.n_vertices,
@@ -126,14 +138,14 @@ def payload(
             blocks,
             notes,
             turned=skinned,
-            holders=None if truth is None else holders_of(truth.on(model), model),
+            holders=None if truth is None else holders_of(truth, model),
         ),
         **_shape_entries(model, scale, blocks),
         "rig": _rig(model, rest_center, scale, blocks) if skinned else None,
     }
-    held = truth is not None and keep_input
+    held = truth if keep_input else None
     fixed = sum(map(len, blocks.data)) + len(json.dumps(document)) + _EMPTY_BYTES
-    step = _thinning(model, fixed, max_bytes, held)
+    step = _thinning(model, fixed, max_bytes, held is not None)
     frames = np.concatenate([np.arange(c.start, c.stop, step) for c in model.clips])
     if step > 1:
         notes.append(
@@ -153,11 +165,13 @@ def payload(
         "transforms": blocks.fixed(transforms),
         "path": blocks.array((motion.path[frames] / scale).astype(np.float32)),
         "follow": bool(np.linalg.norm(np.ptp(motion.path, axis=0)) > _TRAVELS * scale),
-        "error": None if measured is None else _error(motion, frames),
+        "error": errors and _error(motion, errors, frames),
         "angles": angles and {"mean": angles.mean, "top": max(angles.p95, _LEAST_ANGLE)},
-        "input": _input(model, truth, motion, frames, scale, blocks) if truth and held else None,
-        "summary": summary(model, skinned, motion, measured, file),
-        "figures": figures(model, skinned, motion, measured, angles, file, reference_name),
+        "input": held and _input(model, held, motion.reach, frames, scale, blocks),
+        "summary": _summary(model, skinned, errors, file),
+        "figures": _figures(
+            model, skinned, motion.diagonal, errors, angles, file, reference_name or "the input"
+        ),
         "notes": notes,
     }
     return Payload(document=document, blocks=tuple(blocks.data), notes=tuple(notes))
@@ -183,23 +197,6 @@ def _bones_of(sequence: MeshSequence, bones: NDArray[Any], transforms: NDArray[A
     kept = {name: getattr(sequence, name) for name in names}
     rest, weights = sequence.frames(0), np.ones((sequence.n_vertices, 1), dtype=np.float32)
     return Skinning(rest, bones[:, None], weights, transforms, **kept)
-
-
-def weight_entries(model: Skinning, blocks: Blocks) -> dict[str, Any]:
-    """Append indices and weights, the largest first, to `blocks`; return their document entries.
-
-    The stored weights of a vertex sum to exactly 1.
-    """
-    order = np.argsort(-model.weights, axis=1, kind="stable")
-    weights = np.take_along_axis(model.weights, order, axis=1).astype(np.float64)
-    steps = np.rint(_WEIGHT_STEPS * weights).astype(np.int32)
-    steps[:, 0] += _WEIGHT_STEPS - steps.sum(axis=1)
-    used = max(1, int((steps > 0).any(axis=0).sum()))
-    indices = np.where(steps > 0, np.take_along_axis(model.indices, order, axis=1), 0)
-    return {
-        "indices": blocks.array(indices[:, :used].astype(np.uint32)),
-        "weights": {**blocks.array(steps[:, :used]), "step": 1 / _WEIGHT_STEPS},
-    }
 
 
 def _rig(model: Skinning, center: Float, scale: float, blocks: Blocks) -> dict[str, Any]:
@@ -246,18 +243,6 @@ def _shape_entries(model: Skinning, scale: float, blocks: Blocks) -> dict[str, A
     }
 
 
-def heat_scales() -> list[list[list[float]]]:
-    """Colour scales of the error for a light and a dark page, the smallest error first (sRGB)."""
-    scales = heat(np.linspace(0, 1, 16)), _from_grey(heat(np.linspace(0.6, 0, 16)))
-    return [srgb_from_linear(colors).round(4).tolist() for colors in scales]
-
-
-def _from_grey(colors: Float) -> Float:
-    """Colours (linear RGB) of which the first five fade in from a medium grey."""
-    grey = np.linspace(1.0, 0.0, 6)[:, None]
-    return np.concatenate([grey * 0.2 + (1 - grey) * colors[:6], colors[6:]])
-
-
 def _thinning(model: Skinning, fixed: int, max_bytes: int, held: bool) -> int:
     """Smallest frame step at which a page fits `max_bytes` even if nothing can be compressed.
 
@@ -289,33 +274,23 @@ def _clips(clips: tuple[Clip, ...], step: int) -> list[dict[str, Any]]:
     return found
 
 
-def _error(motion: MotionFigures, frames: NDArray[np.int64]) -> dict[str, Any]:
+def _error(motion: Motion, errors: metrics.Distances, frames: NDArray[np.int64]) -> dict[str, Any]:
     """Errors of the frames shown, in the mesh's units, and the top of the colour scale."""
     return {
         "mean": motion.mean[frames].tolist(),
         "largest": motion.largest[frames].tolist(),
         "worst": motion.worst[frames].tolist(),
-        "top": max(float(motion.high.max()), 1e-6 * (motion.diagonal or 1.0)),
-        "max": float(motion.largest.max()),
-        "frame": motion.worst_frame,
-        "diagonal": motion.diagonal,
+        "top": max(float(motion.high.max()), 1e-6 * (errors.diagonal or 1.0)),
+        "max": errors.max,
+        "frame": errors.max_frame,
+        "diagonal": errors.diagonal,
     }
-
-
-def _angles(
-    reference: MeshSequence, subject: Skinning | MeshSequence
-) -> metrics.NormalErrors | None:
-    """Error of normals, or None if no triangle has an area."""
-    try:
-        return metrics.normals(reference, subject)
-    except InputError:
-        return None
 
 
 def _input(
     model: Skinning,
-    truth: Truth,
-    motion: MotionFigures,
+    truth: MeshSequence,
+    reach: float,
     frames: NDArray[np.int64],
     scale: float,
     blocks: Blocks,
@@ -324,31 +299,79 @@ def _input(
 
     def difference(k: int) -> Float:
         one = slice(int(frames[k]), int(frames[k]) + 1)
-        off: Float = truth.read(one)[0] - model.skin(one, dtype=np.float64)[0]
-        return off
+        return np.asarray((truth.frames(one) - model.skin(one, dtype=np.float64))[0])
 
-    count = len(frames), model.n_vertices
-    return difference_entry(difference, *count, motion.reach, scale, blocks)
+    return difference_entry(difference, len(frames), model.n_vertices, reach, scale, blocks)
 
 
-def difference_entry(
-    difference: Callable[[int], NDArray[np.floating]],
-    n_frames: int,
-    n_vertices: int,
-    reach: float,
-    scale: float,
-    blocks: Blocks,
-) -> dict[str, Any]:
-    """Append the 16-bit differences of an input in spans of frames; return their document entry.
+def _figures(
+    model: Skinning,
+    skinned: bool,
+    diagonal: float,
+    errors: metrics.Distances | None,
+    angles: metrics.NormalErrors | None,
+    file: Path | None,
+    reference_name: str,
+) -> list[tuple[str, str, str]]:
+    """Rows of a table: name, value, and where the value comes from."""
+    cache = 12 * model.n_frames * model.n_vertices
+    cached = "every vertex of every frame in float32"
+    seconds = sum(clip.n_frames / clip.fps for clip in model.clips)
+    rows = [
+        ("Vertices", f"{model.n_vertices:,}", f"{len(model.faces):,} triangles"),
+        ("Frames", f"{model.n_frames:,}", f"{seconds:.3g} seconds"),
+    ]
+    if skinned:
+        held = size(model)
+        tree = "without a hierarchy" if model.parents is None else "in a hierarchy"
+        used = int((model.weights > 0).sum(axis=1).max())
+        rows += [
+            ("Bones", f"{model.n_bones:,}", f"{model.bone_model}, {tree}"),
+            ("Influences", f"{used}", "most bones that move one vertex"),
+        ]
+        if file is not None:
+            rows.append(("File", decimal(file.stat().st_size), file.name))
+        rows += [
+            ("Animation", decimal(held.keys), "keys of the bones in float32"),
+            ("Mesh and weights", decimal(held.total - held.keys), "as an engine stores them"),
+        ]
+        times = f"{cache / max(held.total, 1):,.1f} × the {decimal(held.total)} of"
+        times += " animation, mesh and weights"
+        if file is not None:
+            times = f"{cache / max(file.stat().st_size, 1):,.1f} × the file ({times})"
+        rows.append(("Vertex cache", decimal(cache), f"{cached}: {times}"))
+    else:
+        rows.append(("Vertex cache", decimal(cache), cached))
+    if errors is not None:
+        source = f"root mean square over all frames and vertices, against {reference_name}"
+        where = f"in frame {errors.max_frame} at vertex {errors.max_vertex}"
+        rows += [
+            ("RMSE", _with_share(errors.rmse, errors.diagonal), source),
+            ("Largest error", _with_share(errors.max, errors.diagonal), where),
+        ]
+    unit = "the mesh's units; per cent above are of this"
+    rows.append(("Diagonal", f"{diagonal:.4g}", unit))
+    if angles is not None:
+        source = f"mean angle to those of {reference_name}"
+        source += ", as engines draw them" if skinned else ""
+        source += f"; 95 % within {angles.p95:.3g}°, {100 * angles.inwards:.2g} % inwards"
+        rows.append(("Normals", f"{angles.mean:.3g}°", source))
+    return rows
 
-    `difference` returns those (V, 3) of a frame, `reach` is the largest, and `scale` the length of
-    the page's unit.
-    """
-    step = (reach or 1.0) / 32767
-    length = max(1, _SPAN_BYTES // (6 * n_vertices))
-    spans = []
-    for start in range(0, n_frames, length):
-        some = range(start, min(start + length, n_frames))
-        off = np.stack([np.rint(difference(k) / step).astype(np.int16) for k in some])
-        spans.append(blocks.array(off, delta=True))
-    return {"step": step / scale, "length": length, "spans": spans}
+
+def _with_share(length: float, diagonal: float) -> str:
+    """Text of a length, with its percentage of the diagonal."""
+    return f"{length:.3g} ({100 * length / (diagonal or 1.0):.2g} %)"
+
+
+def _summary(
+    model: Skinning, skinned: bool, errors: metrics.Distances | None, file: Path | None
+) -> str:
+    """One line of text with the most important quantities."""
+    parts = [f"{model.n_bones:,} bones"] if skinned else []
+    parts += [f"{model.n_vertices:,} vertices", f"{model.n_frames:,} frames"]
+    if errors is not None:
+        parts.append(f"RMSE {_with_share(errors.rmse, errors.diagonal)}")
+    if file is not None:
+        parts.append(f"file {decimal(file.stat().st_size)}")
+    return " · ".join(parts)
