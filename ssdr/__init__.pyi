@@ -32,8 +32,6 @@ from .io import load as load
 from .io import load_clips as load_clips
 from .io import load_skinning as load_skinning
 from .io import save as save
-from .joints.mirror import Mirror as Mirror
-from .joints.mirror import find_mirror as find_mirror
 from .lbs import SkinGradients as SkinGradients
 from .lbs import skin as skin
 from .lbs import skin_gradients as skin_gradients
