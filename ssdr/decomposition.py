@@ -30,11 +30,12 @@ def decompose(
     effort: Effort = "balanced",
     bone_model: BoneModel = "rigid",
     rig: str | Skeleton | None = None,
-    start: Skinning | Decomposition | Start | MeshSequence | int | None = None,
+    start: Skinning | Decomposition | Start | None = None,
     vertex_importance: Any = None,
     frame_importance: Any = None,
     smoothness: float = 0.0,
     rest_pose: RestPose = "surface",
+    rest_frame: int | None = None,
     normals: bool = True,
     rng: int | np.random.Generator = 0,
     time_limit: float | None = None,
@@ -73,13 +74,11 @@ def decompose(
         be posed; only roots translate freely.  "loose": bones are found without a hierarchy and
         then connected by the tree with the smallest gaps, so that joints may come apart.  The
         bones, parents and names of a :class:`Skeleton` are kept.
-    start : Skinning, Decomposition, Start, MeshSequence or int, optional
+    start : Skinning, Decomposition or Start, optional
         A model to start from, such as a checkpoint: the error of the result is never above that of
         this model nor, if neither `rig` nor `smoothness` is given, above that of the same call
         without `start`.  If its frames differ from those of `sequence`, bones for the latter are
-        fitted to its weights.  A :class:`Start` holds parts of a model, some of which are kept.  Of
-        a MeshSequence, the first frame is the rest pose, which is kept.  An integer is the index of
-        the frame that the rest pose resembles.
+        fitted to its weights.  Of a :class:`Start`, rest pose or weights are kept.
     vertex_importance : (V,) array, optional
         Non-negative; scales each vertex's squared error in the objective.
     frame_importance : (F,) array, optional
@@ -92,6 +91,10 @@ def decompose(
         "surface": a rest pose that resembles one of the frames, on which weights can be painted
         and cloth bound, and which every program lights well.  "free": the rest pose of least error,
         which is a crumpled mesh.
+    rest_frame : int, optional
+        Index of the frame from which the solve of the rest pose starts, and whose surface the
+        result resembles.  By default the frame whose edges are nearest to the mean edges of all
+        frames, or the first for ``rest_pose="free"``.
     normals : bool
         Whether the last steps also fit the normals that engines draw (the rest normals, transformed
         by the bones) to the normals of the animation.  If False, they are fitted only after the
@@ -154,6 +157,7 @@ def decompose(
         frame_importance=frame_importance,
         smoothness=smoothness,
         rest_pose=rest_pose,
+        rest_frame=rest_frame,
         normals=normals,
         rng=rng,
         time_limit=time_limit,

@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 
 from .checks import BoneModel, check_floats, names_arguments, parse_tolerance
 from .clips import Clip, unique_names
-from .decomposition import decompose
 from .errors import InputError
-from .fit.shapes import fit_shapes
+from .frames.vector_fit import fit_vectors
 from .hierarchy.transforms import rest_diagonal
+from .problem.answer import finished
+from .problem.check import check_problem
 from .problem.problem import Effort
 from .representation import short_repr
+from .search.solve import solve
 from .sequence import MeshSequence
 from .shapes import Shapes
 from .skinning import Skinning
@@ -27,6 +29,7 @@ Array = NDArray[np.float64]
 _MOST = 9.0  # importance of a vertex whose error is far beyond the tolerance
 # A bone that moves no vertex by more than this share of the tolerance is left out of an expression.
 _STILL = 0.2
+_PULL = 1e-9  # pull towards displacements of 0, relative to the sum of squared amounts
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -137,18 +140,18 @@ def decompose_expressions(
         limit = parse_tolerance(tolerance, rest_diagonal(rest))
     options: dict[str, Any] = {"bones": bones, "influences": influences, "effort": effort}
     options |= {"bone_model": bone_model, "rng": rng, "time_limit": time_limit, "normals": False}
-    model = decompose(frames, start=_start(rest), **options).skinning
+    model = _solved(frames, options, None)
     if limit is not None:
         off = np.linalg.norm(model.skin(dtype=np.float64) - frames.vertices, axis=2).max(axis=0)
         if off.max() > limit:
             # Solve again, with more importance for the vertices that need displacements.
             options["vertex_importance"] = np.minimum(1 + (off / limit) ** 2, _MOST)
-            model = decompose(frames, start=_start(rest, model), **options).skinning
+            model = _solved(frames, options, model)
     # mapping back from the solver's space has rounded the rest pose
     model = _at_rest(dataclasses.replace(model, rest=rest), _STILL * (limit or 0.0))
     if limit is not None:
         amounts = np.eye(count + 1)[:, 1:]
-        model = fit_shapes(frames, model, tolerance=limit, amounts=amounts, names=names).skinning
+        model = displaced(model, frames.vertices, amounts, limit, names)
     gap = np.linalg.norm(model.skin(dtype=np.float64) - frames.vertices, axis=2)
     return Expressions(
         skinning=_as_clips(model, names),
@@ -188,18 +191,18 @@ def _frames(
     return MeshSequence(both, faces, surface=surface), unique_names([str(n) for n in names], "face")
 
 
-def _start(rest: Array, model: Skinning | None = None) -> Start:
-    """Start with the fixed rest pose `rest`, and a model's weights and bones as a first guess."""
-    if model is None:
-        return Start(rest=rest)
-    return Start(
-        rest=rest,
-        indices=model.indices,
-        weights=model.weights,
-        locked_vertices=np.zeros(len(rest), dtype=bool),
-        transforms=model.transforms,
-        locked_bones=np.zeros(model.n_bones, dtype=bool),
-    )
+def _solved(frames: MeshSequence, options: dict[str, Any], guess: Skinning | None) -> Skinning:
+    """Model of the frames with the neutral face as rest pose; bones and weights start from `guess`.
+
+    The neutral face is the first frame.
+    """
+    rest = np.asarray(frames.frames(0), dtype=np.float64)
+    start = Start(rest=rest) if guess is None else dataclasses.replace(guess, rest=rest)
+    problem = check_problem(frames, None, start=start, **options)
+    initial = dataclasses.replace(problem.initial, is_model=False)
+    constraints = dataclasses.replace(problem.constraints, rest=True)
+    problem = dataclasses.replace(problem, start=None, initial=initial, constraints=constraints)
+    return finished(problem, solve).skinning
 
 
 def _at_rest(model: Skinning, least: float) -> Skinning:
@@ -220,6 +223,40 @@ def _at_rest(model: Skinning, least: float) -> Skinning:
         reach = (np.linalg.norm(moved, axis=2) * share).max(axis=1, initial=0.0)
         moves[reach <= least, bone] = np.eye(3, 4)
     return dataclasses.replace(model, transforms=moves)
+
+
+def displaced(
+    model: Skinning, goal: Array, amounts: Array, limit: float, names: Any = None
+) -> Skinning:
+    """Copy of a model with shapes, which displace only vertices that would miss their goal.
+
+    A shape displaces the vertices that are farther than `limit` from their goal (F, V, 3) in some
+    frame where the shape's amount is not 0, as Kavan et al. 2024, section 2.
+
+    Parameters
+    ----------
+    model : Skinning
+        Without shapes.
+    goal : (F, V, 3) array
+    amounts : (F, S) array
+    limit : float
+    names : sequence of str, optional
+    """
+    left = goal - model.skin(dtype=np.float64)
+    far = np.linalg.norm(left, axis=2) > limit
+    keep = (np.abs(amounts) > 0).T.astype(np.float64) @ far > 0
+    start = np.zeros((1 + len(keep), model.n_vertices, 3))
+    bare = Shapes(start[1:], amounts, names=names)
+    found = fit_vectors(
+        dataclasses.replace(model, shapes=bare),
+        np.arange(model.n_frames),
+        left,
+        vertex=np.arange(model.n_vertices),
+        used=np.concatenate([np.zeros_like(keep[:1]), keep]),
+        start=start,
+        pull=_PULL,
+    )
+    return dataclasses.replace(model, shapes=dataclasses.replace(bare, displacements=found[1:]))
 
 
 def _as_clips(model: Skinning, names: tuple[str, ...]) -> Skinning:

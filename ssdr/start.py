@@ -1,9 +1,9 @@
-"""Input from which a decomposition may start: parts of a model, or a skeleton."""
+"""Parts of a model that a decomposition keeps: rest pose and weights, or a skeleton."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, Literal
 
 from .representation import short_repr
@@ -14,7 +14,7 @@ JointKind = Literal["rigid", "loose"]
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Start:
-    """Parts of a model from which a decomposition starts, some of which are kept unchanged.
+    """Parts of a model that a decomposition keeps unchanged.
 
     To start from a whole model of which nothing is kept, such as a checkpoint, pass it as a
     :class:`Skinning` instead.
@@ -22,19 +22,9 @@ class Start:
     Parameters
     ----------
     rest : (V, 3) array, optional
-        Rest pose, which is kept.
-    rest_frame : int, optional
-        If `rest` is not given, the index of the frame from which the solve of the rest pose starts,
-        and whose surface the result resembles.  By default the frame whose edges are nearest to the
-        mean edges of all frames, or the first for ``rest_pose="free"``.
+        Rest pose.
     indices, weights : (V, K) arrays, optional
-        Skin weights, which are kept at `locked_vertices`.
-    locked_vertices : mask or indices, optional
-        Vertices whose given weights are kept; all by default.
-    transforms : (F, B0, 3, 4) array, optional
-        Transforms of B0 bones, at most the requested number; those of `locked_bones` are kept.
-    locked_bones : mask or indices, optional
-        Bones whose given transforms are kept; all B0 by default.
+        Skin weights.
 
     Examples
     --------
@@ -46,12 +36,8 @@ class Start:
     """
 
     rest: Any = None
-    rest_frame: int | None = None
     indices: Any = None
     weights: Any = None
-    locked_vertices: Any = None
-    transforms: Any = None
-    locked_bones: Any = None
 
     __repr__ = short_repr
 
@@ -71,9 +57,6 @@ class Skeleton:
     extra_bones : int or mapping
         Number of bones to add to the skeleton where the error is largest, or a mapping of bone
         names to the number to add below each: ``{"chest": 2, "hips": 1}``.
-    locked_joints : sequence of str
-        Joints whose rotation relative to their parent is kept as in the skeleton: frame by frame if
-        the skeleton has as many frames as the sequence, otherwise that of its only pose.
 
     Examples
     --------
@@ -88,7 +71,6 @@ class Skeleton:
     _: dataclasses.KW_ONLY
     joints: JointKind = "rigid"
     extra_bones: int | Mapping[str, int] = 0
-    locked_joints: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "skinning", skinning_in(self.skinning))

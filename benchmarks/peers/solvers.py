@@ -195,7 +195,8 @@ def run_ssdr(job: Row, frames: np.ndarray, faces: np.ndarray, pace: Pace) -> Row
         options["bone_model"] = bone_model
     middle = len(frames) // 2 if "middle" in more else None
     rest = np.asarray(frames[middle or 0], dtype=np.float64) if "fixed" in more else None
-    options["start"] = ssdr.Start(rest=rest, rest_frame=middle)
+    options["start"] = None if rest is None else ssdr.Start(rest=rest)
+    options["rest_frame"] = None if rest is not None else middle
     if "free" in more:
         options |= {"rest_pose": "free", "normals": False}
     times: list[Point] = []

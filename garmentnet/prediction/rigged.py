@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 import ssdr
 from ssdr import Skinning
 from ssdr.errors import InputError
-from ssdr.fit.shapes import some_shapes
 
 from ..data.skeleton import Skeleton
 from ..io.files import writing
+from .morph_targets import with_morph_targets
 from .output import rigid
 from .prediction import Prediction
 
@@ -40,8 +40,8 @@ class Rigged:
 def rigged(prediction: Prediction, skeleton: Skeleton, *, shapes: int = 8) -> Rigged:
     """Skinned model of a prediction with a few morph targets.
 
-    They are those of :func:`ssdr.fit_shapes`: principal components of what the skinned mesh lacks,
-    mapped back to the rest pose and improved in turns with their amounts.  The rest pose may move.
+    They are principal components of what the skinned mesh lacks, mapped back to the rest pose and
+    improved in turns with their amounts.  The rest pose may move.
 
     Parameters
     ----------
@@ -60,12 +60,13 @@ def rigged(prediction: Prediction, skeleton: Skeleton, *, shapes: int = 8) -> Ri
         raise InputError("shapes", "1 or more", shapes)
     model = _on_skeleton(rigid(prediction.skinning), prediction.joints, skeleton)
     truth = np.asarray(prediction.cloth.vertices, np.float64)
-    found = some_shapes(truth, model, shapes)
-    model, moved = found.skinning, found.skinning.shapes
+    model = with_morph_targets(model, truth, shapes)
+    moved = model.shapes
     assert moved is not None
     still = np.broadcast_to(moved.amounts.mean(axis=0), moved.amounts.shape)
     stiff = dataclasses.replace(model, shapes=dataclasses.replace(moved, amounts=still))
-    return Rigged(model, found.rmse, ssdr.metrics.distances(truth, stiff).rmse)
+    both = (ssdr.metrics.distances(truth, x).rmse for x in (model, stiff))
+    return Rigged(model, *both)
 
 
 def save_rigged(model: Rigged, path: Path | str) -> str:

@@ -10,7 +10,6 @@ import numpy as np
 from ..checks import (
     BoneModel,
     check_importance,
-    check_mask,
     check_nonnegative,
     check_whole,
 )
@@ -72,7 +71,6 @@ def fit_bones(
     *,
     bone_model: BoneModel | None = None,
     from_transforms: bool = False,
-    locked_bones: Any = None,
     vertex_importance: Any = None,
     tolerance: float = 1e-6,
     max_sweeps: int = 200,
@@ -100,8 +98,6 @@ def fit_bones(
     from_transforms : bool
         Whether to start from the transforms of a skinning, which must then be of these frames.  By
         default each bone starts from a fit to the vertices that it moves most.
-    locked_bones : mask or indices, optional
-        Bones that keep the transforms of a skinning.
     vertex_importance : (V,) array, optional
     tolerance : float
         The sweeps end when no entry of a transform changes by more than this; translations are
@@ -136,12 +132,11 @@ def fit_bones(
     given = checked(sequence, rest, bone_model, indices=indices, weights=weights)
     sequences, skinning, n = given.sequences, given.skinning, len(given.rest)
     kind = skinning.bone_model
-    locked_bones = check_mask(locked_bones, "locked_bones", skinning.n_bones)
-    world, kept = None, bool(locked_bones.any())
-    if check_flag(from_transforms, "from_transforms") or kept:
+    world = None
+    if check_flag(from_transforms, "from_transforms"):
         if not given.prefix:
-            wanted = "a Skinning as `rest`, whose transforms are kept or started from"
-            raise InputError("locked_bones" if kept else "from_transforms", wanted, "arrays")
+            wanted = "a Skinning as `rest`, whose transforms are started from"
+            raise InputError("from_transforms", wanted, "arrays")
         world = given.transforms()
     max_sweeps = check_whole(max_sweeps, "max_sweeps", 1)
     tolerance = check_nonnegative(tolerance, "tolerance", "a number >= 0")
@@ -152,9 +147,7 @@ def fit_bones(
     )
     inner = data.points_from_world(given.rest, f"{given.prefix}rest")
     start = None if world is None else data.moves_from_world(world, "skinning.transforms")
-    constraints = Constraints(
-        rest=True, weights=np.ones(n, dtype=bool), bones=locked_bones, bone_model=kind
-    )
+    constraints = Constraints(rest=True, weights=np.ones(n, dtype=bool), bone_model=kind)
     # no step may turn a bone inside out, which blocks some paths of affine bones from their own
     # fit; from rigid bones these paths are open
     kinds: list[BoneModel] = [kind]

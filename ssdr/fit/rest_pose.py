@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import BoneModel, check_mask
+from ..checks import BoneModel
 from ..errors import check_choice
 from ..sequence import MeshSequence
 from ..skinning import Skinning
@@ -29,7 +29,6 @@ def fit_rest_pose(
     transforms: Any = None,
     *,
     bone_model: BoneModel | None = None,
-    locked_vertices: Any = None,
     rest_pose: RestPose = "surface",
 ) -> Fit:
     """Fit the rest position of every vertex of a model by least squares, a 3×3 solve each.
@@ -42,8 +41,8 @@ def fit_rest_pose(
     ----------
     sequence : MeshSequence, list of them, or (F, V, 3) array
     rest : (V, 3) array or Skinning
-        Rest pose to start from, such as the first frame.  It is kept at locked vertices, and where
-        the motion does not determine positions.  A skinning brings the weights and transforms, too,
+        Rest pose to start from, such as the first frame.  It is kept where the motion does not
+        determine positions.  A skinning brings the weights and transforms, too,
         and must have as many frames as the sequence.
     indices, weights : (V, K) int and float arrays, optional
         Skin weights.  Without `indices`, weights are those of all bones, (V, B) and possibly
@@ -51,8 +50,6 @@ def fit_rest_pose(
     transforms : (F, B, 3, 4) array, optional
     bone_model : {"rigid", "similarity", "affine"}, optional
         Kind of the transforms; by default that of the skinning, or rigid without one.
-    locked_vertices : mask or indices, optional
-        Vertices that keep their rest position.
     rest_pose : {"surface", "free"}
         With "surface", edges are to resemble those of `rest`, as in :func:`decompose`; with
         "free", only the error counts.
@@ -84,10 +81,9 @@ def fit_rest_pose(
     """
     parts = {"indices": indices, "weights": weights, "transforms": transforms}
     given = checked(sequence, rest, bone_model, **parts)
-    sequences, skinning, outer = given.sequences, given.skinning, given.rest
-    stay = check_mask(locked_vertices, "locked_vertices", len(outer))
+    skinning = given.skinning
     check_choice(rest_pose, "rest_pose", RestPose)
-    each, importance, _, row = given.without_copies(None, given.indices, given.weights, stay)
+    each, importance, _, row = given.without_copies(None, given.indices, given.weights)
     data, inner, bones = each.gathered(importance)
     model = Model.start(bones, inner, each.indices[:, 0], skinning.n_influences)
     model.indices, model.weights = each.indices.copy(), each.weights
@@ -97,8 +93,7 @@ def fit_rest_pose(
         data = dataclasses.replace(data, surface=RestSurface.build(data, inner))
     _solve_rest_pose(data, model, Constraints(weights=every))
     found = data.points_to_world(model.rest)[row]
-    found[stay] = outer[stay]
-    return fit_of(sequences, dataclasses.replace(skinning, rest=found))
+    return fit_of(given.sequences, dataclasses.replace(skinning, rest=found))
 
 
 def _solve_rest_pose(data: Trajectories, model: Model, constraints: Constraints) -> None:

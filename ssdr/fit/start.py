@@ -110,7 +110,7 @@ def started(
         check_squarable(inner_rest, "rest")
     data = gather(sequences, bones=bones)
     start = data.frame(0) if inner_rest is None else data.points_from_world(inner_rest, "rest")
-    model = start_model(data, start, bones, min(k, bones), generator, None, bone_model)
+    model = start_model(data, start, bones, min(k, bones), generator, bone_model)
     constraints = Constraints(rest=rest is not None, bone_model=bone_model)
     vertex_step(data, model, constraints=constraints)
     return data, model, constraints

@@ -122,7 +122,7 @@ def fit_weights(
     may = None if may is None else may[first]
     target = None if target is None else target[first]
     data, inner, bones = each.gathered(importance, frame_importance)
-    cost, _ = single_bone_errors(data, inner, bones, np.arange(len(inner)))
+    cost = single_bone_errors(data, inner, bones, np.arange(len(inner)))
     if may is not None:
         data = _Barred(**vars(data), allowed=may)
         cost[~may] = np.inf

@@ -195,7 +195,7 @@ def step_with_joint_penalty(
         u[k, k] += block
         u[j, k] -= block
         u[k, j] -= block
-    sweep(model.transforms, u, c, constraints.bone_mask(model.n_bones), sweeps=_SWEEPS)
+    sweep(model.transforms, u, c, sweeps=_SWEEPS)
     if not constraints.joints:
         model.tree = refit_joints(model.transforms, tree)
     vertex_step(data, model, constraints=constraints)
@@ -226,11 +226,9 @@ def move_onto_joints(transforms: Array, tree: Tree) -> None:
 def snap_to_joints(data: Trajectories, model: Model, constraints: Constraints) -> None:
     """Translate every bone so that the gap of its joint closes, then solve the vertices (in place).
 
-    Rotations are kept, except those relative to the parent that `constraints` prescribes.
+    Rotations are kept.
     """
     tree = model.hierarchy
-    for j, k, rotation in constraints.joint_rotations(tree):
-        model.transforms[:, j, :, :3] = model.transforms[:, k, :, :3] @ rotation
     move_onto_joints(model.transforms, tree)
     model.tree = dataclasses.replace(tree, rigid=True)
     vertex_step(data, model, constraints=constraints)

@@ -235,7 +235,7 @@ def rotate_toward(s, r, a, turn, new):
 
 
 @kernel
-def sweep_bones(transforms, c, u, start, neighbour, locked, scaled, sweeps):
+def sweep_bones(transforms, c, u, start, neighbour, scaled, sweeps):
     """Fit each bone given the others, one after the other, in `sweeps` passes (Gauss–Seidel).
 
     transforms  (F, B, 3, 4)  float64  bones, updated
@@ -244,7 +244,6 @@ def sweep_bones(transforms, c, u, start, neighbour, locked, scaled, sweeps):
     start       (B + 1,)      int32    where each bone's entries of `neighbour` start, in
     neighbour   (N,)          int32    start[j]..start[j + 1]: other bones that share vertices with
                                        bone j, in
-    locked      (B,)          bool     bones that are not changed, in
 
     If `scaled`, the 3×3 blocks are scaled rotations (Umeyama 1991), otherwise rotations.
     """
@@ -268,7 +267,7 @@ def sweep_bones(transforms, c, u, start, neighbour, locked, scaled, sweeps):
             for j in range(n_bones):
                 own = u[j, j]
                 mass = own[3, 3]
-                if locked[j] or not mass > 0.0:
+                if not mass > 0.0:
                     continue
                 for e in range(3):
                     for f in range(4):

@@ -247,19 +247,16 @@ def tangent_pullback(transforms, g, scale, out):
 
 
 @kernel
-def move_bones(transforms, x, locked):
+def move_bones(transforms, x):
     """Replace M by M exp(x), to second order and with exactly orthonormal rotations.
 
     transforms  (F, B, 3, 4)  float64  bones, updated
     x           (F, B, 6)     float64  tangents (ω, τ), in
-    locked      (B,)          bool     bones that are not changed, in
     """
     turn = np.empty((3, 3))
     old = np.empty(3)
     for t in range(len(transforms)):
         for j in range(transforms.shape[1]):
-            if locked[j]:
-                continue
             m = transforms[t, j]
             for c in range(3):
                 for d in range(3):

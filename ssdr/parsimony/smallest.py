@@ -13,7 +13,7 @@ from ..checks import BoneModel, check_whole, names_arguments, parse_tolerance
 from ..errors import InputError, check_choice
 from ..problem.answer import finished
 from ..problem.check import check_problem
-from ..problem.check_start import refuse_parts
+from ..problem.check_start import refuse_weights
 from ..problem.problem import Effort, Problem
 from ..progress import Callback
 from ..result import Decomposition
@@ -42,10 +42,11 @@ def smallest(
     effort: Effort = "balanced",
     bone_model: BoneModel = "rigid",
     rig: str | None = None,
-    start: Skinning | Decomposition | Start | MeshSequence | int | None = None,
+    start: Skinning | Decomposition | Start | None = None,
     vertex_importance: Any = None,
     frame_importance: Any = None,
     rest_pose: RestPose = "surface",
+    rest_frame: int | None = None,
     normals: bool = True,
     rng: int | np.random.Generator = 0,
     time_limit: float | None = None,
@@ -81,17 +82,17 @@ def smallest(
         As in :func:`decompose`.
     rig : {"loose", "rigid"}, optional
         As in :func:`decompose`; a skeleton cannot be kept.
-    start : Skinning, Decomposition, Start, MeshSequence or int, optional
+    start : Skinning, Decomposition or Start, optional
         A model to begin from, such as a checkpoint, with at most `bones` bones: if it holds the
-        tolerance, the result is no larger.  Any other kind of start, as in :func:`decompose`, may
-        give a rest pose only.
+        tolerance, the result is no larger.  A :class:`Start` may give a rest pose only.
     vertex_importance : (V,) array, optional
         Guides the solver as in :func:`decompose`.  Each value must be at least 1e-4 of the largest,
         since the tolerance bounds the error without importance.
     frame_importance : (F,) array, optional
         Positive; guides the solver as in :func:`decompose`.
     rest_pose : {"surface", "free"}
-        As in :func:`decompose`.
+    rest_frame : int, optional
+        Both as in :func:`decompose`.
     normals : bool
         As in :func:`decompose`.  The last steps solve normals only if the result then holds the
         tolerance and takes no more bytes.
@@ -151,6 +152,7 @@ def smallest(
         vertex_importance=vertex_importance,
         frame_importance=frame_importance,
         rest_pose=rest_pose,
+        rest_frame=rest_frame,
         normals=normals,
         rng=rng,
         time_limit=time_limit,
@@ -178,7 +180,7 @@ def _check_beside_tolerance(problem: Problem, rig: Any, most: int) -> None:
     if isinstance(rig, Skeleton):
         raise InputError("rig", "None, 'loose' or 'rigid' beside a tolerance", "a Skeleton")
     if problem.start is None:
-        refuse_parts(problem.initial, "beside a tolerance")
+        refuse_weights(problem.initial, "beside a tolerance")
     elif problem.start.n_bones > most:
         raise InputError("start", f"at most {most} bones", problem.start.n_bones)
     importance = problem.vertex_importance if problem.weighted else None

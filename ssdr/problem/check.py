@@ -19,16 +19,15 @@ from ..copies import told_apart
 from ..errors import InputError, check_choice, check_flag, is_real, is_whole
 from ..progress import Monitor
 from ..sequence import as_sequences, labels_of, without_copies
-from ..skinning import Skinning
+from ..skinning import Skinning, skinning_in
 from ..solver.model import Constraints
 from ..solver.rest_surface import RestPose
 from ..start import Skeleton, Start
 from .check_start import (
-    as_start,
     check_skeleton,
     check_start,
     extra_parents,
-    refuse_parts,
+    refuse_weights,
     with_skeleton,
 )
 from .problem import Effort, Initial, Problem, RigKind
@@ -48,6 +47,7 @@ def check_problem(
     frame_importance: Any = None,
     smoothness: Any = 0.0,
     rest_pose: Any = "surface",
+    rest_frame: Any = None,
     normals: Any = True,
     rng: Any,
     time_limit: Any = None,
@@ -71,15 +71,19 @@ def check_problem(
     bone_model = check_bone_model(bone_model)
     check_choice(effort, "effort", Effort)
     check_choice(rest_pose, "rest_pose", RestPose)
-    start = as_start(start, n_frames)
+    start = start if isinstance(start, Skeleton) else skinning_in(start)
     if not (start is None or isinstance(start, (Skinning, Start))):
-        expected = "None, a Skinning or a result, a MeshSequence, a Start or the number of a frame"
-        raise InputError("start", expected, type(start).__name__)
+        raise InputError("start", "None, a Skinning or a result, or a Start", type(start).__name__)
     if not (rig is None or isinstance(rig, Skeleton) or _is_kind(rig)):
         raise InputError("rig", "None, 'loose', 'rigid' or a Skeleton", repr(rig))
     by_default = bones is None and most_bones is not None
     bones = _count_bones(min(n, most_bones or n) if by_default else bones, n, rig, start)
     initial, constraints = check_start(start, (n_frames, n, bones, influences), bone_model)
+    if rest_frame is not None:
+        frame = check_whole(rest_frame, "rest_frame", 0, n_frames - 1)
+        if initial.rest is not None:
+            raise InputError("rest_frame", "None beside a start that has a rest pose", frame)
+        initial = dataclasses.replace(initial, rest_frame=frame)
     names: tuple[str, ...] = ()
     kind: RigKind = "none"
     if isinstance(rig, Skeleton):
@@ -98,7 +102,7 @@ def check_problem(
     weighted = importance is not None or frame_importance is not None
     inputs, rows = sequences, None
     kept = () if initial.is_model else (initial.rest, *(initial.skin or ()))
-    label = told_apart(labels_of(inputs), *kept, constraints.vertex_mask(n))
+    label = told_apart(labels_of(inputs), *kept)
     differ = int(label.max()) + 1
     if by_default:
         bones = min(bones, differ)
@@ -165,11 +169,9 @@ def _check_rig(
     beside = "beside a Skeleton" if initial.keeps_tree else f"beside rig={kind!r}"
     if constraints.bone_model != "rigid":
         raise InputError("bone_model", f"'rigid' {beside}", repr(constraints.bone_model))
-    if kind == "loose" and constraints.rotations.size:
-        raise InputError("rig.locked_joints", "() beside loose joints", "some")
     if kind == "loose" and not initial.keeps_tree:
         return
     if not (initial.keeps_tree or initial.is_model):
-        refuse_parts(initial, beside)
+        refuse_weights(initial, beside)
     if smoothness > 0:
         raise InputError("smoothness", f"0 {beside}", smoothness)

@@ -11,18 +11,16 @@ import numpy as np
 from ..checks import (
     BoneModel,
     check_floats,
-    check_mask,
     check_skin,
     check_squarable,
     check_transforms,
-    check_whole,
 )
 from ..errors import InputError, check_choice, is_whole
 from ..hierarchy.tree import Tree
 from ..joints.limb_matching import limb_distances
 from ..joints.placement import move_onto_joints
 from ..sequence import MeshSequence
-from ..skinning import Skinning, refuse_shapes, skinning_in
+from ..skinning import Skinning, refuse_shapes
 from ..solver.model import Constraints, Skin
 from ..solver.trajectories import Array
 from ..start import JointKind, Skeleton, Start
@@ -31,25 +29,12 @@ from .problem import Initial
 # Largest joint gaps, relative to the mesh's size, that are rounding errors: of double precision,
 # and of single precision or a file's keys.  Gaps between these two bounds are closed at once.
 _EXACTLY, _NEARLY = 1e-12, 1e-4
-_TURNED = 1e-6  # change of a rotation's entries from which a locked joint counts as turned
-
-
-def as_start(start: Any, n_frames: int) -> Any:
-    """Convert a frame index or a mesh to a `Start`, and a result to its model.
-
-    Anything else is returned unchanged.
-    """
-    if is_whole(start):
-        return Start(rest_frame=check_whole(start, "start", 0, n_frames - 1))
-    if isinstance(start, MeshSequence):
-        return Start(rest=start.frames(0))
-    return start if isinstance(start, Skeleton) else skinning_in(start)
 
 
 def check_start(
     start: Skinning | Start | None, shape: tuple[int, int, int, int], bone_model: BoneModel
 ) -> tuple[Initial, Constraints]:
-    """Check a start; return the parts of a model that it gives, and which of them are locked.
+    """Check a start; return the parts of a model that it gives, and which of them are kept.
 
     `shape` is (F, V, B, K).
     """
@@ -91,43 +76,24 @@ def _from_model(
 def _from_parts(
     start: Start, shape: tuple[int, int, int, int], bone_model: BoneModel
 ) -> tuple[Initial, Constraints]:
-    n_frames, n, bones, influences = shape
-    indices, weights, transforms, skin = start.indices, start.weights, start.transforms, None
+    _, n, bones, influences = shape
+    indices, weights, skin = start.indices, start.weights, None
     if (indices is None) != (weights is None):
         missing, other = ("weights", "indices") if weights is None else ("indices", "weights")
         dense = " (Skinning.from_dense has both of dense weights)" if weights is not None else ""
         raise InputError(f"start.{missing}", f"an array beside start.{other}{dense}", "None")
-    constraints: dict[str, Any] = {}
+    constraints = Constraints(rest=start.rest is not None, bone_model=bone_model)
     if weights is not None:
         skin = _sorted_skin(indices, weights, (n, bones, influences))
-        mask = check_mask(start.locked_vertices, "start.locked_vertices", n, default=True)
-        constraints["weights"] = mask
-    elif start.locked_vertices is not None:
-        raise InputError("start.locked_vertices", "None without indices and weights", "a mask")
-    if transforms is not None:
-        transforms = check_transforms(transforms, n_frames, bone_model, "start.")
-        count = transforms.shape[1]
-        if count > bones:
-            raise InputError("start.transforms", f"at most {bones} bones, as asked for", count)
-        if weights is not None and count != bones:
-            raise InputError("start.transforms", f"{bones} bones beside given weights", count)
-        mask = check_mask(start.locked_bones, "start.locked_bones", count, default=True)
-        constraints["bones"] = np.trim_zeros(mask, "b")
-    elif start.locked_bones is not None:
-        raise InputError("start.locked_bones", "None without transforms", "a mask")
-    frame = start.rest_frame
-    if frame is not None:
-        frame = check_whole(frame, "start.rest_frame", 0, n_frames - 1)
+        constraints = constraints.with_weights(n)
     rest = None if start.rest is None else _check_rest(start.rest, n)
-    initial = Initial(rest=rest, rest_frame=frame, skin=skin, transforms=transforms)
-    return initial, Constraints(rest=rest is not None, bone_model=bone_model, **constraints)
+    return Initial(rest=rest, skin=skin), constraints
 
 
-def refuse_parts(initial: Initial, beside: str) -> None:
-    """Raise InputError if weights or transforms were given."""
-    for name, part in (("weights", initial.skin), ("transforms", initial.transforms)):
-        if part is not None:
-            raise InputError(f"start.{name}", f"None {beside}", "an array")
+def refuse_weights(initial: Initial, beside: str) -> None:
+    """Raise InputError if weights to keep were given."""
+    if initial.skin is not None:
+        raise InputError("start.weights", f"None {beside}", "an array")
 
 
 def check_skeleton(rig: Skeleton) -> None:
@@ -147,21 +113,18 @@ def with_skeleton(
     influences: int,
     start: Skinning | Start | None,
 ) -> tuple[Initial, Constraints]:
-    """Copies of the initial and locked parts with tree, extra bones and joints of a skeleton."""
-    n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
+    """Copies of the initial and kept parts with tree, extra bones and joints of a skeleton."""
+    n = sequences[0].n_vertices
     skeleton, extra = rig.skinning, extra_parents(rig, n)
     if extra and rig.joints == "loose":
         raise InputError("rig.extra_bones", "0 beside loose joints", rig.extra_bones)
-    rotations = _locked_rotations(skeleton, rig.locked_joints, n_frames)
-    constraints = dataclasses.replace(constraints, rotations=rotations, joints=constraints.rest)
+    constraints = dataclasses.replace(constraints, joints=constraints.rest)
     if isinstance(start, Skinning):
-        tree = _same_tree(start, initial, skeleton, rotations)
+        tree = _same_tree(initial, skeleton)
         return dataclasses.replace(initial, tree=tree, keeps_tree=True), constraints
     if extra and initial.skin is not None:
         expected = "0 beside start.indices and start.weights"
         raise InputError("rig.extra_bones", expected, rig.extra_bones)
-    if initial.transforms is not None:
-        raise InputError("start.transforms", "None beside a skeleton", "an array")
     points = np.asarray(skeleton.joint_positions, dtype=np.float64)
     tree = Tree(skeleton.parents.astype(np.int64), points, rigid=False)
     pose, nearest, skin = _frame(sequences, initial.rest_frame or 0), None, None
@@ -183,20 +146,12 @@ def with_skeleton(
     ), constraints
 
 
-def _same_tree(start: Skinning, initial: Initial, skeleton: Skinning, rotations: Array) -> Tree:
-    """Check that the model to start from has the parents of the skeleton, and return its tree.
-
-    If a locked rotation differs from the model's, the tree is marked as not rigid, so that the
-    bones are attached to it anew.
-    """
-    known = skeleton.n_bones
-    if initial.tree is None or not np.array_equal(initial.tree.parents[:known], skeleton.parents):
+def _same_tree(initial: Initial, skeleton: Skinning) -> Tree:
+    """Check that the model to start from has the parents of the skeleton, and return its tree."""
+    tree, known = initial.tree, skeleton.n_bones
+    if tree is None or not np.array_equal(tree.parents[:known], skeleton.parents):
         raise InputError("start", "a model whose bones hang as those of rig.skinning", "others")
-    if not rotations.size or initial.transforms is None:
-        return initial.tree
-    away = np.abs(start.local_transforms()[:, :known, :, :3] - rotations)
-    turned = bool(np.nan_to_num(away).max() > _TURNED)
-    return dataclasses.replace(initial.tree, rigid=initial.tree.rigid and not turned)
+    return tree
 
 
 def _check_rest(rest: Any, n_vertices: int) -> Array:
@@ -251,29 +206,6 @@ def extra_parents(rig: Skeleton, n_vertices: int) -> tuple[int, ...]:
         else:
             parents += [-1] * int(count)
     return tuple(parents)
-
-
-def _locked_rotations(skeleton: Skinning, names: Any, n_frames: int) -> Array:
-    """Rotations (F, B, 3, 3) of the joints `names` relative to their parents; NaN for others.
-
-    The array is empty if there are no names.
-    """
-    listed = [names] if isinstance(names, str) or not np.iterable(names) else list(names)
-    if isinstance(names, str) or not all(isinstance(name, str) for name in listed):
-        raise InputError("rig.locked_joints", "names of joints of the skeleton", repr(names))
-    if not listed:
-        return np.zeros((0, 0, 3, 3))
-    if skeleton.n_frames not in (1, n_frames):
-        expected = f"one pose of the skeleton, or {n_frames} as the sequence has"
-        raise InputError("rig.locked_joints", expected, f"{skeleton.n_frames}")
-    local = np.asarray(skeleton.local_transforms()[..., :3], dtype=np.float64)
-    rotations = np.full((n_frames, *local.shape[1:]), np.nan)
-    for name in dict.fromkeys(listed):
-        joint = _single_joint(skeleton, name, "rig.locked_joints")
-        if skeleton.parents[joint] < 0:
-            raise InputError("rig.locked_joints", "joints that have a parent", f"{name!r}, a root")
-        rotations[:, joint] = local[:, joint]
-    return rotations
 
 
 def _single_joint(skeleton: Skinning, name: Any, argument: str) -> int:

@@ -36,10 +36,10 @@ class Initial:
         Index of the frame from which the rest pose is solved if `rest` is None; None until it is
         chosen.
     skin : Skin or None
-    transforms : (F, B0, 3, 4) array or None
-        Transforms of the first B0 bones.
+    transforms : (F, B, 3, 4) array or None
+        Transforms of all bones; only beside `skin`.
     is_model : bool
-        Whether the parts are a complete model to improve, of which nothing is locked.
+        Whether the parts are a complete model to improve, of which nothing is kept.
     tree : Tree or None
         Parents and joints of the given bones; bones that are added come after these.
     keeps_tree : bool
@@ -233,6 +233,5 @@ class Problem:
 
     @property
     def bones_placed(self) -> bool:
-        """Whether weights or all bones are locked, so that no bone has to find its place."""
-        every = bool(self.constraints.bone_mask(self.bones).all())
-        return len(self.constraints.weights) > 0 or every
+        """Whether weights are kept, so that no bone has to find its place."""
+        return len(self.constraints.weights) > 0

@@ -334,8 +334,6 @@ def _with_patch(
 def _removal_costs(data: Trajectories, model: Model, constraints: Constraints) -> Array:
     """Rise (B,) of the squared error if one bone alone is removed; inf if the bone has to stay."""
     cost = bone_costs(data, model)
-    # all bones up to the last locked one stay, since locked bones are known by their index
-    cost[: len(constraints.bones)] = np.inf
     keep = constraints.vertex_mask(data.n_vertices)
     cost[model.indices[keep][model.weights[keep] > 0]] = np.inf
     return cost

@@ -42,7 +42,6 @@ def carried(
     nearest: NDArray[np.int64],
     ratio: float,
     initial: Initial,
-    constraints: Constraints,
 ) -> Model:
     """Copy of a model for other frames, each with the transforms of the most similar solved frame.
 
@@ -54,16 +53,13 @@ def carried(
     ratio : float
         Scale of the model's space, divided by the scale of the new space.
     initial : Initial
-        Given parts in the new space; its transforms replace those of locked bones, or of all bones
-        if it is a complete model to continue from.
-    constraints : Constraints
+        Given parts in the new space.  If they are a complete model to continue from, its transforms
+        are taken.
     """
     transforms = model.transforms[nearest]
     transforms[..., 3] *= ratio
-    if initial.transforms is not None:
-        count = initial.transforms.shape[1]
-        own = np.full(count, initial.is_model) | constraints.bone_mask(count)
-        transforms[:, np.flatnonzero(own)] = initial.transforms[:, own]
+    if initial.is_model and initial.transforms is not None:
+        transforms[:] = initial.transforms
     moved = dataclasses.replace(model.copy(), transforms=transforms)
     moved.rest *= ratio
     if moved.tree is not None:
@@ -111,7 +107,7 @@ class AllFrames:
         self.alignment = scan.alignment
         self.passes = 0
         ratio = data.scale / self.alignment.scale
-        self.model = carried(model, scan.nearest, ratio, initial, constraints)
+        self.model = carried(model, scan.nearest, ratio, initial)
         # trajectories of all frames, without their positions
         self.space = Trajectories(
             z=data.z[:, :0],

@@ -17,7 +17,6 @@ import math
 from collections.abc import Callable
 from functools import partial
 
-from ..errors import InputError
 from ..problem.answer import Step, outcome_of, skinning_of
 from ..problem.problem import Initial, Problem
 from ..problem.scan import Scan, needs_streaming, scan, subset
@@ -44,8 +43,6 @@ def solve(problem: Problem, schedule: Schedule | None = None) -> Decomposition:
 
     Raises
     ------
-    InputError
-        If joints are locked, which is possible only for frames in memory.
     Cancelled
         If the callback stopped the run before there was any model.
     """
@@ -68,8 +65,6 @@ def _solve_streamed(problem: Problem) -> Decomposition:
     is neither stopped nor out of time, the model is refined on these.  Passes over all frames
     follow.
     """
-    if problem.constraints.rotations.size:
-        raise InputError("rig.locked_joints", "() for frames that are streamed", "some")
     monitor, chosen = problem.monitor, scan_of(problem)
     alignment, more = chosen.alignment, chosen.extended(problem.n_vertices)
     sequences, data, initial = read_frames(problem, chosen)
@@ -193,7 +188,7 @@ def _carried(
     d = _begin(problem, data, initial, normals=True)
     d.iteration = first.iteration
     nearest = few.nearest[more.chosen]
-    d.model = carried(first.best.model, nearest, ratio, initial, problem.constraints)
+    d.model = carried(first.best.model, nearest, ratio, initial)
     return d, sequences
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from ..problem.problem import Effort
 from ..solver.alternation import bone_step, repeat_alternation, vertex_step
 from ..solver.gauss_newton import fit_motion
-from ..solver.initialization import fit_patches, single_bone_errors, start_model
+from ..solver.initialization import fit_patches, start_model
 from ..solver.model import Model, Skin
 from ..solver.rest_normals import with_rest_normals
 from ..solver.trajectories import Array
@@ -30,8 +30,8 @@ _FIRST_SWEEPS, _FIRST_LEAPS = 6, 2
 def start(d: Descent, *, factor: float = 1.0, influences: int | None = None) -> Iterator[None]:
     """Make bones from motion, or take those that the caller gave, and solve their first weights.
 
-    There are `factor` · `d.bones` bones; a later merge removes the excess.  If the factor is above
-    1, the caller's bones are used only if some of them are locked.
+    There are `factor` · `d.bones` bones; a later merge removes the excess.  Given bones are used
+    only if the factor is 1.
     """
     d.model = _first_model(d, factor, influences)
     vertex_step(d.data, d.model, constraints=d.constraints)
@@ -54,7 +54,7 @@ def quick_start(d: Descent, *, influences: int | None = None) -> Iterator[None]:
     chosen = np.linspace(0, data.n_frames - 1, _FEW_FRAMES).round().astype(np.intp)
     few, rest = data.select_frames(chosen), initial.first_pose(data)
     k, kind = influences or d.influences, d.constraints.bone_model
-    model = start_model(few, rest, d.bones, k, d.rng, None, kind, quick=True)
+    model = start_model(few, rest, d.bones, k, d.rng, kind, quick=True)
     vertex_step(few, model, constraints=d.constraints)
     repeat_alternation(few, model, _FEW_ALTERNATIONS, d.constraints)
     between = 0.5 * (chosen[1:] + chosen[:-1])
@@ -70,21 +70,15 @@ def _first_model(
     d: Descent, factor: float, influences: int | None, *, quick: bool = False
 ) -> Model:
     data, initial, k = d.data, d.start_parts, influences or d.influences
-    rest, bones = initial.first_pose(data), initial.transforms
-    if factor > 1 and not len(d.constraints.bones):
-        bones = None  # given bones that are not locked have served as a start already
+    rest = initial.first_pose(data)
     if initial.skin is not None:
-        bones = _patches_of_weights(d, rest, initial.skin) if bones is None else bones.copy()
+        if initial.transforms is None or factor > 1:  # they have served as a start already
+            bones = _patches_of_weights(d, rest, initial.skin)
+        else:
+            bones = initial.transforms.copy()
         return Model.with_weights(bones, rest, *initial.skin, k)
-    if bones is not None and bones.shape[1] == d.bones:
-        every = np.arange(data.n_vertices)
-        cost, positions = single_bone_errors(data, initial.rest, bones, every)
-        label = cost.argmin(axis=1)
-        if positions is not None:
-            rest = np.ascontiguousarray(positions[every, :, label])
-        return Model.start(bones.copy(), rest, label, k)
     count = min(data.n_vertices, max(d.bones, round(d.bones * factor)))
-    return start_model(data, rest, count, k, d.rng, bones, d.constraints.bone_model, quick=quick)
+    return start_model(data, rest, count, k, d.rng, d.constraints.bone_model, quick=quick)
 
 
 @step("start", cost=8)

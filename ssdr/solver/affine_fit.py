@@ -66,9 +66,7 @@ def stack_diagonal(blocks: Array) -> Array:
     return stack_blocks(full)
 
 
-def solve_affine(
-    transforms: Array, u: Array, c: Array, locked: NDArray[np.bool_], *, ridge: float = _RIDGE
-) -> None:
+def solve_affine(transforms: Array, u: Array, c: Array, *, ridge: float = _RIDGE) -> None:
     """Fit affine transforms (F, B, 3, 4) to all frames by least squares (in place).
 
     No frame's error rises.  If a bone's vertices are too few, or lie in a plane or on a line, they
@@ -81,29 +79,24 @@ def solve_affine(
     u : (B, B, 4, 4) array
     c : (F, 3, 4, B) array
         Both as :func:`~ssdr.solver.moments.bone_sums` returns them.
-    locked : (B,) bool array
-        Bones that stay as they are.
     ridge : float
         Strength of the ridge penalty, as in :func:`ridge_blocks`.
     """
-    free = np.tile(~locked, 4)
-    if not free.any():
-        return
     flat = stack_blocks(u)
     metric = flat + stack_diagonal(ridge_blocks(u, ridge))
     old = stack_transforms(transforms)
     with serial_blas():
         slope = c.reshape(old.shape) - old @ flat
-        found = _optimum(metric[np.ix_(free, free)], old, slope, free)
+        found = unstack_transforms(old + _solved(metric, slope.T).T, len(u))
     bad = ~admissible(transforms, found).all(axis=1)
     transforms[~bad] = found[~bad]
     if bad.any():
         some = np.ascontiguousarray(transforms[bad])
-        _sweep_admissible(some, flat, metric, c[bad], locked)
+        _sweep_admissible(some, flat, metric, c[bad])
         transforms[bad] = some
 
 
-def leap_rigid(transforms: Array, u: Array, c: Array, locked: NDArray[np.bool_]) -> None:
+def leap_rigid(transforms: Array, u: Array, c: Array) -> None:
     """Take a Gauss–Newton step of all rigid bones of a frame together, in every frame (in place).
 
     Gauss–Seidel sweeps take hundreds of rounds to move a bone far together with its neighbours.  A
@@ -112,7 +105,7 @@ def leap_rigid(transforms: Array, u: Array, c: Array, locked: NDArray[np.bool_])
     """
     n_bones, index = transforms.shape[1], np.arange(transforms.shape[1])
     mass = u[index, index, 3, 3]
-    still = locked | ~(mass > 0)
+    still = ~(mass > 0)
     # A rotation about the centroid of what a bone moves does not move the centroid.
     centre = u[index, index, :3, 3] / np.where(mass > 0, mass, 1.0)[:, None]
     shift = np.tile(np.eye(4), (n_bones, 1, 1))
@@ -138,13 +131,6 @@ def leap_rigid(transforms: Array, u: Array, c: Array, locked: NDArray[np.bool_])
         run_chunks(work, chunk_bounds(len(transforms), _MARCH))
 
 
-def _optimum(metric: Array, old: Array, slope: Array, free: NDArray[np.bool_]) -> Array:
-    """Least-squares transforms (F, B, 3, 4), from stacked ones `old`; only free columns change."""
-    new = old.copy()
-    new[:, free] += _solved(metric, slope[:, free].T).T
-    return unstack_transforms(new, old.shape[1] // 4)
-
-
 def _solved(metric: Array, slope: Array) -> Array:
     try:
         return np.asarray(cho_solve(cho_factor(metric, lower=True), slope))
@@ -153,15 +139,13 @@ def _solved(metric: Array, slope: Array) -> Array:
         return np.asarray(np.linalg.pinv(metric, hermitian=True) @ slope)
 
 
-def _sweep_admissible(
-    transforms: Array, flat: Array, metric: Array, c: Array, locked: NDArray[np.bool_]
-) -> None:
+def _sweep_admissible(transforms: Array, flat: Array, metric: Array, c: Array) -> None:
     """Move one bone after the other towards its optimum as far as is admissible (in place)."""
     n_frames, n_bones = transforms.shape[:2]
     stacked = stack_transforms(transforms).reshape(n_frames, 3, 4 * n_bones)
     target = c.reshape(stacked.shape)
     for _ in range(_SWEEPS):
-        for j in np.flatnonzero(~locked):
+        for j in range(n_bones):
             mine = np.arange(4) * n_bones + j
             slope = target[..., mine] - stacked @ flat[:, mine]
             step = _solved(metric[np.ix_(mine, mine)], slope.reshape(-1, 4).T).T

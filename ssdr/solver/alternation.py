@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -123,15 +122,14 @@ def bone_step(
     """
     length = normal_length(data, model) if length is None else length
     u, c = bone_sums(data, model, length=length)
-    mask = constraints.bone_mask(model.n_bones)
     if constraints.bone_model == "affine":
-        solve_affine(model.transforms, u, c, mask)
+        solve_affine(model.transforms, u, c)
         return u, c
     scaled = constraints.bone_model == "similarity"
     for k in range(max(1, leaps)):
         if k < leaps and not scaled:
-            leap_rigid(model.transforms, u, c, mask)
-        sweep(model.transforms, u, c, mask, sweeps=sweeps, scaled=scaled)
+            leap_rigid(model.transforms, u, c)
+        sweep(model.transforms, u, c, sweeps=sweeps, scaled=scaled)
     return u, c
 
 
@@ -139,7 +137,6 @@ def sweep(
     transforms: Array,
     u: Array,
     c: Array,
-    locked: NDArray[np.bool_],
     *,
     sweeps: int,
     scaled: bool = False,
@@ -152,8 +149,6 @@ def sweep(
     u, c : arrays
         As :func:`~ssdr.solver.moments.bone_sums` returns them.  Quadratic penalties on pairs of
         bones may have been added to `u`.
-    locked : (B,) bool array
-        Bones that stay as they are.
     sweeps : int
         Passes over the bones of each frame.
     scaled : bool
@@ -162,7 +157,7 @@ def sweep(
     start, neighbour = coupled_bones(u)
 
     def work(_: int, i: int, k: int) -> None:
-        sweep_bones(transforms[i:k], c[i:k], u, start, neighbour, locked, scaled, sweeps)
+        sweep_bones(transforms[i:k], c[i:k], u, start, neighbour, scaled, sweeps)
 
     run_chunks(work, chunk_bounds(len(transforms), max(1, -(-len(transforms) // 16))))
 
@@ -198,7 +193,7 @@ def normalise_gauge(model: Model, importance: Array, constraints: Constraints) -
     the part, so that its rest pose has the mean size and proportions of the motion; for similarity
     bones A is only a factor.  A acts about the centroid of the part.
     """
-    if constraints.bone_model == "rigid" or constraints.rest or len(constraints.bones):
+    if constraints.bone_model == "rigid" or constraints.rest:
         return
     n_bones = model.n_bones
     used = model.weights > 0

@@ -191,7 +191,7 @@ def tangent_of(data: Trajectories, model: Model, constraints: Constraints) -> Ta
         "similarity": SimilarityTangent,
         "affine": AffineTangent,
     }
-    return kinds[constraints.bone_model](data, model, constraints)
+    return kinds[constraints.bone_model](data, model)
 
 
 def fit_motion(

@@ -92,7 +92,6 @@ def fit_patches(
             az[:, j] = weighted[rows].T @ data.z[member[rows]]
         c = data.expand(az)
     start, nobody = np.zeros(2, dtype=np.int32), np.zeros(0, dtype=np.int32)
-    free = np.zeros(1, dtype=bool)
 
     def work(j: int, _first: int, _last: int) -> None:
         # one bone at a time: patches share no vertices, so the table of pairs would be sparse
@@ -100,9 +99,9 @@ def fit_patches(
         sums = np.ascontiguousarray(c[..., j : j + 1])
         block = own[j].reshape(1, 1, 4, 4).copy()
         stretches = bone_model != "rigid" and bounds[j + 1] - bounds[j] >= _FEWEST_STRETCHED
-        sweep_bones(piece, sums, block, start, nobody, free, stretches, 1)
+        sweep_bones(piece, sums, block, start, nobody, stretches, 1)
         if stretches and bone_model == "affine":
-            solve_affine(piece, block, sums, free, ridge=PATCH_RIDGE)
+            solve_affine(piece, block, sums, ridge=PATCH_RIDGE)
         transforms[:, j] = piece[:, 0]
 
     run_chunks(work, chunk_bounds(count, 1))
@@ -110,70 +109,41 @@ def fit_patches(
 
 
 def single_bone_errors(
-    data: Trajectories,
-    rest: Array | None,
-    transforms: Array,
-    rows: NDArray[np.intp],
-) -> tuple[Array, Array | None]:
-    """Squared error (n, B) of the n vertices `rows` if each bone alone moves them.
-
-    If `rest` is None, each vertex takes the best rest position for each bone; these positions
-    (n, 3, B) are the second result, which otherwise is None.
-    """
+    data: Trajectories, rest: Array, transforms: Array, rows: NDArray[np.intp]
+) -> Array:
+    """Squared error (n, B) of the n vertices `rows` if each bone alone moves them."""
     n_bones = transforms.shape[1]
     out = np.empty((len(rows), n_bones))
-    positions = np.empty((len(rows), 3, n_bones)) if rest is None else None
     with serial_blas():
         stacked = data.stack(transforms)
         reduced = data.reduce(stacked)
         columns = stacked.reshape(-1, 4, n_bones)
         gram = np.einsum("tdj,tej->jde", columns, columns)
-        solve = np.linalg.inv(gram[:, :3, :3]) if rest is None else None
 
         def work(_: int, i: int, k: int) -> None:
             part = rows[i:k]
             y = (data.z[part] @ reduced).reshape(k - i, 4, n_bones)
-            if rest is not None:
-                p = np.concatenate([rest[part], np.ones((k - i, 1))], axis=1)
-                f = np.einsum("idj,id->ij", y, p)
-                h = np.einsum("id,ie->ide", p, p).reshape(k - i, 16) @ gram.reshape(-1, 16).T
-                out[i:k] = data.x2[part, None] - 2.0 * f + h
-                return
-            assert solve is not None
-            assert positions is not None
-            right = y[:, :3] - gram[:, :3, 3].T
-            p = np.einsum("jde,iej->idj", solve, right)
-            positions[i:k] = p
-            out[i:k] = (
-                data.x2[part, None]
-                - 2.0 * y[:, 3]
-                + gram[:, 3, 3]
-                - np.einsum("idj,idj->ij", p, right)
-            )
+            p = np.concatenate([rest[part], np.ones((k - i, 1))], axis=1)
+            f = np.einsum("idj,id->ij", y, p)
+            h = np.einsum("id,ie->ide", p, p).reshape(k - i, 16) @ gram.reshape(-1, 16).T
+            out[i:k] = data.x2[part, None] - 2.0 * f + h
 
         run_chunks(work, chunk_bounds(len(rows), CHUNK))
-    return np.maximum(out, 0.0, out=out), positions
+    return np.maximum(out, 0.0, out=out)
 
 
-def facility_location(
-    cost: Array, importance: Array, count: int, held: Array | None = None
-) -> list[int]:
+def facility_location(cost: Array, importance: Array, count: int) -> list[int]:
     """Choose up to `count` columns j, one by one, that each lower Σ_i u_i min_j cost_ij most.
 
     This is greedy facility location; u is `importance` (n,), and min_j is over the chosen columns.
-    `held` (n,) is the least cost of each row i under the given bones, which count as chosen.
 
     References
     ----------
     Minoux, "Accelerated greedy algorithms for maximizing submodular set functions", 1978.
     """
     column = np.ascontiguousarray(cost.T)
-    chosen: list[int] = []
-    if held is None:
-        chosen.append(int((column @ importance).argmin()))
-        best = column[chosen[0]].copy()
-    else:
-        best = held.copy()
+    chosen = [int((column @ importance).argmin())]
+    best = column[chosen[0]].copy()
 
     def gain(j: int) -> float:
         return float(importance @ np.maximum(best - column[j], 0.0))
@@ -199,7 +169,6 @@ def start_model(
     bones: int,
     influences: int,
     rng: np.random.Generator,
-    given: Array | None = None,
     bone_model: BoneModel = "rigid",
     quick: bool = False,
 ) -> Model:
@@ -215,14 +184,11 @@ def start_model(
     rest : (V, 3) array
     bones, influences : int
     rng : Generator
-    given : (F, B0, 3, 4) array, optional
-        Bones that come first in the model and are not changed.
     bone_model : {"rigid", "similarity", "affine"}
     quick : bool
         Whether to try half as many patches, on a fifth of the vertices, without random numbers.
     """
     n = data.n_vertices
-    n_given = 0 if given is None else given.shape[1]
     everyone = np.arange(n)
     rows = by_motion(data)
     patches_per_bone, sample = _PATCHES_PER_BONE, _SAMPLE
@@ -231,30 +197,23 @@ def start_model(
         rows = rows[np.linspace(0, n - 1, min(n, sample)).astype(np.intp)]
     elif n > sample:
         rows = rows[np.sort(rng.choice(n, sample, replace=False))]
-    kept = np.zeros((data.n_frames, 0, 3, 4)) if given is None else given
-    if bones > n_given:
-        # scaled, so that vertices of little importance do not become seeds
-        seeds, label_rows = farthest_points(
-            data.z[rows] * np.sqrt(data.importance[rows])[:, None],
-            patches_per_bone * bones,
-            len(rows) - 1 if quick else int(rng.integers(len(rows))),
-        )
-        label = np.full(n, -1, dtype=np.intp)
-        label[rows] = label_rows
-        patches = fit_patches(data, rest, label, len(seeds), bone_model)
-        cost, _ = single_bone_errors(data, rest, patches, rows)
-        held = None
-        if n_given:
-            held = single_bone_errors(data, rest, kept, rows)[0].min(axis=1)
-        chosen = facility_location(cost, data.importance[rows], bones - n_given, held)
-        # repeated where there are fewer patches than bones
-        kept = np.concatenate([kept, patches[:, np.resize(chosen, bones - n_given)]], axis=1)
-    kept = np.ascontiguousarray(kept)
+    # scaled, so that vertices of little importance do not become seeds
+    seeds, label_rows = farthest_points(
+        data.z[rows] * np.sqrt(data.importance[rows])[:, None],
+        patches_per_bone * bones,
+        len(rows) - 1 if quick else int(rng.integers(len(rows))),
+    )
+    label = np.full(n, -1, dtype=np.intp)
+    label[rows] = label_rows
+    patches = fit_patches(data, rest, label, len(seeds), bone_model)
+    cost = single_bone_errors(data, rest, patches, rows)
+    chosen = facility_location(cost, data.importance[rows], bones)
+    # repeated where there are fewer patches than bones
+    kept = np.ascontiguousarray(patches[:, np.resize(chosen, bones)])
     for _ in range(_REFITS):
-        nearest = single_bone_errors(data, rest, kept, everyone)[0].argmin(axis=1)
+        nearest = single_bone_errors(data, rest, kept, everyone).argmin(axis=1)
         refit = fit_patches(data, rest, nearest, bones, bone_model)
         used = np.bincount(nearest, minlength=bones) >= 3
-        used[:n_given] = False
         kept[:, used] = refit[:, used]
-    nearest = single_bone_errors(data, rest, kept, everyone)[0].argmin(axis=1)
+    nearest = single_bone_errors(data, rest, kept, everyone).argmin(axis=1)
     return Model.start(kept, rest, nearest, influences)

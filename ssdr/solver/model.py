@@ -1,4 +1,4 @@
-"""The model that the solver's steps change, and the parts of it that are locked."""
+"""The model that the solver's steps change, and the parts of it that are kept."""
 
 from __future__ import annotations
 
@@ -220,7 +220,7 @@ class Model:
         support_weights[empty, 0] = 1.0
         support[empty, 0] = 0
         count = np.maximum((support_weights > 0).sum(axis=1), 1).astype(np.int32)
-        # only those that lose weight are normalised again: locked weights keep their bits
+        # only those that lose weight are normalised again: kept weights keep their bits
         lost = gone.any(axis=1)
         support_weights[lost] /= support_weights[lost].sum(axis=1, keepdims=True)
         support[support_weights <= 0] = 0
@@ -293,8 +293,6 @@ class Constraints:
         Whether the rest pose is locked.
     weights : (V,) or (0,) bool array
         Mask of the vertices whose weights are locked; empty if none are.
-    bones : (B0,) bool array
-        Mask of the bones, among the first B0, whose transforms are locked; later bones are free.
     bone_model : {"rigid", "similarity", "affine"}
         Kind of transforms that bones have.
     joints : bool
@@ -302,17 +300,13 @@ class Constraints:
     near_skin : bool
         Whether the objective penalises the distance of a joint from where the skin of its two bones
         meets.
-    rotations : (F, B0, 3, 3) array
-        Locked rotations of bones of a tree, relative to their parents; NaN for free bones.
     """
 
     rest: bool = False
     weights: NDArray[np.bool_] = dataclasses.field(default_factory=_none)
-    bones: NDArray[np.bool_] = dataclasses.field(default_factory=_none)
     bone_model: BoneModel = "rigid"
     joints: bool = False
     near_skin: bool = False
-    rotations: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0, 3, 3)))
 
     def select_vertices(self, chosen: NDArray[np.intp]) -> Constraints:
         """A copy whose mask of locked weights has only the chosen vertices."""
@@ -326,19 +320,6 @@ class Constraints:
     def vertex_mask(self, n: int) -> NDArray[np.bool_]:
         """Mask (n,) of the vertices whose weights are locked, for n vertices."""
         return np.pad(self.weights, (0, n - len(self.weights)))
-
-    def bone_mask(self, n: int) -> NDArray[np.bool_]:
-        """Mask (n,) of the bones whose transforms are locked, for n bones."""
-        return np.pad(self.bones, (0, n - len(self.bones)))
-
-    def joint_rotations(self, tree: Tree) -> list[tuple[int, int, NDArray[np.float64]]]:
-        """Bones whose rotation relative to the parent is locked: tuples (bone, parent, rotation).
-
-        Rotations are (F, 3, 3) arrays.  Parents come before children.
-        """
-        order = [int(j) for j in tree.order if j < self.rotations.shape[1] and tree.parents[j] >= 0]
-        kept = [j for j in order if not np.isnan(self.rotations[0, j, 0, 0])]
-        return [(j, int(tree.parents[j]), self.rotations[:, j]) for j in kept]
 
 
 FREE = Constraints()

@@ -22,19 +22,14 @@ from ssdr.solver.rest_surface import RestSurface
 from ssdr.solver.trajectories import Trajectories, gather
 
 _SOME, _ALL = np.arange(8) % 2 == 0, np.ones(8, dtype=bool)
-# rotations relative to the parent that bones 0 and 1 keep, where they have one
-_TURNS = Rotation.random(12, rng=np.random.default_rng(8)).as_matrix().reshape(4, 3, 3, 3)
-_TURNS[:, 2] = np.nan
 CASES = {
     "free": FREE,
     "rest": Constraints(rest=True),
     "weights": Constraints(weights=_SOME),
     "all weights": Constraints(weights=_ALL),
     "rest and weights": Constraints(rest=True, weights=_ALL),
-    "bones": Constraints(bones=np.array([False, True, False])),
     "joints": Constraints(joints=True),
     "motion alone": Constraints(rest=True, weights=_ALL, joints=True),
-    "locked": Constraints(rotations=_TURNS),
 }
 KINDS = {"rigid": 6, "similarity": 7, "affine": 12}  # unknowns of a bone
 TREES = {"tree": [1, -1, 1], "forest": [-1, 0, -1], "roots alone": [-1, -1, -1]}
@@ -135,11 +130,10 @@ class Tiny:
             points[tree.non_roots] += x[self.frames * size :].reshape(-1, 3)
         turns = _rotations(of_frames[:, : 3 * self.bones].reshape(self.frames, self.bones, 3))
         shifts = of_frames[:, 3 * self.bones :].reshape(self.frames, -1, 3)
-        kept = {j: turn for j, _, turn in self.constraints.joint_rotations(tree)}
         for j in parents_first(tree.parents):
             k = tree.parents[j]
             old = out[:, j, :, :3].copy()
-            out[:, j, :, :3] = out[:, k, :, :3] @ kept[j] if j in kept else old @ turns[:, j]
+            out[:, j, :, :3] = old @ turns[:, j]
             if k < 0:
                 shift = shifts[:, list(tree.roots).index(j)]
                 out[:, j, :, 3] += np.einsum("tab,tb->ta", old, shift)
@@ -194,13 +188,6 @@ class Tiny:
             ends = [self.residual(s * e[:n_m], s * e[n_m:]) for s in (1, -1)]
             columns[j] = (ends[0] - ends[1]) / (2 * step)
         return r, columns[:n_m].T, columns[n_m:].T
-
-    def moving(self) -> np.ndarray:
-        """Which unknowns are not of a locked bone."""
-        if self.model.tree is not None:
-            return np.ones(self.unknowns, dtype=bool)
-        constraints = np.repeat(self.constraints.bone_mask(self.bones), KINDS[self.kind])
-        return ~np.tile(constraints, self.frames)
 
 
 def _rotations(vectors: np.ndarray) -> np.ndarray:

@@ -51,14 +51,7 @@ def test_matrices_of_another_shape_are_refused_with_the_way_out() -> None:
     parts = CHAIN.rest, CHAIN.indices, CHAIN.weights
     m, rows = square(CHAIN.transforms), np.swapaxes(CHAIN.transforms, -1, -2)
 
-    def decompose(m: np.ndarray) -> object:
-        return ssdr.decompose(CHAIN.frames, bones=3, start=ssdr.Start(transforms=m), effort="fast")
-
-    for call in (
-        functools.partial(ssdr.skin, *parts),
-        functools.partial(ssdr.Skinning, *parts),
-        decompose,
-    ):
+    for call in (functools.partial(ssdr.skin, *parts), functools.partial(ssdr.Skinning, *parts)):
         said = [refusal(functools.partial(call, given)) for given in (m, rows)]
         assert "(of 4×4 matrices for column vectors pass m[..., :3, :])" in said[0]
         assert "(of matrices for row vectors pass np.swapaxes(m, -1, -2))" in said[1]

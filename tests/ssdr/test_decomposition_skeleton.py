@@ -88,33 +88,6 @@ def test_extra_bones_below_named_ones() -> None:
     assert result.rmse < _solve(trees.six_bones().wavy).rmse
 
 
-@pytest.mark.parametrize("frames", [1, 40])
-def test_locked_joints_turn_as_the_skeleton_says(frames) -> None:
-    made = trees.six_bones()
-    moving = dataclasses.replace(_rig(), transforms=made.transforms)
-    rig = moving if frames == 40 else _rig()
-    result = _solve(skeleton=rig, effort="balanced", locked_joints=["spine", "hand"])
-    model = _check(result)
-    for k in (1, 4):
-        want = np.broadcast_to(rig.local_transforms()[:, k, :, :3], (40, 3, 3))
-        np.testing.assert_allclose(model.local_transforms()[:, k, :, :3], want, atol=1e-9)
-    size = diagonal(made.frames)
-    if frames == 40:  # they are right: nothing is lost
-        assert result.rmse < 1e-5 * size
-    else:
-        assert 1e-3 * size < result.rmse < 0.1 * size
-
-
-def test_the_polish_of_locked_joints_is_that_of_fewer_unknowns() -> None:
-    made = trees.six_bones()
-    rig = dataclasses.replace(_rig(), transforms=made.transforms)
-    off = made.frames + 0.05 * np.sin(3 * made.frames[..., [2, 0, 1]])
-    held = _solve(off, skeleton=rig, locked_joints=["foot"], effort="balanced")
-    free = _solve(off, skeleton=rig, effort="balanced")
-    assert free.rmse <= 1.001 * held.rmse
-    assert held.rmse < 1.5 * free.rmse
-
-
 def test_a_rig_of_another_mesh_gives_joints_and_parents() -> None:
     made = trees.six_bones()
     frames = np.concatenate([made.rest[None], made.frames])

@@ -83,8 +83,7 @@ def test_a_cloud_of_points_has_neither() -> None:
 def test_a_rest_frame_is_the_one_that_is_resembled() -> None:
     shots, faces = motions.wings()
     for frame in (0, 8, 22):
-        start = ssdr.Start(rest_frame=frame)
-        s = ssdr.decompose(shots, faces, bones=6, effort="fast", start=start).skinning
+        s = ssdr.decompose(shots, faces, bones=6, effort="fast", rest_frame=frame).skinning
         edges = s.rest[faces] - s.rest[np.roll(faces, 1, axis=1)]
         strain = []
         for points in shots:

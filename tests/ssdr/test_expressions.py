@@ -11,6 +11,7 @@ import ssdr
 from helpers.glb import opened
 from helpers.rig_model import largest_distance, tube
 from helpers.surfaces import sphere
+from ssdr.expressions import displaced
 
 BALL = sphere(3)
 
@@ -139,3 +140,31 @@ def test_only_expressions_are_driven(made):
         ssdr.drive(made, np.ones((1, 4)))
     with pytest.raises(ssdr.InputError, match="weights: expected finite"):
         ssdr.drive(made, np.full((1, 3), np.inf))
+
+
+def test_displacements_by_a_threshold():
+    """The expression's own amount is 1: a displacement takes a vertex to its place, or is 0."""
+    rng = np.random.default_rng(0)
+    model = tube(frames=8)
+    off = rng.normal(0, 0.02, (8, model.n_vertices, 3))
+    off[0] = 0
+    vertices, amounts = model.skin() + off, np.eye(8)[:, 1:]
+    found = displaced(model, vertices, amounts, 0.03)
+    far = np.linalg.norm(off[1:], axis=2) > 0.03
+    np.testing.assert_array_equal(found.shapes.moved, far)
+    gap = np.linalg.norm(found.skin() - vertices, axis=2)
+    assert gap[1:][far].max() < 1e-8
+    np.testing.assert_allclose(gap[1:][~far], np.linalg.norm(off[1:], axis=2)[~far], atol=1e-12)
+    np.testing.assert_array_equal(found.rest, model.rest)
+
+
+def test_amounts_of_several_shapes_in_a_frame():
+    """The least squares of all frames, where each vertex has the shapes of frames it is far in."""
+    model, rng = tube(frames=20), np.random.default_rng(1)
+    y = model.rest[:, 1]
+    moved = np.stack([np.sin((k + 1) * y)[:, None] * [0.1, 0.02 * k, 0.1] for k in range(2)])
+    amounts = rng.random((20, 2))
+    vertices = dataclasses.replace(model, shapes=ssdr.Shapes(moved, amounts)).skin()
+    found = displaced(model, vertices, amounts, 1e-9, ["a", "b"])
+    assert np.sqrt(((found.skin() - vertices) ** 2).sum(axis=2).mean()) < 1e-7
+    assert found.shapes.names == ("a", "b")

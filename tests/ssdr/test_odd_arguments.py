@@ -56,10 +56,9 @@ CALLS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "^checkpoint: expected": (lambda x: decompose(checkpoint=x), (None,)),
     "^callback: expected": (lambda x: decompose(callback=x), (None,)),
     r"^start\.rest: ": (lambda x: decompose(start=ssdr.Start(rest=x)), (None,)),
-    r"^start\.rest_frame": (lambda x: decompose(start=ssdr.Start(rest_frame=x)), (None,)),
+    "^rest_frame": (lambda x: decompose(rest_frame=x), (None,)),
     r"^rig\.joints: expected": (lambda x: skeleton(joints=x), ()),
     r"^rig\.extra_bones: expected": (lambda x: skeleton(extra_bones=x), EMPTY),
-    r"^rig\.locked_joints: expected": (lambda x: skeleton(locked_joints=x), EMPTY),
     "hausdorff: expected True": (
         lambda x: ssdr.metrics.compare(FRAMES, FRAMES, FACES, hausdorff=x), (True,)),
     "sted: expected True": (lambda x: ssdr.metrics.compare(FRAMES, FRAMES, FACES, sted=x), (True,)),

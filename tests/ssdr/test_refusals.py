@@ -78,11 +78,15 @@ REFUSED: dict[str, tuple[str, dict[str, Any]]] = {
     "a shot and an array": ("sequence[1]", {"sequence": [SHOT, frames()], "faces": None}),
     "faces twice": ("faces", {"sequence": ssdr.MeshSequence(np.zeros((2, 84, 3)))}),
     "a callback that is none": ("callback", {"callback": 3}),
-}
-REFUSED_PARTS: dict[str, tuple[str, dict[str, Any]]] = {
     "a frame that is true": ("rest_frame", {"rest_frame": True}),
     "half a frame": ("rest_frame", {"rest_frame": 2.5}),
     "rest frame out of range": ("rest_frame", {"rest_frame": 15}),
+    "a rest frame beside a rest pose": (
+        "rest_frame",
+        {"rest_frame": 1, "start": ssdr.Start(rest=frames()[0])},
+    ),
+}
+REFUSED_PARTS: dict[str, tuple[str, dict[str, Any]]] = {
     "indices alone": ("weights", {"indices": np.zeros((84, 1), int)}),
     "weights alone": ("indices", {"weights": np.ones((84, 1))}),
     "indices out of range": ("indices", EACH_ONE | {"indices": np.full((84, 1), 4)}),
@@ -93,17 +97,6 @@ REFUSED_PARTS: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     "a bone twice": (
         "indices", {"indices": np.zeros((84, 2), int), "weights": np.full((84, 2), 0.5)},
-    ),
-    "locked vertices alone": ("locked_vertices", {"locked_vertices": [0]}),
-    "ragged locked vertices": ("locked_vertices", EACH_ONE | {"locked_vertices": [[1], [1, 2]]}),
-    "locked bones alone": ("locked_bones", {"locked_bones": [0]}),
-    "ragged locked bones": ("locked_bones", {"transforms": TWO, "locked_bones": [[0], [0, 1]]}),
-    "a bone that is not there": ("locked_bones", {"transforms": TWO, "locked_bones": [2]}),
-    "too many given bones": ("transforms", {"transforms": np.tile(np.eye(3, 4), (15, 5, 1, 1))}),
-    "bones of other frames": ("transforms", {"transforms": np.tile(np.eye(3, 4), (9, 2, 1, 1))}),
-    "bones beyond squares": ("transforms", {"transforms": far(1e155)}),
-    "bones beyond squares of the mesh": (
-        "transforms", {"sequence": 1e-60 * frames(), "transforms": far(1e95)},
     ),
     "rest of another mesh": ("rest", {"rest": np.zeros((83, 3))}),
     "complex rest": ("rest", {"rest": np.zeros((84, 3), complex)}),
@@ -130,7 +123,6 @@ REFUSED_RIGS: dict[str, tuple[str, dict[str, Any]]] = {
     "an affine tree": ("bone_model", {"rig": "rigid", "bone_model": "affine"}),
     "growing bones that hang": ("bone_model", {"rig": "loose", "bone_model": "similarity"}),
     "a smooth tree": ("smoothness", {"rig": "rigid", "smoothness": 0.1}),
-    "a tree of given bones": ("start.transforms", {"rig": "rigid", "transforms": TWO}),
     "a tree of given weights": ("start.weights", {"rig": "rigid"} | EACH_ONE),
 }
 REFUSED_SKELETONS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -149,12 +141,6 @@ REFUSED_SKELETONS: dict[str, tuple[str, dict[str, Any]]] = {
     "fewer than none by name": ("rig.extra_bones", {"extra_bones": {"hand": -1}}),
     "loose extra bones": ("rig.extra_bones", {"joints": "loose", "extra_bones": 2}),
     "extra bones beside weights": ("rig.extra_bones", {"extra_bones": 1} | EACH_ONE),
-    "a locked root": ("rig.locked_joints", {"locked_joints": ["hips"]}),
-    "a locked joint of no skeleton": ("rig.locked_joints", {"locked_joints": ["tail"]}),
-    "a name for names": ("rig.locked_joints", {"locked_joints": "hand"}),
-    "a number for names": ("rig.locked_joints", {"locked_joints": 4}),
-    "loose locked joints": ("rig.locked_joints", {"locked_joints": ["hand"], "joints": "loose"}),
-    "bones beside a skeleton": ("start.transforms", {"transforms": np.tile(TWO, (1, 3, 1, 1))}),
     "an affine skeleton": ("bone_model", {"bone_model": "affine"}),
     "a smooth skeleton": ("smoothness", {"smoothness": 0.1}),
 }
@@ -173,7 +159,6 @@ ON = {"sequence": made().frames, "rig": ssdr.Skeleton(skeleton())}
 FLAT = dataclasses.replace(skeleton(), parents=None, joint_positions=None)
 OTHER = dataclasses.replace(skeleton(), parents=[-1, 0, 0, 0, 0, 0])
 REFUSED_STARTS: dict[str, tuple[str, dict[str, Any]]] = {
-    "a frame that is not there": ("start", {"start": 15, "bones": 2}),
     "a file's name to start from": ("start", {"start": "model.npz", "bones": 2}),
     "a skeleton": ("start", {"start": ssdr.Skeleton(skeleton()), "bones": 2}),
     "another mesh": ("start", {"start": still(83)}),
@@ -187,6 +172,11 @@ REFUSED_STARTS: dict[str, tuple[str, dict[str, Any]]] = {
     "dense weights": ("start.indices", {"start": DENSE, "bones": 2}),
     "a bone twice in the start": ("start.indices", {"start": still(**TWICE)}),
     "bones that grow": ("start.transforms", {"start": still(**GROWN)}),
+    "bones beyond squares": ("start.transforms", {"start": still(transforms=far(1e155))}),
+    "bones beyond squares of the mesh": (
+        "start.transforms",
+        {"sequence": 1e-60 * frames(), "start": still(transforms=far(1e95))},
+    ),
     "far away": ("start.rest", {"start": motions.model(np.full((84, 3), 1e155))}),
     "other bones than the skeleton's": ("start", ON | {"start": still(), "sequence": frames()}),
     "another skeleton's": ("start", ON | {"start": OTHER}),
@@ -211,7 +201,7 @@ REFUSED_KINDS: dict[str, tuple[str, str, np.ndarray]] = {
 REFUSED_STARTS |= {
     f"{name} ({why})": (
         "start.transforms",
-        {"bones": 2, "bone_model": kind, "start": ssdr.Start(transforms=linear(matrix))},
+        {"bone_model": kind, "start": still(transforms=linear(matrix), bone_model="affine")},
     )
     for name, (kind, why, matrix) in REFUSED_KINDS.items()
 }
@@ -224,7 +214,6 @@ REFUSED_SMALLEST: dict[str, tuple[str, dict[str, Any]]] = {
     "smallest of more bones than vertices": ("bones", {"bones": 85}),
     "a soft rest pose": ("rest_pose", {"rest_pose": "soft"}),
     "weights beside a tolerance": ("start.weights", {"start": ssdr.Start(**EACH_ONE)}),
-    "bones beside a tolerance": ("start.transforms", {"start": ssdr.Start(transforms=TWO)}),
     "vertices of no importance": ("vertex_importance", {"vertex_importance": np.arange(84) < 42}),
     "importances too far apart": ("vertex_importance", {"vertex_importance": UNEVEN}),
     "normals in words": ("normals", {"normals": "no"}),

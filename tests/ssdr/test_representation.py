@@ -47,7 +47,7 @@ def test_results_in_a_few_words() -> None:
         ssdr.laplacian.split_frequencies(frames, length=0.1),
         surface,
         ssdr.Material(texture=b"0123456789" * 1000),
-        ssdr.Start(rest=chain.rest, transforms=chain.transforms.tolist()),
+        ssdr.Start(rest=chain.rest),
     ]
     for thing in things:
         text = repr(thing)
@@ -60,11 +60,10 @@ def test_results_in_a_few_words() -> None:
     assert "uv=None" in repr(surface)
     assert f"normals=<float32 ({len(chain.faces)}, 3, 3)>" in repr(surface)
     assert "texture=<10000 bytes>" in repr(things[5])
-    assert f"transforms=<list of {len(chain.transforms)}>" in repr(things[6])
-    assert "locked_bones=None" in repr(things[6])
+    assert "weights=None" in repr(things[6])
 
 
 def test_few_numbers_are_shown() -> None:
-    start = ssdr.Start(locked_bones=[0, 2], rest=np.zeros((4, 3), np.float32))
-    assert "locked_bones=[0, 2]" in repr(start)
+    start = ssdr.Start(indices=[0, 2], rest=np.zeros((4, 3), np.float32))
+    assert "indices=[0, 2]" in repr(start)
     assert "rest=<float32 (4, 3)>" in repr(start)

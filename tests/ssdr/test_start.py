@@ -33,7 +33,7 @@ def hasty(solve: Solve) -> ssdr.Skinning:
 
 
 def moving(kind: str) -> np.ndarray:
-    if kind in ("rigid rig", "skeleton", "locked joints"):
+    if kind in ("rigid rig", "skeleton"):
         return trees.six_bones().wavy
     if kind in stretches.KINDS:
         return motions.wobble(stretches.rig(kind), 0.05)
@@ -62,7 +62,6 @@ KINDS: dict[str, dict[str, Any]] = {
     "loose": {"bones": 5, "rig": "loose"},
     "rigid rig": {"bones": 6, "influences": 2, "rig": "rigid"},
     "skeleton": {"influences": 2, "rig": ssdr.Skeleton(skeleton(), extra_bones=1)},
-    "locked joints": {"influences": 2, "rig": ssdr.Skeleton(skeleton(), locked_joints=["c"])},
     "similarity": {"bones": 4, "bone_model": "similarity"},
     "affine": {"bones": 4, "bone_model": "affine"},
     "streamed": {"bones": 4},
@@ -91,14 +90,11 @@ def test_a_model_is_never_left_for_a_worse_one(
             assert result.rmse < rmse_of(start, array)
         assert model.bone_model == start.bone_model
         assert (model.parents is None) == (start.parents is None)
-        if kind in ("rigid rig", "skeleton", "locked joints"):
+        if kind in ("rigid rig", "skeleton"):
             assert model.joint_gaps().max() < 1e-9 * diagonal(array)
-        if kind in ("skeleton", "locked joints"):
+        if kind == "skeleton":
             assert np.array_equal(model.parents, start.parents)
             assert model.joint_names[:6] == skeleton().joint_names
-        if kind == "locked joints":
-            turns = model.local_transforms()[:, 2, :, :3]
-            np.testing.assert_allclose(turns, np.eye(3) + 0 * turns, atol=1e-9)
 
 
 @pytest.fixture
@@ -199,13 +195,3 @@ def test_the_start_is_left_alone() -> None:
     ssdr.decompose(frames(), start=start, effort="fast")
     for name, array in zip(names, before, strict=True):
         assert np.array_equal(getattr(start, name), array), name
-
-
-def test_a_frame_or_a_mesh_is_a_start_as_on_the_command_line() -> None:
-    mesh = ssdr.MeshSequence(frames())
-    for short, long in ((7, ssdr.Start(rest_frame=7)), (mesh, ssdr.Start(rest=frames()[0]))):
-        one, other = (
-            ssdr.decompose(frames(), bones=3, effort="fast", start=x) for x in (short, long)
-        )
-        assert np.array_equal(one.skinning.rest, other.skinning.rest)
-        assert np.array_equal(one.skinning.transforms, other.skinning.transforms)

@@ -9,7 +9,6 @@ import pytest
 
 import ssdr
 from helpers import motions
-from ssdr.start import Start
 
 BONES = 5
 
@@ -30,7 +29,7 @@ def clusters() -> ssdr.Skinning:
 
 def crumpled() -> ssdr.Skinning:
     shots, faces = clip()
-    free = {"rest_pose": "free", "normals": False, "start": Start(rest_frame=20)}
+    free = {"rest_pose": "free", "normals": False, "rest_frame": 20}
     return ssdr.decompose(shots, faces, bones=BONES, effort="fast", **free).skinning
 
 

@@ -25,17 +25,16 @@ class AffineTangent(Tangent):
     def pullback(self, gradient: Array) -> Array:
         scale = self.data.frame_scale
         out = unstack_transforms(gradient, self.model.n_bones) * scale[:, None, None, None]
-        out[:, self.locked_bones] = 0.0
         return np.ascontiguousarray(out).reshape(*out.shape[:2], 12)
 
     def move(self, model: Model, x: Array) -> None:
-        """Replace M by M + x (in place), except for locked bones and where it is not admissible.
+        """Replace M by M + x (in place), except where it is not admissible.
 
         A matrix is not admissible if it is reflected, too flat or too large.
         """
         m = model.transforms
         moved = m + x.reshape(m.shape)
-        good = admissible(m, moved) & ~self.locked_bones
+        good = admissible(m, moved)
         m[good] = moved[good]
 
     def precondition(self, u: Array, damping: float) -> tuple[Operator, Operator]:
@@ -55,8 +54,6 @@ class AffineTangent(Tangent):
             return np.ascontiguousarray(unstack_transforms(stacked, len(u))).reshape(x.shape)
 
         def precondition(r: Array) -> Array:
-            out = times(r, inverse) / weight
-            out[:, self.locked_bones] = 0.0
-            return out
+            return times(r, inverse) / weight
 
         return precondition, lambda x: times(x, damped) * weight

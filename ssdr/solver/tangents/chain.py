@@ -45,8 +45,6 @@ class ChainTangent(Tangent):
         self._parents, self._order, self._roots = tree.parents, tree.order, tree.roots
         self.joints = tree.non_roots[:0] if constraints.joints else tree.non_roots
         self.penalty = JointPenalty.none(len(self.joints))
-        # bones whose rotation relative to the parent is locked: their ω follows from the parent's
-        self._tied = constraints.joint_rotations(tree)
 
     def image(self, x: Array) -> Array:
         m = self.model.transforms
@@ -60,9 +58,6 @@ class ChainTangent(Tangent):
         turns, shifts = np.empty((n_frames, n_bones, 3)), np.empty((n_frames, n_bones, 3))
         moved, tangents = np.zeros((n_bones, 3)), self._bones.pullback(gradient)
         chain_pullback(m, *self._chain(), tangents, turns, shifts, moved)
-        for j, k, turn in self._tied[::-1]:
-            turns[:, k] += np.einsum("tba,ta->tb", turn, turns[:, j])
-            turns[:, j] = 0.0
         out = self.zeros()
         frames, joints = self.parts(out)
         frames[:, : 3 * n_bones] = turns.reshape(n_frames, -1)
@@ -96,7 +91,6 @@ class ChainTangent(Tangent):
         slot = np.arange(size).reshape(n_bones, 6)
         inner = np.concatenate([slot[:, :3].ravel(), slot[self._roots, 3:].ravel()])
         outer = slot[self.joints, 3:].ravel()
-        tied = np.array([3 * j + d for j, _, _ in self._tied for d in range(3)], dtype=np.intp)
 
         def matrix(_: int, i: int, k: int) -> Array:
             out = np.zeros((n_bones, 6, n_bones, 6))
@@ -116,8 +110,6 @@ class ChainTangent(Tangent):
             block = full[np.ix_(inner, inner)] / count
             block[np.diag_indices(len(inner))] += damped * own
             side = full[np.ix_(inner, outer)] / count
-            block[tied], block[:, tied], side[tied] = 0.0, 0.0, 0.0
-            block[tied, tied] = own[tied]
             inverse = inverse_of(block)
             answer = inverse @ side
             left = full[np.ix_(outer, outer)] - count * (side.T @ answer)
@@ -177,8 +169,6 @@ class ChainTangent(Tangent):
         shifts, moved = np.zeros((n_frames, n_bones, 3)), np.zeros((n_bones, 3))
         shifts[:, self._roots] = frames[:, 3 * n_bones :].reshape(n_frames, -1, 3)
         moved[self.joints] = joints
-        for j, k, turn in self._tied:
-            turns[:, j] = np.einsum("tba,tb->ta", turn, turns[:, k])
         return turns, shifts, moved
 
     def _chain(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:

@@ -57,13 +57,12 @@ class RigidTangent(Tangent):
             lambda _, i, k: tangent_pullback(m[i:k], g[3 * i : 3 * k], scale[i:k], out[i:k]),
             self.chunks,
         )
-        out[:, self.locked_bones] = 0.0
         return out
 
     def move(self, model: Model, x: Array) -> None:
         """Replace M by M exp(x) (in place)."""
         m = model.transforms
-        run_chunks(lambda _, i, k: move_bones(m[i:k], x[i:k], self.locked_bones), self.chunks)
+        run_chunks(lambda _, i, k: move_bones(m[i:k], x[i:k]), self.chunks)
 
     def precondition(self, u: Array, damping: float) -> tuple[Operator, Operator]:
         """The inverse of H + λD, with H averaged over groups of frames, and λD.
@@ -102,9 +101,7 @@ class RigidTangent(Tangent):
             flat = r.reshape(n_frames, size) / frame_weight[:, None]
             out = np.empty_like(flat)
             run_chunks(lambda g, i, k: np.matmul(flat[i:k], inverses[g], out=out[i:k]), groups)
-            out = out.reshape(r.shape)
-            out[:, self.locked_bones] = 0.0
-            return out
+            return out.reshape(r.shape)
 
         damped = damping * (frame_weight[:, None, None] * own)
         return precondition, lambda x: damped * x

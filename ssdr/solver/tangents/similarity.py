@@ -42,9 +42,7 @@ class SimilarityTangent(RigidTangent):
             out[d] = (m[:, :, f] * g[:, :, e] - m[:, :, e] * g[:, :, f]).sum(axis=1)
             out[3 + d] = (m[:, :, d] * g[:, :, 3]).sum(axis=1)
             out[6] += (m[:, :, d] * g[:, :, d]).sum(axis=1)
-        back = np.ascontiguousarray((out * scale[:, None]).transpose(1, 2, 0))
-        back[:, self.locked_bones] = 0.0
-        return back
+        return np.ascontiguousarray((out * scale[:, None]).transpose(1, 2, 0))
 
     def move(self, model: Model, x: Array) -> None:
         """Replace M by M exp(x), with its size kept within the allowed range (in place)."""
@@ -53,5 +51,4 @@ class SimilarityTangent(RigidTangent):
         size = np.linalg.norm(m[..., 0], axis=-1)
         grown = size * np.exp(np.clip(x[..., 6], -1.0, 1.0))
         grown = np.clip(grown, np.minimum(size, SMALLEST), np.maximum(size, LARGEST))
-        grown[:, self.locked_bones] = size[:, self.locked_bones]
         m[..., :3] *= (grown / size)[..., None, None]

@@ -11,7 +11,7 @@ from scipy.linalg import lapack
 
 from ...parallel import chunk_bounds
 from ..conjugate_gradients import Operator
-from ..model import FREE, Constraints, Model
+from ..model import Model
 from ..objective import JointPenalty
 from ..trajectories import Array, Trajectories
 
@@ -28,8 +28,6 @@ class Tangent(ABC):
     data : Trajectories
     model : Model
         Methods read the transforms that it has when they are called.
-    constraints : Constraints
-        The unknowns of locked bones are 0.
 
     Attributes
     ----------
@@ -48,9 +46,8 @@ class Tangent(ABC):
     joints: NDArray[np.intp] = np.zeros(0, dtype=np.intp)
     penalty: JointPenalty = JointPenalty.none(0)
 
-    def __init__(self, data: Trajectories, model: Model, constraints: Constraints = FREE) -> None:
+    def __init__(self, data: Trajectories, model: Model) -> None:
         self.data, self.model = data, model
-        self.locked_bones = constraints.bone_mask(model.n_bones)
         frames = max(-(-_TRANSFORMS // model.n_bones), -(-data.n_frames // 16))
         self.chunks = chunk_bounds(data.n_frames, frames)
 

@@ -25,7 +25,7 @@ def test_tangent_image_is_the_derivative_of_moving(rng: np.random.Generator) -> 
     ends = []
     for sign in (1, -1):
         moved = transforms.copy()
-        move_bones(moved, sign * 1e-6 * x, np.zeros(2, dtype=bool))
+        move_bones(moved, sign * 1e-6 * x)
         ends.append(moved)
     slope = (ends[0] - ends[1]) / 2e-6 * scale[:, None, None, None]
     np.testing.assert_allclose(image.reshape(3, 3, 4, 2), slope.transpose(0, 2, 3, 1), atol=1e-8)
@@ -33,11 +33,8 @@ def test_tangent_image_is_the_derivative_of_moving(rng: np.random.Generator) -> 
 
 def test_moving_keeps_rotations(rng: np.random.Generator) -> None:
     transforms = motions.motions(rng, 50, 3)
-    locked = np.array([False, True, False])
-    before = transforms.copy()
     for _ in range(20):
-        move_bones(transforms, 3 * rng.standard_normal((50, 3, 6)), locked)
-    assert np.array_equal(transforms[:, 1], before[:, 1])
+        move_bones(transforms, 3 * rng.standard_normal((50, 3, 6)))
     r = transforms[..., :3]
     assert np.abs(np.einsum("tjca,tjcb->tjab", r, r) - np.eye(3)).max() < 1e-12
     assert np.abs(np.linalg.det(r) - 1).max() < 1e-12

@@ -40,11 +40,10 @@ def test_bones_that_data_turn_inside_out_stop_before_and_still_descend() -> None
     inner, m = data.from_world(rest, np.tile(np.eye(4)[:3], (6, 3, 1, 1)))
     assert m is not None
     u, c = bone_sums(data, Model.with_weights(m, inner, indices, weights, 2))
-    free = np.zeros(3, dtype=bool)
     goal = np.stack([data.frame(t) for t in range(6)])
     values = []
     for _ in range(6):
-        solve_affine(m, u, c, free)
+        solve_affine(m, u, c)
         assert (np.linalg.det(m[..., :3]) > 0).all()
         values.append(((motions.blend(inner, indices, weights, m) - goal) ** 2).sum())
     assert (np.diff(values) <= 1e-9 * values[0]).all()
@@ -66,8 +65,7 @@ def test_a_leap_is_a_step_of_gauss_newton_about_the_centres_of_the_bones() -> No
     start[1, 0] = start[0, 0]
     model = Model.with_weights(start.copy(), rest, indices, weights, 3)
     u, c = bone_sums(data, model)
-    locked = np.array([True, False, False, False])
-    leap_rigid(model.transforms, u, c, locked)
+    leap_rigid(model.transforms, u, c)
 
     own = u[np.arange(4), np.arange(4)]
     centre = own[:, :3, 3] / own[:, 3:, 3]
@@ -79,7 +77,6 @@ def test_a_leap_is_a_step_of_gauss_newton_about_the_centres_of_the_bones() -> No
         out[..., :3] = out[..., :3] @ Rotation.from_quat(quaternions).as_matrix()
         place = np.einsum("jab,jb->ja", start[0, :, :, :3], centre + shift) + start[0, :, :, 3]
         out[..., 3] = place - np.einsum("jab,jb->ja", out[..., :3], centre)
-        out[0] = start[0, 0]
         return out
 
     def residual(x: np.ndarray) -> np.ndarray:
@@ -87,20 +84,18 @@ def test_a_leap_is_a_step_of_gauss_newton_about_the_centres_of_the_bones() -> No
 
     step = 1e-5
     jacobian = np.stack(
-        [(residual(step * e) - residual(-step * e)) / (2 * step) for e in np.eye(24)[6:]], axis=1
+        [(residual(step * e) - residual(-step * e)) / (2 * step) for e in np.eye(24)], axis=1
     )
     # damped by 1e-3 of what a bone by itself would have on the diagonal
     offset = rest - centre[:, None]
     dense = model.dense_weights().T
     spread = np.einsum("ji,jic,jic->jc", dense**2, offset, offset)
     turned = spread.sum(axis=1, keepdims=True) - spread
-    diagonal = np.concatenate([turned, np.tile((dense**2).sum(1)[:, None], 3)], axis=1)[1:].ravel()
+    diagonal = np.concatenate([turned, np.tile((dense**2).sum(1)[:, None], 3)], axis=1).ravel()
     matrix = jacobian.T @ jacobian + 1e-3 * np.diag(diagonal)
-    x = np.zeros(24)
-    x[6:] = -np.linalg.solve(matrix, jacobian.T @ residual(x))
+    x = -np.linalg.solve(matrix, jacobian.T @ residual(np.zeros(24)))
     np.testing.assert_allclose(model.transforms[0], moved(x), atol=1e-5)
     # the second frame is the same, and begins too far off, so that it goes on from the first
-    np.testing.assert_array_equal(model.transforms[:, 0], start[:, 0])
     before, after = (
         np.linalg.norm(motions.blend(rest, indices, weights, m)[t] - data.frame(t))
         for m, t in ((start, 1), (model.transforms, 1))

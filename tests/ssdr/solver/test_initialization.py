@@ -61,34 +61,25 @@ def test_single_bone_errors_against_loops(rng: np.random.Generator) -> None:
     rest, transforms = rng.standard_normal((12, 3)), motions.motions(rng, 5, 3)
     inner = np.stack([data.frame(t) for t in range(5)])
     rows = np.array([7, 2, 3])
-    cost, none = single_bone_errors(data, rest, transforms, rows)
-    assert none is None
-    best, position = single_bone_errors(data, None, transforms, rows)
-    assert position is not None
+    cost = single_bone_errors(data, rest, transforms, rows)
     one = np.ones((12, 1))
     for j in range(3):
         indices = np.full((12, 1), j)
         want = naive.squared_error(inner, rest, indices, one, transforms)
         np.testing.assert_allclose(cost[:, j], want[rows], rtol=1e-9)
-        free = naive.rest_position(inner, indices, one, transforms)
-        np.testing.assert_allclose(position[:, :, j], free[rows], atol=1e-9)
-        want = naive.squared_error(inner, free, indices, one, transforms)
-        np.testing.assert_allclose(best[:, j], want[rows], rtol=1e-9)
 
 
 @settings(max_examples=20)
-@given(seed=st.integers(0, 10**6), count=st.integers(1, 5), held=st.booleans())
-def test_choice_is_greedy(seed: int, count: int, held: bool) -> None:
+@given(seed=st.integers(0, 10**6), count=st.integers(1, 5))
+def test_choice_is_greedy(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     cost, importance = rng.random((15, 8)), rng.random(15)
-    there = rng.random(15) if held else None
-    got = facility_location(cost, importance, count, there)
+    got = facility_location(cost, importance, count)
     chosen: list[int] = []
     for _ in range(count):
         totals = []
         for j in range(8):
-            columns = cost[:, [*chosen, j]]
-            near = columns.min(axis=1) if there is None else np.minimum(columns.min(axis=1), there)
+            near = cost[:, [*chosen, j]].min(axis=1)
             totals.append(np.inf if j in chosen else (importance * near).sum())
         chosen.append(int(np.argmin(totals)))
     assert got == chosen

@@ -20,7 +20,7 @@ from ssdr.solver.objective import Objective, WeightSmoothness, rest_pulls
 from ssdr.solver.trajectories import Trajectories
 from ssdr.solver.vertex_newton import optimise_vertices
 
-LOCKED = Constraints(weights=np.arange(30) % 3 == 0, bones=np.array([False, True]))
+LOCKED = Constraints(weights=np.arange(30) % 3 == 0)
 CASES = {
     "surface": Case(normals=False),
     "normals": Case(surface=False),

@@ -40,10 +40,6 @@ def test_the_lowest_is_a_copy_that_later_steps_do_not_change() -> None:
 
 
 def test_masks_of_what_is_locked_reach_as_far_as_asked() -> None:
-    constraints, some = (
-        Constraints(weights=np.array([True, False]), bones=np.array([True])),
-        np.array([1, 0]),
-    )
-    assert constraints.bone_mask(3).tolist() == [True, False, False]
+    constraints, some = Constraints(weights=np.array([True, False])), np.array([1, 0])
     assert constraints.select_vertices(some).vertex_mask(2).tolist() == [False, True]
     assert Constraints().select_vertices(some).vertex_mask(2).tolist() == [False, False]

@@ -15,28 +15,23 @@ def kind(request: pytest.FixtureRequest) -> str:
 
 
 def _cases(kind: str) -> list[str]:
-    return ["free", "bones"] if kind in KINDS else ["free", "joints", "locked"]
+    return ["free"] if kind in KINDS else ["free", "joints"]
 
 
 def test_image_pullback_and_move_belong_together(kind: str, rng: np.random.Generator) -> None:
     for case in _cases(kind):
         tiny = Tiny(kind, case)
-        tangent, model, moving = tiny.newton.tangent, tiny.model, tiny.moving()
-        x = tiny.shaped(rng.standard_normal(tiny.unknowns) * moving)
+        tangent, model = tiny.newton.tangent, tiny.model
+        x = tiny.shaped(rng.standard_normal(tiny.unknowns))
         g = rng.standard_normal((3 * tiny.frames, 4 * tiny.bones))
         back = tangent.pullback(g)
         assert back.shape == x.shape
-        assert (back.ravel()[~moving] == 0).all()
         ends = []
         for sign in (1e-6, -1e-6):
             trial = model.copy()
             tangent.move(trial, sign * x)
             np.testing.assert_allclose(trial.transforms, tiny.moved(sign * x.ravel()), atol=1e-11)
             check_kind(trial.transforms, tiny.constraints.bone_model)
-            constraints = tiny.constraints.bone_mask(tiny.bones)
-            assert np.array_equal(
-                trial.transforms[:, constraints], model.transforms[:, constraints]
-            )
             ends.append(tiny.data.stack(trial.transforms))
         for precision, rounding in ((tangent.precision, 1e-6), (np.float64, 1e-12)):
             tangent.precision = precision
@@ -55,10 +50,9 @@ def test_a_large_step_keeps_the_bone_model(kind: str, rng: np.random.Generator) 
 def test_the_preconditioner_is_symmetric_and_positive(kind: str) -> None:
     for case in _cases(kind):
         tiny = Tiny(kind, case)
-        u, moving = tiny.newton._reduced().u, tiny.moving()
+        u = tiny.newton._reduced().u
         precondition, _ = tiny.newton.tangent.precondition(u, 1e-3)
         matrix = np.stack([precondition(tiny.shaped(e)).ravel() for e in np.eye(tiny.unknowns)])
-        matrix = matrix[np.ix_(moving, moving)]
         scale = np.sqrt(np.abs(np.diag(matrix)))
         matrix = matrix / scale[:, None] / scale
         np.testing.assert_allclose(matrix, matrix.T, atol=1e-9)
