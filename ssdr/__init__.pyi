@@ -28,10 +28,9 @@ from .fit.start import initialize as initialize
 from .fit.weights import fit_weights as fit_weights
 from .io import list_clips as list_clips
 from .io import load as load
+from .io import load_clips as load_clips
 from .io import load_skinning as load_skinning
 from .io import save as save
-from .joints.mirror import Mirror as Mirror
-from .joints.mirror import find_mirror as find_mirror
 from .lbs import SkinGradients as SkinGradients
 from .lbs import skin as skin
 from .lbs import skin_gradients as skin_gradients
@@ -43,6 +42,7 @@ from .rigid import kabsch as kabsch
 from .sequence import MeshSequence as MeshSequence
 from .sequence import WeldReport as WeldReport
 from .shapes import Shapes as Shapes
+from .signals import stop_on_signals as stop_on_signals
 from .skinning import Skinning as Skinning
 from .space import Space as Space
 from .start import Skeleton as Skeleton

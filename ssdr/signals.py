@@ -5,7 +5,7 @@
    ``KeyboardInterrupt``, so that temporary files are removed (:func:`interrupt_on_signals`).
 3. While a model is solved and saved, the first signal asks the solver to stop after its current
    step, and the best model so far is written to the outputs.  A second signal ends the process
-   at once (:func:`stop_on_signals`; :mod:`ssdr.cli.saving` writes the model).
+   at once (:func:`stop_on_signals`; :func:`ssdr.io.save_all` writes the model).
 
 Python handles a signal only between its own instructions, so long-running native code delays it.
 A watcher thread therefore ends the process one second after the second signal, if the block has
@@ -41,7 +41,25 @@ def interrupt_on_signals() -> contextlib.AbstractContextManager[None]:
 
 @contextlib.contextmanager
 def stop_on_signals() -> Iterator[threading.Event]:
-    """Context that gives an event; the first signal sets it and the second ends the process."""
+    """Context with an event that the first Ctrl-C sets; the second one ends the process.
+
+    A callback that returns whether it is set ends a solve with the best model so far. SIGTERM and
+    a closed terminal count as Ctrl-C.
+
+    Yields
+    ------
+    threading.Event
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> with ssdr.stop_on_signals() as stop:
+    ...     result = ssdr.decompose(
+    ...         dancer, bones=4, effort="fast", callback=lambda progress: stop.is_set()
+    ...     )
+    >>> result.stop_reason != "cancelled"
+    True
+    """
     stop = threading.Event()
 
     def ask() -> None:

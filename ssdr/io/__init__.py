@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+from .inputs import load_any, load_clips
 from .load_save import list_clips, list_meshes, load, load_skinning, save
+from .outputs import check_outputs, save_all, try_outputs
 from .registry import FORMATS, SaveReport
 from .spaces import in_space
 
 __all__ = [
     "FORMATS",
     "SaveReport",
+    "check_outputs",
     "in_space",
     "list_clips",
     "list_meshes",
     "load",
+    "load_any",
+    "load_clips",
     "load_skinning",
     "save",
+    "save_all",
+    "try_outputs",
 ]

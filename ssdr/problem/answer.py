@@ -14,7 +14,6 @@ from ..errors import SsdrWarning
 from ..frames import error as frames_error
 from ..frames.error import motion_rms
 from ..frames.normals import with_fitted_normals
-from ..joints.mirror import mirror_of, side_names
 from ..joints.placement import refit_joints, spanning_tree
 from ..metrics.normal_angles import NormalErrors, errors_of_model
 from ..normals import corner_normals
@@ -190,15 +189,13 @@ def _with_tree(
         tree = model.hierarchy if problem.rig == "rigid" else spanning_tree(model, by_gap=True)
         joints = alignment.points_to_world(tree.points)
     joints[tree.roots] = skinning.centroids()[tree.roots]
-    mirror = None
-    if not problem.names:
-        mirror = mirror_of(skinning.rest, skinning.indices, skinning.weights, n_bones)
-    found = side_names(mirror, n_bones)
+    digits = len(str(n_bones - 1))
+    numbered = [f"joint_{k:0{digits}d}" for k in range(len(problem.names), n_bones)]
     return dataclasses.replace(
         skinning,
         parents=tree.parents,
         joint_positions=joints,
-        bone_names=problem.names + found[len(problem.names) :],
+        bone_names=(*problem.names, *numbered),
     )
 
 

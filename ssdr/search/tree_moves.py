@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..hierarchy.tree import Tree
-from ..joints.mirror import edges_with_image, mirror_of
+from ..joints.mirror import edges_with_image, find_mirror
 from ..joints.placement import (
     find_contacts,
     fit_joint,
@@ -120,7 +120,7 @@ def mirror_edge(
     If the cycle has edges without a mirror image, one of these is dropped.  If the rest pose is not
     symmetric, or the tree is already symmetric, :func:`reparent` is called instead.
     """
-    mirror = mirror_of(model.rest, model.indices, model.weights, model.n_bones)
+    mirror = find_mirror(model.rest, model.indices, model.weights, model.n_bones)
     if mirror is None:
         return reparent(data, model, rng, constraints)
     changed, tree, other = model.with_restarted_support(), model.hierarchy, mirror.partners

@@ -144,7 +144,7 @@ def test_a_solver_runs_in_a_process_of_its_own_and_tells_the_truth() -> None:
         input="go\n" * 1000,
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=600,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
     )
     assert done.returncode == 0, done.stderr

@@ -57,7 +57,7 @@ def test_a_script_measures_and_keeps(script: str, case: str, key: str, tmp_path:
     command = [sys.executable, str(FOLDER / script), *options]
     # the second finds the row and measures nothing
     for _ in range(1 + (script == "speed/first_call.py")):
-        done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=600)
         assert done.returncode == 0, done.stderr
         (row,) = common.read_rows(out).values()
         assert key in row

@@ -94,7 +94,7 @@ def run_blender(script: Path, code: str, *arguments: Path) -> str:
     """Run code in Blender; what it prints."""
     script.write_text(code + _TAIL, encoding="utf-8")
     words = command(script, *map(str, arguments))
-    done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
+    done = subprocess.run(words, capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 0, done.stderr[-2000:]
     return done.stdout
 

@@ -22,7 +22,7 @@ def run(script: Path, *words: str, data: Path | None = None) -> subprocess.Compl
         [sys.executable, str(script), *words],
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=600,
         env=os.environ | settings,
     )
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import functools
-import threading
-import time
 import traceback
 from collections.abc import Callable, Sequence
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,10 +13,12 @@ import pytest
 import ssdr
 from helpers import motions
 from helpers.stretches import check_kind
+from ssdr import progress
 from ssdr.problem.problem import Initial
 from ssdr.search.descent import Descent, Schedule
 from ssdr.search.starts import start
 from ssdr.search.steps import alternate
+from ssdr.solver import warmup
 from ssdr.solver.model import Constraints, Model
 from ssdr.solver.trajectories import Trajectories
 
@@ -177,28 +178,15 @@ def size_of(skinning: ssdr.Skinning, array: np.ndarray) -> float:
     return float(max(np.abs(part.astype(np.float64)).max() for part in parts))
 
 
-def longest_silence(work: Callable[[], object]) -> tuple[float, float]:
-    """Seconds that `work` takes, and the longest wait of another Python thread meanwhile."""
-    gaps: list[float] = []
-    started, done = threading.Event(), threading.Event()
+class Ticks:
+    """Clock of a run that is `step` seconds later at each reading, however long the run takes."""
 
-    def tick() -> None:
-        last = time.perf_counter()
-        while not done.is_set():
-            time.sleep(0.001)
-            now = time.perf_counter()
-            gaps.append(now - last)
-            last = now
-            started.set()
+    def __init__(self, patch: pytest.MonkeyPatch, step: float) -> None:
+        self.now, self.step = 0.0, step
+        clock = SimpleNamespace(perf_counter=self.read, monotonic=self.read)
+        patch.setattr(progress, "time", clock)
+        patch.setattr(warmup, "time", clock)
 
-    watcher = threading.Thread(target=tick)
-    watcher.start()
-    started.wait()
-    began = time.perf_counter()
-    try:
-        work()
-    finally:
-        spent = time.perf_counter() - began
-        done.set()
-        watcher.join()
-    return spent, max(gaps)
+    def read(self) -> float:
+        self.now += self.step
+        return self.now

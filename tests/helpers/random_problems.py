@@ -8,10 +8,11 @@ import warnings
 from typing import Any
 
 import numpy as np
+import pytest
 
 import ssdr
 from helpers import motions
-from helpers.measures import broken, largest_of, rmse_of, size_of
+from helpers.measures import Ticks, broken, largest_of, rmse_of, size_of
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -35,8 +36,9 @@ class Drawn:
         shots = [ssdr.MeshSequence(self.frames[a:b], self.faces) for a, b in cuts]
         call = ssdr.smallest if "tolerance" in self.options else ssdr.decompose
         start = {"start": ssdr.Start(**self.parts)} if self.parts else {}
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), pytest.MonkeyPatch.context() as patch:
             warnings.simplefilter("ignore", ssdr.SsdrWarning)  # fewer bones would often do
+            Ticks(patch, 1e-3)  # a time limit is one of steps
             return call(shots, **(self.options | start | more))
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 import ssdr
-from helpers.measures import bits_on_threads, broken, longest_silence, rmse_of
+from helpers.measures import bits_on_threads, broken, rmse_of
 
 SEEDS = 3
 
@@ -109,7 +109,7 @@ def memory(problem: Problem) -> str:
         [sys.executable, "-W", "ignore", "-c", MEMORY, str(n), str(n_frames)],
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=600,
         check=False,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(p or "." for p in sys.path)},
     )
@@ -137,13 +137,6 @@ def taken_up(problem: Problem) -> str:
     # by one function, since sums in another order round differently
     before, after = (rmse_of(s, problem.positions()) for s in (start["start"], again.skinning))
     return "" if after <= before else "a higher error"
-
-
-def goes_on(problem: Problem) -> str:
-    """Measure how long another thread has to wait while the solver runs."""
-    problem.solve()  # kernels are ready
-    seconds, wait = longest_silence(problem.solve)
-    return "" if wait < 0.5 * seconds else f"waited {wait:.2f} of {seconds:.2f} s"
 
 
 @dataclasses.dataclass(frozen=True)

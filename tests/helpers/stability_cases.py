@@ -15,7 +15,7 @@ import numpy as np
 import ssdr
 from helpers import motions
 from helpers.measures import diagonal
-from helpers.stability import Case, Group, Problem, goes_on, memory, same_bits, taken_up
+from helpers.stability import Case, Group, Problem, memory, same_bits, taken_up
 
 
 @functools.cache
@@ -329,11 +329,8 @@ GROUPS = [
     Group(19, "reproducible", "sums in the order in which threads happen to end", [
         Case("one thread and two", plain, check=same_bits),
     ]),
-    Group(20, "cancel and go on", "work lost when stopped; a program that stands still "
-          "meanwhile", [
+    Group(20, "cancel and go on", "work lost when stopped", [
         Case("cancelled, taken up from its file", plain, check=taken_up),
-        Case("other threads go on", lambda: plain(effort="best", callback=after(60)),
-             check=goes_on),
     ]),
     Group(21, "arrays of another kind", "a number read as another, a view read as if it "
           "were whole", [

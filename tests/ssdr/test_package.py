@@ -43,7 +43,7 @@ NEEDED = {"numba", "numpy", "scipy", "trimesh"}  # once something is computed or
 
 def _run(code: str) -> str:
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=600
     )
     return done.stdout
 
@@ -52,19 +52,18 @@ def _project(folder: str = ".") -> dict[str, Any]:
     return tomllib.loads((ROOT / folder / "pyproject.toml").read_text())["project"]
 
 
-def test_import_is_quick_and_light_and_the_solver_needs_no_viewer_nor_torch() -> None:
-    took, light, whole = json.loads(
+def test_import_is_light_and_the_solver_needs_no_viewer_nor_torch() -> None:
+    light, whole = json.loads(
         _run(
-            "import json, sys, time\n"
-            "start = time.perf_counter()\n"
+            "import json, sys\n"
+            "before = {*sys.modules}\n"
             "import ssdr\n"
-            "took, light = time.perf_counter() - start, [*sys.modules]\n"
+            "light = {*sys.modules} - before\n"
             "ssdr.skin, ssdr.MeshSequence, ssdr.decompose, ssdr.metrics, ssdr.load\n"
-            "print(json.dumps([took, light, [*sys.modules]]))"
+            "print(json.dumps([[*light], [*sys.modules]]))"
         )
     )
-    assert not HEAVY & {name.split(".")[0] for name in light}
-    assert took < 0.5
+    assert {name.split(".")[0] for name in light} - sys.stdlib_module_names == {"ssdr"}
     assert not HEAVY - NEEDED & {name.split(".")[0] for name in whole}
 
 
@@ -182,7 +181,7 @@ def test_setup_refuses_what_is_no_python() -> None:
         capture_output=True,
         text=True,
         check=False,
-        timeout=30,
+        timeout=600,
     )
     assert done.returncode == 1
     assert "PYTHON=/bin/false is not a Python of version 3.11 or newer" in done.stderr
@@ -216,7 +215,7 @@ def test_wheel_holds_the_package_and_nothing_else(package: str, tmp_path: Path) 
         capture_output=True,
         text=True,
         check=False,
-        timeout=300,
+        timeout=600,
     )
     if done.returncode and "No matching distribution found for setuptools" in done.stderr:
         pytest.skip("no network to fetch the build backend")

@@ -11,7 +11,7 @@ from helpers.stability import Case, Problem, run
 from helpers.stability_cases import CASES, plain
 
 SLOW = {"exact skinning", "planar rest pose", "collinear rest pose", "nearly still", "V bones",
-        "V - 1 bones", "100,000 vertices", "4,000 frames", "other threads go on"}  # fmt: skip
+        "V - 1 bones", "100,000 vertices", "4,000 frames"}  # fmt: skip
 
 
 def marked(case: Case) -> Any:

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -34,6 +32,21 @@ frames = 12
 """
 
 
+HELD = """
+import itertools, sys, threading
+from garmentnet.cli import main
+from garmentnet.scenes import dataset
+add, number = dataset._add, itertools.count()
+def held(*arguments):
+    if next(number) == 2:  # one clip is whole, the other may be
+        print(flush=True)
+        threading.Event().wait()
+    add(*arguments)
+dataset._add = held
+sys.exit(main(sys.argv[1:]))
+"""
+
+
 def content(path: Path) -> dict[str, bytes]:
     return {
         str(p.relative_to(path)): p.read_bytes() for p in sorted(path.rglob("*")) if p.is_file()
@@ -49,19 +62,19 @@ def test_killed_and_started_again(tmp_path: Path) -> None:
     whole = make_data_set(data_set, tmp_path / "whole.clips", workers=1)
     assert set(whole.names(accepted=None, perturbed=None)) == names
     target = tmp_path / "killed.clips"
-    command = [sys.executable, "-m", "garmentnet", "simulate", str(source), "-o", str(target)]
+    command = [sys.executable, "-c", HELD, "simulate", str(source), "-o", str(target)]
     root = str(Path(__file__).parents[3])
     process = subprocess.Popen(
         [*command, "--workers", "2"],
         env={**os.environ, "PYTHONPATH": root},
-        stdout=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
     )
-    deadline = time.monotonic() + 300
-    while not any((target / "clips").glob("[!.]*")) and time.monotonic() < deadline:
-        time.sleep(0.01)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
+    with process:
+        assert process.stdout is not None
+        held = process.stdout.readline()
+        process.kill()
+    assert held
     half = ClipStore.open(target).names(accepted=None, perturbed=None)
     assert 0 < len(half) < 5
     before = {n: (target / "clips" / n / "zarr.json").stat().st_mtime_ns for n in half}

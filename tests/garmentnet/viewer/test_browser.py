@@ -1,7 +1,5 @@
 """The page of a garment in a browser without a screen: its numbers are those of the runtime."""
 
-import time
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -19,6 +17,7 @@ pytestmark = [
     pytest.mark.skipif(chromium() is None, reason="no Chromium to open a page with"),
 ]
 CLOSE = 1e-4  # metres
+SOON = "new Promise(r => requestAnimationFrame(() => requestAnimationFrame(() => r(0))))"
 
 
 def played(garment, joints, parameters=None):
@@ -114,17 +113,19 @@ def test_a_pause_stands_still_and_a_sleeping_tab_does_not_jump(opened, tmp_path)
     garment, joints = made.live(tmp_path), made.motion(4.0, seed=2)
     browser = opened(garment, [Take("one", joints)])
     before = vertices(browser, garment, 40)
-    time.sleep(0.3)
+    browser.value(SOON)
     assert np.array_equal(vertices(browser, garment), before)
+    # The page is told the times of its frames: 1.5 seconds without any would be 45 frames.
+    browser.value("window.later = requestAnimationFrame; later(t => { window.now = t; })")
+    browser.value(SOON)
+    browser.value("window.requestAnimationFrame = tick => { window.tick = tick; }; 0")
     browser.value("garmentnet.set({ playing: true })")
-    sleep = "const end = performance.now() + 1500; while (performance.now() < end);"
-    frame = browser.value(f"{sleep} garmentnet.state.frame")
-    soon = "new Promise(r => requestAnimationFrame(() => requestAnimationFrame(() => r(0))))"
-    browser.value(soon)
+    frames = browser.value("[0, 1500].map(ms => (tick(now + ms), garmentnet.state.frame))")
+    assert frames == [40, 43]
+    browser.value("window.requestAnimationFrame = later; later(tick)")
     browser.value("garmentnet.set({ playing: false })")
-    browser.value(soon)
+    browser.value(SOON)
     now = browser.value("garmentnet.state.frame")
-    assert (now - frame) % len(joints) < 30  # it would be 45 and more
     expected = played(garment, joints)[now]
     assert np.abs(vertices(browser, garment) - expected).max() < CLOSE
     assert np.abs(vertices(browser, garment, 40) - before).max() < 1e-6
@@ -166,7 +167,7 @@ def test_a_limb_turned_by_hand_takes_the_garment_along(opened, tmp_path):
     expected = played(garment, np.concatenate([joints, pose.repeat(18, axis=0)]))[-1]
     assert np.abs(after - expected).max() < 2e-3
     assert np.abs(after - before).max() > 0.01
-    time.sleep(0.2)
+    browser.value(SOON)
     assert np.array_equal(vertices(browser, garment), after)
     browser.key("Escape")
     settle(browser)

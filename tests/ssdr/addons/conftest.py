@@ -129,7 +129,7 @@ def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The extension's zip, built by Blender's own tool."""
     folder = tmp_path_factory.mktemp("extension")
     words = [sys.executable, str(ROOT / ".ci" / "extension.py"), str(folder)]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(words, capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     return folder / f"ssdr-{ssdr.__version__}.zip"
 

@@ -40,7 +40,7 @@ def test_without_blender_the_build_says_what_is_missing(tmp_path: Path) -> None:
         env={k: v for k, v in os.environ.items() if k not in hidden} | empty,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=600,
         check=False,
     )
     assert done.returncode == 1

@@ -79,6 +79,6 @@ def test_a_sample_is_given_by_name(done, refused):
 
 def test_a_process_of_its_own_without_a_display(clip, tmp_path):
     process = start(["-m", "ssdr", "render", clip, "-o", tmp_path / "a.png", "--width", 300])
-    out, err = process.communicate(timeout=120)
+    out, err = process.communicate(timeout=600)
     assert (process.returncode, err) == (0, "")
     assert "a.png" in out

@@ -55,7 +55,7 @@ def test_a_result_that_a_full_device_does_not_take_is_an_error(more, clip, tmp_p
     out = tmp_path / "a.npz"
     work = [*command.faked(), "decompose", clip, "-o", out, "--bones", 2, *more]
     process = command.through_shell(">/dev/full", work)
-    _, err = process.communicate(timeout=60)
+    _, err = process.communicate(timeout=600)
     assert process.returncode == 1
     assert err.splitlines()[-1] == "ssdr: error: standard output: No space left on device"
     assert "Traceback" not in err
@@ -63,7 +63,7 @@ def test_a_result_that_a_full_device_does_not_take_is_an_error(more, clip, tmp_p
     process = command.through_shell(
         ">/dev/full", ["-m", "ssdr", "info", tmp_path / "none.npz", *more]
     )
-    _, err = process.communicate(timeout=60)
+    _, err = process.communicate(timeout=600)
     assert (process.returncode, len(err.splitlines())) == (2, 1)
 
 
@@ -75,7 +75,7 @@ def test_a_reader_that_has_gone_loses_no_work(clip, tmp_path):
         os.close(read)
         process = command.start(words, stdout=write)
         os.close(write)
-        _, err = process.communicate(timeout=60)
+        _, err = process.communicate(timeout=600)
         assert (process.returncode, err.replace("solving\n", "")) == (code, "")
     assert (tmp_path / "a.npz").exists()
 
@@ -90,7 +90,7 @@ def test_progress_on_a_terminal(clip, tmp_path):
         environment=variables,
     )
     os.close(follower)
-    text, _ = process.communicate(timeout=60)
+    text, _ = process.communicate(timeout=600)
     seen = b""
     with open(leader, "rb", buffering=0) as terminal:
         try:

@@ -87,25 +87,3 @@ def test_point_caches_of_a_skinning_state_their_error(tmp_path, skinned):
     far = dataclasses.replace(skinned, rest=skinned.rest.astype(np.float64) * 1e300)
     with pytest.raises(InputError, match="thing: expected coordinates that float32 can hold"):
         ssdr.save(far, tmp_path / "far.pc2")
-
-
-@pytest.mark.parametrize(
-    ("points", "samples"),
-    [(2**31 - 1, 2**31 - 1), (-1, 4), (0, 4), (4, 0), (13, 4), (12, 5), (11, 4)],
-)
-def test_cache_counts_are_not_believed(tmp_path, wave, points, samples):
-    ssdr.save(wave, tmp_path / "a.pc2")
-    data = bytearray((tmp_path / "a.pc2").read_bytes())
-    struct.pack_into("<i", data, 16, points)
-    struct.pack_into("<i", data, 28, samples)
-    (tmp_path / "a.pc2").write_bytes(data)
-    ssdr.save(wave, tmp_path / "a.mdd")
-    data = bytearray((tmp_path / "a.mdd").read_bytes())
-    struct.pack_into(">ii", data, 0, samples, points)
-    (tmp_path / "a.mdd").write_bytes(data)
-    for name in ("a.pc2", "a.mdd"):
-        for mmap in (False, True):
-            with pytest.raises(
-                FormatError, match=f"{name}: states {samples} samples of {points} p"
-            ):
-                ssdr.load(tmp_path / name, faces="none", mmap=mmap)

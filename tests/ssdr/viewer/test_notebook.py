@@ -131,7 +131,7 @@ def test_cells_of_a_notebook_that_runs(tmp_path):
     nbformat, client = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
     pytest.importorskip("ipykernel")
     book = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(c) for c in CELLS])
-    client.NotebookClient(book, timeout=300, resources={"metadata": {"path": tmp_path}}).execute()
+    client.NotebookClient(book, timeout=600, resources={"metadata": {"path": tmp_path}}).execute()
     shown = [cell.outputs[-1].data for cell in book.cells]
     kinds = ["MeshSequence", "Decomposition", "Skinning", "Decomposition"]
     for data, kind, tag in zip(shown, kinds, ["iframe"] * 3 + ["img"], strict=True):

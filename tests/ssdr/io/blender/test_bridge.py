@@ -55,13 +55,19 @@ def test_blender_plays_our_usd(tmp_path):
 
 @needs_blender
 @pytest.mark.slow
-def test_damaged_files_are_blamed_on_the_file(tmp_path):
+def test_damaged_files_are_blamed_on_the_file(tmp_path, monkeypatch):
     path = tmp_path / "a.fbx"
     path.write_bytes(b"Kaydara FBX Binary  \x00\x1a\x00" + b"\xff" * 200)
     with pytest.raises(ssdr.FormatError, match=r"a\.fbx: Blender says: "):
         ssdr.load(path)
-    with pytest.raises(ssdr.FormatError, match=r"more than 0\.01 s"):
-        ssdr.load(path, time_limit=0.01)
+    path.write_bytes(b"; FBX 7.4\n")
+    said = r"a\.fbx: Blender says: ASCII FBX files are not supported"
+    with pytest.raises(ssdr.FormatError, match=said):
+        ssdr.load(path)
+    (tmp_path / "endless.py").write_text("import threading\nthreading.Event().wait()")
+    monkeypatch.setattr("ssdr.io.blender.fbx_reading.SCRIPT", tmp_path / "endless.py")
+    with pytest.raises(ssdr.FormatError, match=r"more than 0\.1 s"):
+        ssdr.load(path, time_limit=0.1)
 
 
 @needs_blender

@@ -6,11 +6,9 @@ import dataclasses
 import logging
 
 import numpy as np
-import pytest
 
 import ssdr
 from helpers.surfaces import same_surface
-from ssdr import FormatError
 
 
 def test_obj_keeps_seams_edges_and_names_of_materials(tmp_path, seam):
@@ -42,16 +40,3 @@ def test_obj_of_other_programs(tmp_path, caplog):
     assert surface.material_index.tolist() == [0, 1]
     assert surface.uv.tolist() == [[[0, 0], [1, 0.5], [1, 0.5]], [[0, 0], [0, 0], [0, 0]]]
     assert "3 corners have no uv" in caplog.text
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        *("f 1 2 4", "f 0 1 2", "f 1 2 -4", "f 1 2", "f 1 2 x", "f 1/1 2 3"),
-        *("v 1 2", "v 1 2 x", "v 1 2 nan", "v 1 2 inf", "v 1 2 1e999"),
-    ],
-)
-def test_obj_indices_must_exist_and_vertices_be_finite_numbers(tmp_path, line):
-    (tmp_path / "a.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\n{line}\nf 1 2 3\n")
-    with pytest.raises(FormatError, match=r"a\.obj"):
-        ssdr.load(tmp_path / "a.obj")

@@ -1,0 +1,290 @@
+"""One model written to several files: checked before the work, kept if a file fails after it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+import warnings
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..clips import Clip, names_of
+from ..errors import FormatError, InputError, MissingDependencyError, SsdrWarning, error_text
+from ..sequence import MeshSequence
+from .atomic import check_writable
+from .inputs import keywords
+from .load_save import list_clips, save
+from .optional import require
+from .paths import as_path
+from .registry import SaveReport, format_of
+
+_PACKAGES = {"alembic": "alembic3d", "usd": "pxr", "zarr": "zarr"}
+_GLTF = (".glb", ".gltf")
+_TRIED_INFLUENCES = 16  # more than any format with a limit takes
+_SHEARED = np.array([[1.0, 0.5, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
+
+
+def check_outputs(
+    paths: Iterable[str | os.PathLike[str]], *, inputs: Iterable[str | os.PathLike[str]] = ()
+) -> None:
+    """Raise an error before long work if a model could not be written to files after it.
+
+    Parameters
+    ----------
+    paths : paths
+        Files to which :func:`save_all` is to write.
+    inputs : paths
+        Files that must not be overwritten.
+
+    Raises
+    ------
+    InputError
+        If a suffix is unknown, a format can only be read, or a file is named twice, is an input,
+        lies in a folder that cannot be written to or would overwrite a companion file that is not
+        its own.
+    MissingDependencyError
+        If a format needs a package that is not installed.
+
+    Examples
+    --------
+    >>> ssdr.io.check_outputs(["horse.glb", "horse.npz"], inputs=["gallop.npz"])
+    """
+    seen = [as_path(path) for path in inputs]
+    for path in map(as_path, paths):
+        try:
+            suffix, format_ = format_of(path)
+        except FormatError as error:
+            raise InputError("output", "a known suffix", str(error)) from error
+        if not format_.has("write_skinning", "write_sequence"):
+            raise InputError("output", "a format that can be written", f"{path} ({suffix})")
+        if format_.extra == "blender":
+            from .blender import finder
+
+            try:
+                finder.command("")
+            except MissingDependencyError as error:
+                raise MissingDependencyError(f"{path}: FBX needs Blender. {error}") from error
+        if format_.extra in _PACKAGES:
+            require(_PACKAGES[format_.extra], format_.extra, f"{path}: {format_.title}")
+        # the folder of numbered files is made with them
+        made = format_.title.startswith("numbered") and "%" in path.name
+        check_file(path, "output", others=seen, with_folder=made)
+        seen.append(path)
+
+
+def check_file(
+    path: Path, argument: str, *, others: Iterable[Path], with_folder: bool = False
+) -> None:
+    """Raise an InputError if a file is in `others` or cannot be written.
+
+    If `with_folder`, a missing folder is no error, because it will be made.
+    """
+    if not (path.suffix.lower() == ".zarr" and path.is_dir()):
+        try:
+            check_writable(path.parent if with_folder and not path.parent.exists() else path)
+        except InputError as error:
+            raise InputError(argument, error.expected, error.got) from error
+    if path.resolve() in [other.resolve() for other in others]:
+        raise InputError(argument, "a file that is no input and no other output", str(path))
+
+
+def try_outputs(
+    paths: Iterable[str | os.PathLike[str]],
+    shots: Sequence[MeshSequence],
+    *,
+    bones: int | None = None,
+    influences: int = 4,
+    bone_model: str = "rigid",
+    **options: Any,
+) -> None:
+    """Raise an error before long work if a format could not store a model of these sequences.
+
+    A stand-in with the mesh, the names of the clips, the bone model and the number of influences
+    is written to a temporary folder.
+
+    Parameters
+    ----------
+    paths : paths
+    shots : sequence of MeshSequence
+    bones, influences, bone_model
+        As in :func:`decompose`.
+    **options
+        Options of :func:`save_all`.
+
+    Raises
+    ------
+    InputError, MissingDependencyError, SsdrError
+        As :func:`save`.
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> ssdr.io.try_outputs(["dancer.glb"], [dancer], bones=20, weights="uint8")
+    """
+    from ..skinning import Skinning
+
+    mesh, clips = shots[0], names_of(shots)["clips"]
+    n = mesh.n_vertices
+    count = max(1, min(influences, bones or n, _TRIED_INFLUENCES))
+    one = _SHEARED if bone_model == "affine" else np.eye(3, 4)
+    transforms = np.tile(one, (2 * len(clips), count, 1, 1))
+    arrays = mesh.frames(0), np.tile(np.arange(count), (n, 1)), np.full((n, count), 1 / count)
+    pairs = tuple(Clip(c.name, 2 * k, 2 * k + 2, c.fps) for k, c in enumerate(clips))
+    same = {
+        name: getattr(mesh, name) for name in ("faces", "surface", "vertex_map", "name", "space")
+    }
+    kind: Any = bone_model
+    model = Skinning(*arrays, transforms, clips=pairs, bone_model=kind, **same)
+    files = list(map(as_path, paths))
+    for path, given in zip(files, _settings(model, files, **options), strict=True):
+        if format_of(path)[1].extra == "blender":  # starts another program, for seconds
+            continue
+        # Errors of the temporary folder say nothing about that of the output.
+        with contextlib.suppress(OSError), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # they come again with the whole model
+            with tempfile.TemporaryDirectory(prefix="ssdr-") as folder:
+                save(model, Path(folder) / path.name, **given)
+
+
+def save_all(
+    thing: Any,
+    paths: Iterable[str | os.PathLike[str]],
+    *,
+    templates: Iterable[str | os.PathLike[str]] = (),
+    **options: Any,
+) -> list[SaveReport]:
+    """Write a model to several files; if one cannot be written, the others still are.
+
+    If then no file holds the model, it is written as ``.npz`` to the folder of the first file that
+    failed or, if that is not possible either, to the folder for temporary files.
+
+    Parameters
+    ----------
+    thing : Skinning or Decomposition
+    paths : paths
+    templates : paths
+        Files that the mesh came from. A glTF file keeps all but the mesh's skin of the first one
+        that is glTF, too.
+    **options
+        Options of :func:`save`, for the files whose format has them.
+
+    Returns
+    -------
+    list of SaveReport
+
+    Raises
+    ------
+    SsdrError, OSError
+        The error of the first file that could not be written, raised at the end.
+
+    Warns
+    -----
+    SsdrWarning
+        Where the model is kept, if no file could be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> start = ssdr.initialize(ssdr.samples.load("dancer_small"), bones=4)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     reports = ssdr.io.save_all(start, [f"{folder}/a.glb", f"{folder}/a.npz"])
+    >>> [report.path.name for report in reports]
+    ['a.glb', 'a.npz']
+    """
+    from ..skinning import skinning_in
+
+    files, model = list(map(as_path, paths)), skinning_in(thing)
+    reports: list[SaveReport] = []
+    failed: list[tuple[Path, Exception]] = []
+    for path, given in zip(files, _settings(model, files, templates, **options), strict=True):
+        try:
+            reports.append(save(model, path, **given))
+        except Exception as error:
+            failed.append((path, error))
+    if not failed:
+        return reports
+    said = [f"{path}: {error_text(other)}" for path, other in failed[1:]]
+    if not any(format_of(report.path)[1].has("read_skinning") for report in reports):
+        kept = _save_beside(model, failed[0][0])
+        said.append(f"the model is kept in {kept}" if kept else "the model is lost")
+    for text in said:
+        warnings.warn(text, SsdrWarning, stacklevel=2)
+    raise failed[0][1]
+
+
+def _save_beside(model: Any, path: Path) -> Path | None:
+    """Save a model to the folder of an output that could not be written; return the new file.
+
+    If that fails, the folder for temporary files is used.  If that fails, too, None is returned.
+    """
+    for folder in (path.parent, None):
+        with contextlib.suppress(Exception):
+            place = Path(folder or tempfile.gettempdir()) / f"{path.stem[:100]}.rescued.npz"
+            if os.path.lexists(place):
+                place = place.with_suffix(f".{os.getpid()}.npz")
+            save(model, place)
+            return place
+    return None
+
+
+def _settings(
+    model: Any,
+    files: Sequence[Path],
+    templates: Iterable[str | os.PathLike[str]] = (),
+    **options: Any,
+) -> list[dict[str, Any]]:
+    """Options of :func:`save` for each file: those that its format has, and a template."""
+    known = []
+    for path in files:
+        format_ = format_of(path)[1]
+        role = "write_skinning" if format_.has("write_skinning") else "write_sequence"
+        known.append(keywords(format_, role))
+    for name in options:
+        if name != "meshes" and not any(name in one for one in known):
+            wanted = ", ".join(sorted(set().union(*known))) or "no options"
+            raise InputError("options", f"one of {wanted}", name)
+    sources = [as_path(path) for path in templates]
+    found = []
+    for path, names in zip(files, known, strict=True):
+        given = {k: v for k, v in options.items() if k in names}
+        source = None
+        if path.suffix.lower() in _GLTF and not isinstance(model, MeshSequence):
+            source = options.get("template") or _template(path, sources)
+        if source is not None:
+            new = _new_names(source, [clip.name for clip in model.clips])
+            given |= {"template": source, **({"clip_names": new} if new else {})}
+        else:
+            given.pop("meshes", None)  # those of a template
+        found.append(given)
+    return found
+
+
+def _template(target: Path, sources: Sequence[Path]) -> Path | None:
+    """First file that can be the template of a glTF file, or None if there is none."""
+    from .gltf import template_problem
+
+    for source in sources:
+        if source.suffix.lower() in _GLTF and source.is_file():
+            problem = template_problem(source)
+            if not problem:
+                return source
+            said = f"{target} is written anew: {source}: {problem}"
+            warnings.warn(said, SsdrWarning, stacklevel=4)
+    return None
+
+
+def _new_names(source: str | os.PathLike[str], clips: Sequence[str]) -> dict[str, str | None]:
+    """Dict from the name of a clip in the file to its name in the model, where these differ.
+
+    None stands for a clip that was not read.
+    """
+    names: dict[str, str | None] = {}
+    for clip in list_clips(source):
+        stem = as_path(source).stem
+        candidates = (clip.name, stem, f"{stem}_{clip.name}")
+        names[clip.name] = next((name for name in candidates if name in clips), None)
+    return {old: new for old, new in names.items() if old != new}
