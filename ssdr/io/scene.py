@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -143,6 +143,29 @@ def file_weights(
     if np.abs(total - 1).max() > 1e-3:
         _log.warning("%s: skin weights that do not sum to 1 are scaled", what)
     return used, weights / total
+
+
+def nearest_joints(
+    joints: Sequence[Hashable], ancestors: Callable[[Any], Iterable[Hashable]]
+) -> NDArray[np.int64]:
+    """Index (B,) of the nearest ancestor of each joint that is a joint, too, or -1.
+
+    `ancestors` returns what is above a joint, the nearest first.
+    """
+    number = {joint: k for k, joint in enumerate(joints)}
+    found = (next((number[a] for a in ancestors(j) if a in number), -1) for j in joints)
+    return np.fromiter(found, dtype=np.int64, count=len(joints))
+
+
+def vertices_at_joints(
+    count: int,
+) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.int64]]:
+    """Indices, weights and faces of a model without a mesh, which has a vertex at each joint."""
+    return (
+        np.arange(count, dtype=np.int32)[:, None],
+        np.ones((count, 1)),
+        np.zeros((0, 3), dtype=np.int64),
+    )
 
 
 def facing(linear: NDArray[np.floating]) -> tuple[int, bool]:

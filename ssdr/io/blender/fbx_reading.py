@@ -24,7 +24,7 @@ from ..budget import MOST_BYTES
 from ..mesh_names import choose, mesh_names
 from ..registry import pick_clip, reading
 from ..sampling import tell
-from ..scene import Bones, make_skinning
+from ..scene import Bones, make_skinning, vertices_at_joints
 from ..signatures import describe
 from ..spaces import in_space
 from .finder import command, run
@@ -168,6 +168,9 @@ def read_skinning(
             _log.info("%s: clips %s", path, [clip.name for clip in clips])
         _tell_missed(arrays, clips, path, fps)
         parents, positions = arrays["parents"], arrays["joint_positions"]
+        if "rest" not in arrays:
+            vertices = positions, *vertices_at_joints(len(positions))
+            arrays |= dict(zip(("rest", "indices", "weights", "faces"), vertices, strict=True))
         model = make_skinning(
             arrays["rest"],
             arrays["indices"],

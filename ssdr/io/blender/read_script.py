@@ -113,7 +113,7 @@ def read(job: dict[str, Any]) -> None:
     elif job["action"] == "read skinning" and items:
         model = skins.SkinnedMeshes(items, takes.skin_bone_names(job["path"]))
     elif job["action"] == "read skinning":
-        model = skins.ArmaturePoints(armatures)
+        model = skins.BareArmatures(armatures)
     pose, timelines, missed, need = takes.pose(), [], [], 0
     for _, actions in found or [("", None)]:
         takes.restore(pose)

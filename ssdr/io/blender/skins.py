@@ -261,8 +261,8 @@ class SkinnedMeshes:
         }
 
 
-class ArmaturePoints:
-    """The bones of armatures that move no mesh, with a vertex at each joint."""
+class BareArmatures:
+    """The bones of armatures that move no mesh."""
 
     what = "transforms"
 
@@ -291,10 +291,6 @@ class ArmaturePoints:
         ]
         moved = [np.array(a.poses) @ np.linalg.inv(at) for a, at in pairs]
         return {
-            "rest": heads,
-            "indices": np.arange(len(heads), dtype=np.int32)[:, None],
-            "weights": np.ones((len(heads), 1), dtype=np.float32),
-            "faces": np.zeros((0, 3), dtype=np.int32),
             "transforms": np.concatenate(moved, axis=1)[:, :, :3],
             "bones": np.array(json.dumps([name for a in self.armatures for name in a.names])),
             "parents": np.array(parents),

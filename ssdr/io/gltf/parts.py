@@ -15,7 +15,7 @@ from ...normals import unit
 from ...shapes import Shapes
 from ..mesh_names import choose
 from ..registry import check
-from ..scene import Bones, Shape, facing, file_weights
+from ..scene import Bones, Shape, facing, file_weights, nearest_joints, vertices_at_joints
 from .animation import Nodes, descendants, still_frame
 from .compression import DRACO, decode_mesh
 from .document import Document
@@ -223,13 +223,11 @@ class PrimitiveGroup:
     def bones(self, transforms: NDArray[np.float64]) -> Bones:
         """Bones of the skin with names, parents, rest positions and the given `transforms`."""
         nodes, joints = self._nodes, self._joints
-        number = {joint: k for k, joint in enumerate(joints)}
-        parents = [next((number[a] for a in nodes.ancestors(j) if a in number), -1) for j in joints]
         # a singular inverse bind matrix states no position: the joint is put at the origin
         usable = np.abs(np.linalg.det(self._inverse[:, :3, :3])) > 1e-30
         bind = np.linalg.inv(np.where(usable[:, None, None], self._inverse, np.eye(4)))
         names = [str(nodes.items[k].get("name", f"node_{k}")) for k in joints]
-        return Bones(names, np.array(parents), bind[:, :3, 3], transforms)
+        return Bones(names, nearest_joints(joints, nodes.ancestors), bind[:, :3, 3], transforms)
 
 
 def names_of(document: Document, number: int) -> list[str]:
@@ -306,9 +304,8 @@ class JointPoints(PrimitiveGroup):
         self.document, self._nodes, self.skeleton = document, still, ("joints", 0)
         self._joints, self._inverse = joints, np.linalg.inv(rest)
         self.positions, self.targets = rest[:, :3, 3], np.zeros((0, len(joints), 3))
-        self.indices = np.arange(len(joints), dtype=np.int32)[:, None]
-        self.weights = np.ones(self.indices.shape)
-        self.faces, self.material = np.zeros((0, 3), dtype=np.int64), np.zeros(0, dtype=np.int64)
+        self.indices, self.weights, self.faces = vertices_at_joints(len(joints))
+        self.material = np.zeros(0, dtype=np.int64)
         self.uv = self.normals = None
 
 

@@ -14,7 +14,7 @@ from ...normals import unit
 from ...shapes import Shapes
 from ..meshes.polygons import fan, value_index
 from ..registry import check
-from ..scene import Bones, Shape, facing, file_weights
+from ..scene import Bones, Shape, facing, file_weights, vertices_at_joints
 
 _log = logging.getLogger(__name__)
 _FIRST = Usd.TimeCode.EarliestTime()
@@ -314,9 +314,8 @@ class SkeletonPoints(MeshPrim):
         self.n_points = self.n_bones = len(self._order)
         self._rows, self._bind, self._shapes = list(range(self.n_bones)), np.eye(4), None
         self.skeleton = str(self.prim.GetPath())
-        self.indices = np.arange(self.n_bones, dtype=np.int32)[:, None]
-        self.weights = np.ones((self.n_bones, 1))
-        self.faces = self.corners = np.zeros((0, 3), dtype=np.int64)
+        self.indices, self.weights, self.faces = vertices_at_joints(self.n_bones)
+        self.corners = self.faces
         self.counts = self.polygon = np.zeros(0, dtype=np.int64)
 
     def shape(self, codes: NDArray[np.float64]) -> Shape:
