@@ -145,8 +145,8 @@ def fit_bones(
         bones=skinning.n_bones,
         vertex_importance=check_importance(vertex_importance, "vertex_importance", n),
     )
-    inner = data.points_from_world(given.rest, f"{given.prefix}rest")
-    start = None if world is None else data.moves_from_world(world, "skinning.transforms")
+    inner = data.alignment.points_from_world(given.rest, f"{given.prefix}rest")
+    start = None if world is None else data.alignment.moves_from_world(world, "skinning.transforms")
     constraints = Constraints(rest=True, weights=np.ones(n, dtype=bool), bone_model=kind)
     # no step may turn a bone inside out, which blocks some paths of affine bones from their own
     # fit; from rigid bones these paths are open
@@ -167,7 +167,7 @@ def fit_bones(
     if world is None and _from_neighbours(data, model, constraints, max_sweeps):
         more, moved = _sweep_until_still(data, model, constraints, tolerance, max_sweeps)
         sweeps += more
-    _, out = data.to_world(model.rest, model.transforms)
+    _, out = data.alignment.to_world(model.rest, model.transforms)
     fitted = dataclasses.replace(skinning, transforms=out, keyframes=None, **names_of(sequences))
     found = fit_of(sequences, fitted)
     return BoneFit(**vars(found), sweeps=sweeps, converged=moved <= tolerance)
@@ -224,7 +224,7 @@ def _from_neighbours(data: Trajectories, model: Model, constraints: Constraints,
             trial = model.copy()
             near = np.clip(frame + shift, 0, frame[-1])
             # the alignment may have rotated the neighbouring frame differently
-            turn = data.rotation.swapaxes(1, 2) @ data.rotation[near]
+            turn = data.alignment.rotation.swapaxes(1, 2) @ data.alignment.rotation[near]
             trial.transforms = np.einsum("tab,tjbc->tjac", turn, model.transforms[near])
             _sweep_until_still(data, trial, constraints, 0.0, min(most, 4 * _SWEEPS))
             value = error(trial.transforms)

@@ -119,8 +119,8 @@ class FitInput:
             vertex_importance=vertex_importance,
             frame_importance=frame_importance,
         )
-        inner = data.points_from_world(self.rest, f"{self.prefix}rest")
-        return data, inner, data.moves_from_world(world, f"{self.prefix}transforms")
+        inner = data.alignment.points_from_world(self.rest, f"{self.prefix}rest")
+        return data, inner, data.alignment.moves_from_world(world, f"{self.prefix}transforms")
 
 
 def checked(

@@ -92,7 +92,7 @@ def fit_rest_pose(
         data = dataclasses.replace(data, faces=each.faces)
         data = dataclasses.replace(data, surface=RestSurface.build(data, inner))
     _solve_rest_pose(data, model, Constraints(weights=every))
-    found = data.points_to_world(model.rest)[row]
+    found = data.alignment.points_to_world(model.rest)[row]
     return fit_of(given.sequences, dataclasses.replace(skinning, rest=found))
 
 

@@ -87,7 +87,7 @@ def ssdr2012(
         if k:
             repeat_alternation(data, model, 1, constraints)
         best.offer(model, float(model.error.sum()))
-        least = rmse_of(best.model.error * data.scale**2, data.n_frames)
+        least = rmse_of(best.model.error * data.alignment.scale**2, data.n_frames)
         try:
             monitor.report("descent", iteration=k, rmse=least, fraction=(k + 1) / (iterations + 1))
         except Stop:

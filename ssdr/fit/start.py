@@ -109,7 +109,11 @@ def started(
         inner_rest = check_floats(rest, "rest", (n, 3), copy=True).astype(np.float64)
         check_squarable(inner_rest, "rest")
     data = gather(sequences, bones=bones)
-    start = data.frame(0) if inner_rest is None else data.points_from_world(inner_rest, "rest")
+    start = (
+        data.frame(0)
+        if inner_rest is None
+        else data.alignment.points_from_world(inner_rest, "rest")
+    )
     model = start_model(data, start, bones, min(k, bones), generator, bone_model)
     constraints = Constraints(rest=rest is not None, bone_model=bone_model)
     vertex_step(data, model, constraints=constraints)
@@ -120,7 +124,7 @@ def fitted_skinning(
     sequences: list[MeshSequence], data: Trajectories, model: Model, constraints: Constraints
 ) -> Skinning:
     """Convert a model of the solver to a skinning in the space of the sequences."""
-    rest, transforms = data.to_world(model.rest, model.transforms)
+    rest, transforms = data.alignment.to_world(model.rest, model.transforms)
     found = Skinning(
         rest,
         model.indices,

@@ -235,7 +235,7 @@ def _first_price(
     budget = max(left, 1e-300) * skinning.n_frames * skinning.n_vertices
     tracks = Tracks(skinning, frames.problem.offsets)
     # factor from squared errors in the solver's space to those of all frames in mesh units
-    unit = data.scale**2 * skinning.n_frames / data.n_frames
+    unit = data.alignment.scale**2 * skinning.n_frames / data.n_frames
     influence = influence_bytes(skinning.n_bones) / unit
     least = fewer.choose(0.0)[1]
     low, high = 1e-12 * budget, budget
@@ -256,7 +256,7 @@ def _pruned(
     skinning_of_all: Callable[[Model, Trajectories], Skinning],
 ) -> Pruned:
     """Remove the influences and keys that are not worth the price, and return a Pruned."""
-    influence = influence_bytes(fewer.models[0].n_bones) / frames.data.scale**2
+    influence = influence_bytes(fewer.models[0].n_bones) / frames.data.alignment.scale**2
     model = fewer.build(fewer.choose(price * influence)[0])
     d = frames.descent(model.n_bones)
     d.begin_with(model)

@@ -121,10 +121,10 @@ def find_smallest(
 def _usable_tolerance(frames: SolvedFrames, asked: float) -> float:
     """The tolerance `asked`, clipped to the range in which errors can be computed."""
     data = frames.data
-    check_squarable(data.centre, "vertices")
-    largest = max(float(np.abs(data.centre).max()), data.scale)
+    check_squarable(data.alignment.centre, "vertices")
+    largest = max(float(np.abs(data.alignment.centre).max()), data.alignment.scale)
     # a tolerance so large that every model holds it is reduced, since its square may overflow
-    most = _LOOSE * data.scale * math.sqrt(data.n_frames * data.n_vertices)
+    most = _LOOSE * data.alignment.scale * math.sqrt(data.n_frames * data.n_vertices)
     return max(min(asked, most), _ROUNDING * largest)
 
 

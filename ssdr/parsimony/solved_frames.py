@@ -56,7 +56,7 @@ class SolvedFrames:
 
     def squared(self, rmse: float) -> float:
         """Convert an RMSE to a squared error in the solver's space, summed over solved frames."""
-        return (rmse / self.data.scale) ** 2 * self.data.n_frames * self.data.n_vertices
+        return (rmse / self.data.alignment.scale) ** 2 * self.data.n_frames * self.data.n_vertices
 
     def descent(
         self, bones: int, *, data: Trajectories | None = None, initial: Initial | None = None
@@ -85,7 +85,7 @@ class SolvedFrames:
         if self.scan is not None and measure == "rmse":
             # each representative frame counts as often as there are frames like it
             return math.sqrt(max(model.weighted_error(self.data), 0.0) / self.squared(1.0))
-        rest, transforms = self.data.to_world(model.rest, model.transforms)
+        rest, transforms = self.data.alignment.to_world(model.rest, model.transforms)
         skin = rest, model.indices, model.weights
         if self.scan is not None:
             return _error(measure, self.sequences, *skin, transforms)
@@ -99,7 +99,7 @@ class SolvedFrames:
 
     def skinning(self, model: Model) -> Skinning:
         """Convert a model to a skinning of the frames that the search solves."""
-        return _trimmed(skinning_of(self.problem, self.data, model, self.sequences))
+        return _trimmed(skinning_of(self.problem, self.data.alignment, model, self.sequences))
 
     def skinning_of_all(
         self,

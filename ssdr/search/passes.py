@@ -106,10 +106,11 @@ class AllFrames:
         self.executor = executor or Local()
         self.alignment = scan.alignment
         self.passes = 0
-        ratio = data.scale / self.alignment.scale
+        ratio = data.alignment.scale / self.alignment.scale
         self.model = carried(model, scan.nearest, ratio, initial)
         # trajectories of all frames, without their positions
         self.space = Trajectories(
+            alignment=scan.alignment,
             z=data.z[:, :0],
             q=None,
             x2=data.x2,
@@ -119,7 +120,6 @@ class AllFrames:
             normals=None if data.n2 is None else data.z[:, :0],
             n2=data.n2,
             surface=None if data.surface is None else data.surface.scaled(ratio),
-            **vars(scan.alignment),
         )
         share = self.space.n_frames / data.n_frames
         self.model.error *= ratio**2 * share
@@ -174,7 +174,7 @@ class AllFrames:
         shared = (
             still,
             space.importance,
-            space.scale,
+            space.alignment.scale,
             space.faces,
             self.constraints,
             leaps,
@@ -184,8 +184,8 @@ class AllFrames:
         def of_span(k: int) -> tuple[Array, ...]:
             span = slice(*spans[k])
             return (
-                space.centre[span],
-                space.rotation[span],
+                space.alignment.centre[span],
+                space.alignment.rotation[span],
                 space.frame_scale[span],
                 model.transforms[span],
             )
@@ -239,15 +239,13 @@ def _pass_span(
         stop = start + len(block)
         flat = alignment.inward(block, start, frame_scale).reshape(n, -1)
         part = Trajectories(
+            alignment=alignment.select_frames(slice(start, stop)),
             z=flat,
             q=None,
             x2=np.einsum("ij,ij->i", flat, flat),
             importance=importance,
             frame_scale=frame_scale[start:stop],
             faces=faces,
-            centre=centre[start:stop],
-            rotation=rotation[start:stop],
-            scale=scale,
         )
         if n_points > 1:
             part = part.with_normals()

@@ -54,7 +54,7 @@ def solve(problem: Problem, schedule: Schedule | None = None) -> Decomposition:
     reason = d.follow(schedule or _schedule_of(problem), _report(problem, d, sequences))
     reason, records = problem.monitor.stopped or reason, list(d.records)
     return outcome_of(
-        problem, d.data, d.best.model, records, reason=reason, removable=d.removable_bones
+        problem, d.data.alignment, d.best.model, records, reason=reason, removable=d.removable_bones
     )
 
 
@@ -125,7 +125,7 @@ def read_frames(
         frame_importance=importance,
         compress=False,
     )
-    return sequences, data, initial.inside(data)
+    return sequences, data, initial.inside(data.alignment)
 
 
 def _begin(problem: Problem, data: Trajectories, initial: Initial, *, normals: bool) -> Descent:
@@ -165,7 +165,9 @@ def _report(problem: Problem, d: Descent, sequences: list[MeshSequence]) -> Call
     def report(phase: str) -> None:
         ready = d.best.exists
         if ready:
-            monitor.offer(lambda: skinning_of(problem, d.data, d.best_of_all().model, sequences))
+            monitor.offer(
+                lambda: skinning_of(problem, d.data.alignment, d.best_of_all().model, sequences)
+            )
         rmse = d.data.rmse(d.best_error)
         monitor.report(phase, iteration=d.iteration, rmse=rmse, fraction=d.fraction, ready=ready)
 
@@ -182,7 +184,7 @@ def _carried(
     """
     first.release()
     sequences, data, initial = read_frames(problem, more)
-    ratio = first.data.scale / data.scale
+    ratio = first.data.alignment.scale / data.alignment.scale
     if first.data.surface is not None:
         data = dataclasses.replace(data, surface=first.data.surface.scaled(ratio))
     d = _begin(problem, data, initial, normals=True)

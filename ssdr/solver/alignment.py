@@ -6,6 +6,7 @@ In the solver's space each frame is centred and rotated onto the first; one scal
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,10 @@ class Alignment:
     @property
     def n_frames(self) -> int:
         return len(self.centre)
+
+    def select_frames(self, frames: Any) -> Alignment:
+        """The alignment of some frames, given by indices or a slice."""
+        return dataclasses.replace(self, centre=self.centre[frames], rotation=self.rotation[frames])
 
     def points_to_world(self, points: Array) -> Array:
         """Map points (n, 3) of the rest pose to the input's space."""

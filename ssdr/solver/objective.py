@@ -61,7 +61,7 @@ def strength_of(data: Trajectories, length: float) -> float:
     `length` is in the input's units.
     """
     # bounded, since the square must not overflow; near the bound the error hardly counts anyway
-    return data.n_frames * min(length / data.scale, LARGEST) ** 2
+    return data.n_frames * min(length / data.alignment.scale, LARGEST) ** 2
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -34,11 +34,13 @@ _GRAM_LIMIT = 2000  # largest Gram matrix whose eigenvectors are all computed
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Trajectories(Alignment):
+class Trajectories:
     """Trajectories of all vertices, each frame multiplied by the root of its importance.
 
     Attributes
     ----------
+    alignment : Alignment
+        How they were aligned and scaled.
     z : (V, r) float64
         Coefficients of the trajectories in the basis.
     q : (3F, r) float64 or None
@@ -59,6 +61,7 @@ class Trajectories(Alignment):
         Surface that the rest pose is to resemble; None if it is free.
     """
 
+    alignment: Alignment
     z: Array
     q: Array | None
     x2: Array
@@ -68,6 +71,10 @@ class Trajectories(Alignment):
     normals: Array | None = None
     n2: Array | None = None
     surface: RestSurface | None = None
+
+    @property
+    def n_frames(self) -> int:
+        return len(self.frame_scale)
 
     @property
     def n_vertices(self) -> int:
@@ -123,8 +130,7 @@ class Trajectories(Alignment):
             self,
             z=flat,
             x2=np.einsum("ij,ij->i", flat, flat),
-            centre=self.centre[frames],
-            rotation=self.rotation[frames],
+            alignment=self.alignment.select_frames(frames),
             frame_scale=self.frame_scale[frames],
         )
 
@@ -201,7 +207,7 @@ class Trajectories(Alignment):
 
     def rmse(self, squared: float) -> float:
         """RMSE, in the input's units, of a squared error in the solver's."""
-        return self.scale * math.sqrt(squared / (self.n_frames * self.n_vertices))
+        return self.alignment.scale * math.sqrt(squared / (self.n_frames * self.n_vertices))
 
     def frame(self, t: int) -> Array:
         """Positions (V, 3) of one frame."""
@@ -252,14 +258,12 @@ def gather(
     flat = x.reshape(n_vertices, 3 * n_frames)
     x2 = np.einsum("ij,ij->i", flat, flat)
     data = Trajectories(
+        alignment=Alignment(centre=centre, rotation=rotation, scale=scale),
         z=flat,
         q=None,
         x2=x2,
         importance=importance,
         frame_scale=frame_scale,
-        centre=centre,
-        rotation=rotation,
-        scale=scale,
         faces=sequences[0].faces,
     )
     return data.compressed(bones) if compress else data

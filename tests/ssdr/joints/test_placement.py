@@ -23,7 +23,7 @@ from ssdr.solver.trajectories import gather
 
 def _model(made, influences=4):
     data = gather([ssdr.MeshSequence(made.frames)], bones=len(made.parents))
-    rest, transforms = data.from_world(made.rest, made.transforms)
+    rest, transforms = data.alignment.from_world(made.rest, made.transforms)
     model = Model.start(transforms.copy(), rest, made.indices[:, 0], influences)
     model.indices[:, :2], model.weights[:, :2] = made.indices, made.weights
     model.restart_support()
@@ -60,7 +60,7 @@ def test_exact_bones_give_their_tree_and_joints():
     data, model = _model(made)
     tree = spanning_tree(model)
     assert trees.edges(tree.parents) == trees.edges(made.parents)
-    points = tree.points * data.scale + data.centre[0]
+    points = tree.points * data.alignment.scale + data.alignment.centre[0]
     for k in tree.non_roots:
         child = k if made.parents[k] == tree.parents[k] else tree.parents[k]
         assert np.linalg.norm(points[k] - made.points[child]) < 0.02
@@ -120,7 +120,7 @@ def test_a_stiffer_penalty_closes_the_gaps():
     rng = np.random.default_rng(0)
     noisy = made.frames + 0.05 * rng.normal(size=made.frames.shape)
     data = gather([ssdr.MeshSequence(noisy)], bones=7)
-    rest, transforms = data.from_world(made.rest, made.transforms)
+    rest, transforms = data.alignment.from_world(made.rest, made.transforms)
     model = Model.start(transforms.copy(), rest, made.indices[:, 0], 2)
     vertex_step(data, model)
     for _ in range(4):  # bones of their own, each by its own vertices

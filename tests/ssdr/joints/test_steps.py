@@ -38,13 +38,13 @@ def _attached(d: Descent, frames: np.ndarray, bones: int) -> ssdr.Skinning:
     assert model.n_bones == bones
     assert model.tree is not None
     assert model.tree.rigid
-    rest, transforms = d.data.to_world(model.rest, model.transforms)
-    points, _ = d.data.to_world(model.tree.points, model.transforms)
+    rest, transforms = d.data.alignment.to_world(model.rest, model.transforms)
+    points, _ = d.data.alignment.to_world(model.tree.points, model.transforms)
     parts = {"parents": model.tree.parents, "joint_positions": points}
     skinning = ssdr.Skinning(rest, model.indices, model.weights, transforms, **parts)
     assert skinning.joint_gaps().max() < 1e-9
     error = np.sqrt(model.weighted_error(d.data) / frames.shape[0] / frames.shape[1])
-    assert rmse_of(skinning, frames) == pytest.approx(d.data.scale * error, rel=1e-6)
+    assert rmse_of(skinning, frames) == pytest.approx(d.data.alignment.scale * error, rel=1e-6)
     return skinning
 
 

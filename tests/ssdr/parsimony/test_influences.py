@@ -23,8 +23,10 @@ def test_dropped_influences_cost_what_is_said() -> None:
     level, error = nested.choose(1e-4)
     assert (level >= cheap).all()
     model = nested.build(level)
-    rest, transforms = data.to_world(model.rest, model.transforms)
+    rest, transforms = data.alignment.to_world(model.rest, model.transforms)
     built = ssdr.Skinning(rest, model.indices, model.weights, transforms)
     count = 15 * 84
-    assert rmse_of(built, wavy()) == pytest.approx(data.scale * np.sqrt(error / count), rel=1e-6)
+    assert rmse_of(built, wavy()) == pytest.approx(
+        data.alignment.scale * np.sqrt(error / count), rel=1e-6
+    )
     assert (model.weights > 0).sum() == np.take_along_axis(nested.counts, level[None], 0).sum()

@@ -27,7 +27,7 @@ def test_no_model_is_below_the_rank_bound(seed: int, bones: int) -> None:
     assert rank_bound(data, error) <= bones
     # the bound itself, from the frames by a plain SVD of what is left without the centroids
     centred = (frames - frames.mean(axis=1, keepdims=True)).transpose(1, 0, 2).reshape(40, -1)
-    values = np.linalg.svd(centred / data.scale, compute_uv=False) ** 2
+    values = np.linalg.svd(centred / data.alignment.scale, compute_uv=False) ** 2
     left = values.sum() - np.concatenate([[0], np.cumsum(values)])
     rank = int(np.argmax(left <= error))
     assert rank_bound(data, error) == max(1, -(-(rank + 1) // 4))

@@ -136,8 +136,8 @@ def _near_exact(frames: int) -> tuple:
     """A tree that moves exactly, its joints a little off."""
     made = trees.skeleton(6, frames, seed=4)
     data = gather([ssdr.MeshSequence(made.frames)], bones=6)
-    rest, transforms = data.from_world(made.rest, made.transforms)
-    points = data.points_from_world(made.points, "joint_positions")
+    rest, transforms = data.alignment.from_world(made.rest, made.transforms)
+    points = data.alignment.points_from_world(made.points, "joint_positions")
     model = Model.with_weights(transforms.copy(), rest, made.indices, made.weights, 2)
     points = points + 0.03 * np.random.default_rng(0).normal(size=points.shape)
     model.tree = Tree(made.parents, points, rigid=False)
@@ -148,7 +148,7 @@ def _near_exact(frames: int) -> tuple:
 def _near_exact_free() -> tuple:
     rig = motions.chain(bones=4, rows=24, frames=12)
     data = gather([ssdr.MeshSequence(rig.frames)], bones=4)
-    rest, transforms = data.from_world(rig.rest, rig.transforms)
+    rest, transforms = data.alignment.from_world(rig.rest, rig.transforms)
     rng = np.random.default_rng(0)
     transforms[..., 3] += 0.02 * rng.standard_normal(transforms[..., 3].shape)
     model = Model.start(transforms, rest, rig.indices[:, 0].astype(np.intp), 4)

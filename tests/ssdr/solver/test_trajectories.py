@@ -28,7 +28,7 @@ def test_world_and_back(rng: np.random.Generator) -> None:
     frames = 50 + rng.standard_normal((6, 9, 3))
     data = gathered(frames)
     rest, transforms = rng.standard_normal((9, 3)), motions.motions(rng, 6, 3)
-    outer, moved = data.to_world(*data.from_world(rest, transforms))
+    outer, moved = data.alignment.to_world(*data.alignment.from_world(rest, transforms))
     np.testing.assert_allclose(outer, rest, atol=1e-12)
     np.testing.assert_allclose(moved, transforms, atol=1e-12)
 
@@ -42,11 +42,11 @@ def test_normalising_changes_no_error(importance: bool, rng: np.random.Generator
     data = gathered(frames, bones=100, vertex_importance=weight)
     moved = rig.transforms.copy()
     moved[..., 3] += 7.1
-    rest, transforms = data.from_world(rig.rest, moved)
+    rest, transforms = data.alignment.from_world(rig.rest, moved)
     inner = np.stack([data.frame(t) for t in range(8)])
     got = naive.squared_error(inner, rest, rig.indices, rig.weights, transforms)
     want = naive.squared_error(frames, rig.rest, rig.indices, rig.weights, moved)
-    np.testing.assert_allclose(got * data.scale**2, want, rtol=1e-9)
+    np.testing.assert_allclose(got * data.alignment.scale**2, want, rtol=1e-9)
 
 
 def test_common_motion_is_taken_out(rng: np.random.Generator) -> None:
@@ -144,13 +144,15 @@ def test_vertex_error_is_that_of_skinning(n_frames: int, rng: np.random.Generato
     frames = motions.wobble(rig, 0.1)
     data = gathered(frames, bones=4)
     assert (data.q is not None) == (n_frames == 120)
-    rest, transforms = data.from_world(rig.rest, rig.transforms)
+    rest, transforms = data.alignment.from_world(rig.rest, rig.transforms)
     model = Model.start(transforms, rest, rig.indices[:, 0].astype(np.intp), 2)
     vertex_step(data, model)
-    rest, transforms = data.to_world(model.rest, model.transforms)
+    rest, transforms = data.alignment.to_world(model.rest, model.transforms)
     want = naive.squared_error(frames, rest, model.indices, model.weights, transforms)
-    np.testing.assert_allclose(model.error * data.scale**2, want, rtol=0.02)
-    assert model.weighted_error(data) * data.scale**2 == pytest.approx(want.sum(), rel=5e-3)
+    np.testing.assert_allclose(model.error * data.alignment.scale**2, want, rtol=0.02)
+    assert model.weighted_error(data) * data.alignment.scale**2 == pytest.approx(
+        want.sum(), rel=5e-3
+    )
 
 
 def test_unimportant_vertices_do_not_decide_the_basis(rng: np.random.Generator) -> None:
@@ -170,4 +172,4 @@ def test_shots_follow_each_other(rng: np.random.Generator) -> None:
     whole = gathered(frames, bones=10)
     parts = gather([ssdr.MeshSequence(frames[:3]), ssdr.MeshSequence(frames[3:])], bones=10)
     assert np.array_equal(whole.z, parts.z)
-    assert np.array_equal(whole.rotation, parts.rotation)
+    assert np.array_equal(whole.alignment.rotation, parts.alignment.rotation)
