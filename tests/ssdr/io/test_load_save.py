@@ -75,16 +75,6 @@ def test_load_welds_on_request(tmp_path, seam, caplog):
     np.testing.assert_array_equal(welded.unweld(welded.vertices, axis=1), seam.vertices)
 
 
-@pytest.mark.parametrize("name", ["a_%d.obj", "a_%d.ply", "a.npz", "a.npy", "a.mdd", "a.zarr"])
-def test_a_point_cloud_goes_round(tmp_path, wave, name):
-    if name == "a.zarr":
-        pytest.importorskip("zarr")
-    ssdr.save(ssdr.MeshSequence(wave.vertices), tmp_path / name)
-    back = ssdr.load(tmp_path / name, **({"faces": "none"} if name == "a.mdd" else {}))
-    np.testing.assert_array_equal(back.frames(slice(None)).astype(np.float32), wave.vertices)
-    assert len(back.faces) == 0
-
-
 def test_a_path_that_no_file_can_have_is_refused(wave):
     for act in (ssdr.load, ssdr.load_skinning, lambda path: ssdr.save(wave, path)):
         for path in ("a\0.npz", b"a.npz", 3):

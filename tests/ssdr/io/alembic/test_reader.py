@@ -1,7 +1,8 @@
-"""Reading of Alembic caches that the library's own bindings have written."""
+"""Alembic caches that the library's own bindings have written, and what ours lack."""
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 import logging
 import subprocess
@@ -371,3 +372,16 @@ def test_names_of_meshes_are_listed(tmp_path, capsys):
     shown = " ".join(capsys.readouterr().out.split())
     assert "5 at 25 a second" in shown
     assert "3, read as one (--read meshes=NAME takes one): ape, plate, zebra" in shown
+
+
+def test_a_surface_of_one_material_is_written(tmp_path, seam):
+    one = dataclasses.replace(seam.surface, material_index=None)
+    ssdr.save(dataclasses.replace(seam, surface=one), tmp_path / "a.abc")
+    assert [m.name for m in ssdr.load(tmp_path / "a.abc").surface.materials] == ["red"]
+
+
+def test_the_extra_is_named_before_anything_is_written(tmp_path, wave, monkeypatch):
+    monkeypatch.setitem(sys.modules, "alembic3d", None)
+    with pytest.raises(ssdr.MissingDependencyError, match=r"pip install \"alembic3d"):
+        ssdr.save(wave, tmp_path / "a.abc")
+    assert not list(tmp_path.iterdir())

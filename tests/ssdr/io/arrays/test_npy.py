@@ -43,8 +43,5 @@ def test_npy_takes_faces_from_anywhere(tmp_path, wave, mmap):
         ssdr.load(path)
 
 
-def test_npy_goes_round(tmp_path, wave):
-    report = ssdr.save(wave, tmp_path / "clip.npy")
-    assert "clip.faces.npy" in report.note
-    assert report.bytes == sum(f.stat().st_size for f in tmp_path.iterdir())
-    same_sequence(ssdr.load(tmp_path / "clip.npy", fps=25), wave)
+def test_npy_says_where_its_faces_are(tmp_path, wave):
+    assert "clip.faces.npy" in ssdr.save(wave, tmp_path / "clip.npy").note
