@@ -1,7 +1,7 @@
 """Blender extension that turns an animated mesh into an armature with vertex groups and an action.
 
-It needs only Blender's NumPy. The solver is the command ``ssdr``, which runs as a separate process
-in a Python environment: one that the preferences name, or one that a button there makes.
+It needs only Blender's NumPy. The solver runs as a separate process, by the Python that the
+preferences name, in whose environment ``ssdr`` is installed.
 """
 
 from . import ui

@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 from collections.abc import Generator, Iterator
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import bpy
@@ -33,20 +32,13 @@ def marked(scene: Any) -> list[FrameRange]:
     """Clips named by the scene's markers, each from its marker up to the next."""
     start, stop = scene.frame_start, scene.frame_end + 1
     marks = sorted((m.frame, m.name) for m in scene.timeline_markers if start <= m.frame < stop)
-    if not marks:
+    ends = [*(frame for frame, _ in marks[1:]), stop]
+    clips = [FrameRange(name, frame, end) for (frame, name), end in zip(marks, ends, strict=False)]
+    if not clips or any(stop - first < 2 for _, first, stop in clips):
         raise AddonError(
-            f"There is no marker between the frames {start} and {stop - 1} of the scene: set one "
-            "where each clip starts, or switch Clips from markers off"
+            f"Set a marker where each clip starts, between the frames {start} and {stop - 1} of "
+            "the scene and two or more frames before the next, or switch Clips from markers off"
         )
-    ends = [frame for frame, _ in marks[1:]] + [stop]
-    clips = [FrameRange(name, frame, end) for (frame, name), end in zip(marks, ends, strict=True)]
-    for name, first, end in clips:
-        if end - first < 2:
-            count = "1 frame" if end - first else "no frames"
-            raise AddonError(
-                f"The clip {name}, from its marker at frame {first} on, has {count}: move a "
-                "marker, so that it has two or more"
-            )
     return clips
 
 
@@ -64,11 +56,6 @@ class SampledObject:
         Transform from the sample's coordinates to the world, without shear.
     moves : bool
         Whether the object itself moves.
-    first : int
-        Number of the first frame in the scene.
-    fps : float
-    clips : list of FrameRange
-        Empty: all frames are one animation.
     """
 
     vertices: Any
@@ -76,36 +63,6 @@ class SampledObject:
     mesh: Any
     place: Matrix
     moves: bool
-    first: int
-    fps: float
-    clips: list[FrameRange]
-
-    def frames(self, clip: FrameRange) -> slice:
-        """Slice of `vertices` that holds the frames of a clip."""
-        return slice(clip.first - self.first, clip.stop - self.first)
-
-    def save(self, folder: Path, unit: float) -> list[str]:
-        """Write files that ssdr reads, one for each clip, and return their paths.
-
-        ``input.npz`` always holds all frames, for the page.  `unit` is the length of Blender's unit
-        in metres.
-        """
-        self._save(folder / "input.npz", unit, "", slice(None))
-        files = [folder / f"clip_{k}.npz" for k in range(len(self.clips))]
-        for path, clip in zip(files, self.clips, strict=True):
-            self._save(path, unit, clip.name, self.frames(clip))
-        return list(map(str, files or [folder / "input.npz"]))
-
-    def _save(self, path: Path, unit: float, clip: str, frames: slice) -> None:
-        np.savez(
-            path,
-            vertices=self.vertices[frames],
-            clip=np.array(clip),
-            faces=self.faces,
-            fps=np.array(self.fps),
-            units=np.array(unit),
-            up=np.array("z"),
-        )
 
 
 def replaced(source: Any) -> list[Any]:
@@ -160,50 +117,41 @@ def check(source: Any) -> None:
 
 
 def sample(
-    context: Any, source: Any, clips: list[FrameRange]
-) -> Generator[float, None, SampledObject]:
+    context: Any, source: Any, first: int
+) -> Generator[tuple[float, str], None, SampledObject]:
     """Play the frames of the scene, yield the fraction that is done, and return the sample.
 
-    Frames before the first clip are played, since simulations need them, but not kept.
+    Frames before the `first` are played, since simulations need them, but not kept.
     """
-    scene = context.scene
-    first = clips[0].first if clips else scene.frame_start
-    numbers = range(first, scene.frame_end + 1)
-    frames: list[Any] = []
-    kept, place, moves = None, Matrix(), False
+    scene, frames, worlds, kept = context.scene, [], [], None
     simulated = any(one.type in ("CLOTH", "SOFT_BODY") for one in source.modifiers)
     try:
         with frame_kept(scene, simulated=simulated), without_rest(source):
-            for number in range(scene.frame_start, first):
+            for number in range(scene.frame_start, scene.frame_end + 1):
                 scene.frame_set(number)
-                yield 0.0
-            for number in numbers:
-                scene.frame_set(number)
-                graph = context.evaluated_depsgraph_get()
-                shown = source.evaluated_get(graph)
-                world = shown.matrix_world.copy()
-                if kept is None:
-                    kept = bpy.data.meshes.new_from_object(
+                if number >= first:
+                    graph = context.evaluated_depsgraph_get()
+                    shown = source.evaluated_get(graph)
+                    worlds.append(shown.matrix_world.copy())
+                    kept = kept or bpy.data.meshes.new_from_object(
                         shown, preserve_all_data_layers=True, depsgraph=graph
                     )
-                    at_first, place = world, Matrix.LocRotScale(*world.decompose())
-                    if not abs(place.determinant()) > 0:
-                        raise AddonError(f"{source.name} has the scale 0 in frame {number}")
-                points = _points(shown)
-                if frames and points.shape != frames[0].shape:
-                    raise AddonError(
-                        f"{source.name} has {len(frames[0])} vertices in frame {numbers[0]} and "
-                        f"{len(points)} in frame {number}: their number must stay the same"
-                    )
-                moves = moves or world != at_first
-                to_place = np.linalg.inv(np.array(place)) @ np.array(world)
-                points = points @ to_place[:3, :3].T + to_place[:3, 3]
-                frames.append(points.astype(np.float32))
-                yield len(frames) / len(numbers)
-        vertices = np.stack(frames)
+                    frames.append(_points(shown))
+                    if len(frames[-1]) != len(frames[0]):
+                        raise AddonError(
+                            f"{source.name} has {len(frames[0])} vertices in frame {first} and "
+                            f"{len(frames[-1])} in frame {number}: their number must stay the same"
+                        )
+                yield len(frames) / (scene.frame_end + 1 - first), "reading the frames"
+        place = Matrix.LocRotScale(*worlds[0].decompose())
+        if not abs(place.determinant()) > 0:
+            raise AddonError(f"{source.name} has the scale 0 in frame {first}")
+        to_place = np.linalg.inv(np.array(place)) @ np.array(worlds)
+        vertices = np.stack(frames) @ to_place[:, :3, :3].swapaxes(1, 2) + to_place[:, None, :3, 3]
+        vertices = vertices.astype(np.float32)
         if (vertices == vertices[0]).all():
             raise AddonError(
-                f"{source.name} does not move between the frames {numbers[0]} and {numbers[-1]} of "
+                f"{source.name} does not move between the frames {first} and {scene.frame_end} of "
                 "the scene"
             )
     except BaseException:
@@ -213,8 +161,8 @@ def sample(
     kept.calc_loop_triangles()
     faces = np.empty(3 * len(kept.loop_triangles), dtype=np.int32)
     kept.loop_triangles.foreach_get("vertices", faces)
-    fps = scene.render.fps / scene.render.fps_base
-    return SampledObject(vertices, faces.reshape(-1, 3), kept, place, moves, first, fps, clips)
+    moves = any(world != worlds[0] for world in worlds)
+    return SampledObject(vertices, faces.reshape(-1, 3), kept, place, moves)
 
 
 def _points(shown: Any) -> Any:

@@ -1,5 +1,6 @@
-"""Operators, panel and preferences of the extension."""
+"""The operator, the panel and the preferences of the extension."""
 
+import traceback
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -13,28 +14,10 @@ from bpy.props import (
     StringProperty,
 )
 
-from .job import Decompose, Install, Job, ShowPage, folders
-from .process import AddonError, python_in
+from .job import steps
+from .process import AddonError
 
 _LOOK_AROUND = {"MIDDLEMOUSE", "WHEELUPMOUSE", "WHEELDOWNMOUSE", "TRACKPADPAN", "TRACKPADZOOM"}
-
-
-def _environment() -> Path:
-    return Path(bpy.utils.extension_path_user(__package__, create=True)) / "environment"
-
-
-def _python(context: Any) -> Path:
-    """Python named in the preferences or, if none is named, that of the environment made there."""
-    named = context.preferences.addons[__package__].preferences.python
-    python = Path(bpy.path.abspath(named)) if named else python_in(_environment())
-    if not python.is_file():
-        where = "Preferences > Add-ons > SSDR"
-        if named:
-            raise AddonError(f"There is no Python at {python}: see {where}")
-        raise AddonError(
-            f"ssdr is not installed yet: press Install in {where}, or name a Python there"
-        )
-    return python
 
 
 class SSDR_preferences(bpy.types.AddonPreferences):
@@ -42,26 +25,12 @@ class SSDR_preferences(bpy.types.AddonPreferences):
 
     python: StringProperty(
         name="Python",
-        description="Python in which ssdr is installed; empty: the one that Install makes",
+        description="Python of an environment in which ssdr is installed",
         subtype="FILE_PATH",
-    )
-    source: StringProperty(
-        name="Install from",
-        description="A wheel of ssdr, or a folder with it and all that it needs",
-        subtype="FILE_PATH",
-    )
-    online: BoolProperty(
-        name="Fetch what the wheel needs",
-        description="Let pip download NumPy, SciPy, Numba and the like from its package index; "
-        "otherwise no network is used, and their wheels must lie beside that of ssdr",
     )
 
     def draw(self, context: Any) -> None:
         self.layout.prop(self, "python")
-        self.layout.prop(self, "source")
-        self.layout.prop(self, "online")
-        made = python_in(_environment()).is_file()
-        self.layout.operator("ssdr.install", text="Install again" if made else "Install")
 
 
 class SSDR_options(bpy.types.PropertyGroup):
@@ -109,60 +78,70 @@ class SSDR_options(bpy.types.PropertyGroup):
     armature: PointerProperty(
         name="Armature", type=bpy.types.Object, poll=lambda _, item: item.type == "ARMATURE"
     )
-    place: EnumProperty(
-        name="Place",
-        items=[
-            ("REPLACE", "In its stead", "The object itself gets bones in place of its animation"),
-            ("BESIDE", "Beside it", "A copy gets them; the object stays as it is"),
-        ],
-    )
     clips: BoolProperty(
         name="Clips from markers",
         description="Each marker of the timeline starts a clip of its name, which ends before the "
         "next marker and becomes an action; otherwise all frames become one",
     )
-    color_error: BoolProperty(
-        name="Error as colour",
-        description="Colour attribute: blue where the bones are exact, red where they are least so",
-        default=True,
-    )
 
 
-class _Stepwise:
-    """Operator that runs a job.
+class SSDR_OT_decompose(bpy.types.Operator):
+    """Operator that does the work in one go if a script calls it.
 
-    Called from a script, it runs the job in one go.  From the interface, it runs the job in steps,
-    which show the progress and which Esc cancels.
+    From the interface it works in steps, which show the progress and which Esc cancels.
     """
 
-    _job: Job
+    bl_idname = "ssdr.decompose"
+    bl_label = "Animation to Bones"
+    bl_description = "Replace the animation of the active mesh by an armature with actions"
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
+    _steps: Any = None
+    _said: tuple[float, str] = (0.0, "starting")
     _timer: Any = None
 
-    def start(self, context: Any) -> Job:
-        raise NotImplementedError
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return context.mode == "OBJECT"
 
-    def finish(self, job: Job) -> None:
-        """Use the result of the job, after its last step."""
+    def _start(self, context: Any) -> Any:
+        named = context.preferences.addons[__package__].preferences.python
+        python = Path(bpy.path.abspath(named))
+        if not named or not python.is_file():
+            where = "name one in which ssdr is installed in Preferences > Add-ons > SSDR"
+            raise AddonError(f"There is no Python at {named}: {where}")
+        return steps(context, context.object, context.scene.ssdr, python)
+
+    def _step(self, context: Any) -> set[str]:
+        """Do the next step, and return what Blender is to do."""
+        try:
+            self._steps = self._steps or self._start(context)
+            self._said = next(self._steps)
+        except StopIteration as end:
+            for warning in end.value:
+                self.report({"WARNING"}, warning)
+            self.report({"INFO"}, self._said[1])
+            return {"FINISHED"}
+        except Exception as error:
+            if not isinstance(error, AddonError):
+                traceback.print_exc()
+            name = "" if isinstance(error, AddonError) else f"{type(error).__name__}: "
+            self.report({"ERROR"}, f"{name}{error}")
+            return {"CANCELLED"}
+        return {"RUNNING_MODAL"}
 
     def execute(self, context: Any) -> set[str]:
-        try:
-            self._job = self.start(context)
-            while self._job.step():
-                pass
-        except AddonError as problem:
-            return self._fail(problem)
-        return self._succeed()
+        state = {"RUNNING_MODAL"}
+        while state == {"RUNNING_MODAL"}:
+            state = self._step(context)
+        return state
 
     def invoke(self, context: Any, event: Any) -> set[str]:
-        try:
-            self._job = self.start(context)
-        except AddonError as problem:
-            return self._fail(problem)
-        manager = context.window_manager
-        manager.progress_begin(0, 100)
-        self._timer = manager.event_timer_add(0.03, window=context.window)
-        manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
+        state, manager = self._step(context), context.window_manager
+        if state == {"RUNNING_MODAL"}:
+            manager.progress_begin(0, 100)
+            self._timer = manager.event_timer_add(0.03, window=context.window)
+            manager.modal_handler_add(self)
+        return state
 
     def modal(self, context: Any, event: Any) -> set[str]:
         if event.type == "ESC" and event.value == "PRESS":
@@ -173,76 +152,23 @@ class _Stepwise:
             return {"PASS_THROUGH"}
         if event.type != "TIMER":
             return {"RUNNING_MODAL"}  # the scene must not change meanwhile
-        try:
-            more = self._job.step()
-        except AddonError as problem:
+        state, (done, text) = self._step(context), self._said
+        if state == {"RUNNING_MODAL"}:
+            context.window_manager.progress_update(100 * done)
+            context.workspace.status_text_set(f"{100 * done:.0f} %  {text}  (Esc: cancel)")
+        else:
             self._end(context)
-            return self._fail(problem)
-        if not more:
-            self._end(context)
-            return self._succeed()
-        percent = 100 * self._job.fraction
-        context.window_manager.progress_update(percent)
-        context.workspace.status_text_set(f"{percent:.0f} %  {self._job.text}  (Esc: cancel)")
-        return {"RUNNING_MODAL"}
+        return state
 
     def cancel(self, context: Any) -> None:
-        """Cancel the job; Blender also calls this when it closes the window."""
-        self._job.cancel()
+        """Cancel the work; Blender also calls this when it closes the window."""
+        self._steps.close()
         self._end(context)
 
     def _end(self, context: Any) -> None:
         context.window_manager.event_timer_remove(self._timer)
         context.window_manager.progress_end()
         context.workspace.status_text_set(None)
-
-    def _fail(self, problem: AddonError) -> set[str]:
-        self.report({"ERROR"}, str(problem))
-        return {"CANCELLED"}
-
-    def _succeed(self) -> set[str]:
-        for warning in self._job.warnings:
-            self.report({"WARNING"}, warning)
-        self.finish(self._job)
-        self.report({"INFO"}, self._job.text)
-        return {"FINISHED"}
-
-
-class SSDR_OT_decompose(_Stepwise, bpy.types.Operator):
-    bl_idname = "ssdr.decompose"
-    bl_label = "Animation to Bones"
-    bl_description = "Replace the animation of the active mesh by an armature with actions"
-    bl_options: ClassVar = {"REGISTER", "UNDO"}
-
-    @classmethod
-    def poll(cls, context: Any) -> bool:
-        return context.mode == "OBJECT"
-
-    def start(self, context: Any) -> Job:
-        return Decompose(context, context.object, context.scene.ssdr, _python(context))
-
-
-class SSDR_OT_page(_Stepwise, bpy.types.Operator):
-    bl_idname = "ssdr.page"
-    bl_label = "Show in Browser"
-    bl_description = "Open a page with the bones beside the animation that they replace"
-
-    def start(self, context: Any) -> Job:
-        return ShowPage(context.object, _python(context))
-
-    def finish(self, job: ShowPage) -> None:
-        bpy.ops.wm.url_open(url=job.page.as_uri())
-
-
-class SSDR_OT_install(_Stepwise, bpy.types.Operator):
-    bl_idname = "ssdr.install"
-    bl_label = "Install ssdr"
-    bl_description = "Make a Python environment of its own and install ssdr into it with pip"
-
-    def start(self, context: Any) -> Job:
-        chosen = context.preferences.addons[__package__].preferences
-        source = bpy.path.abspath(chosen.source) if chosen.source else ""
-        return Install(_environment(), source, chosen.online)
 
 
 class SSDR_PT_panel(bpy.types.Panel):
@@ -261,21 +187,12 @@ class SSDR_PT_panel(bpy.types.Panel):
             layout.prop(options, "size", expand=True)
             for name in ("bones",) if options.size == "BONES" else ("tolerance", "measure"):
                 layout.prop(options, name)
-        for name in ("influences", "effort", "place", "clips", "color_error"):
+        for name in ("influences", "effort", "clips"):
             layout.prop(options, name)
         layout.operator("ssdr.decompose", icon="ARMATURE_DATA")
-        if context.object is not None and context.object.name in folders:
-            layout.operator("ssdr.page", icon="URL")
 
 
-_CLASSES = (
-    SSDR_preferences,
-    SSDR_options,
-    SSDR_OT_decompose,
-    SSDR_OT_page,
-    SSDR_OT_install,
-    SSDR_PT_panel,
-)
+_CLASSES = SSDR_preferences, SSDR_options, SSDR_OT_decompose, SSDR_PT_panel
 
 
 def register() -> None:

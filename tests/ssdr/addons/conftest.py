@@ -30,6 +30,12 @@ bpy.ops.extensions.package_install_files(
     filepath=str(ZIP), repo="user_default", enable_on_install=True
 )
 job, process, ui = (importlib.import_module(f"{NAME}.{one}") for one in ("job", "process", "ui"))
+remove = shutil.rmtree
+def keep(folder, **options):  # what the job exchanged with the solver
+    for file in Path(folder).glob("*.[gnj]*"):
+        shutil.copy(file, FOLDER)
+    remove(folder, **options)
+job.shutil = type("shutil", (), {"rmtree": staticmethod(keep)})
 preferences = bpy.context.preferences.addons[NAME].preferences
 preferences.python = str(PYTHON)
 scene, options = bpy.context.scene, bpy.context.scene.ssdr
@@ -110,8 +116,6 @@ def left_behind():
 def save(target, before):
     shown, place = points(target)
     np.savez(FOLDER / "shown.npz", shown=shown, place=place, before=before[0], from_=before[1])
-    shutil.copy(job.folders[target.name] / "model.npz", FOLDER)
-    shutil.copy(job.folders[target.name] / "stdout.txt", FOLDER)
 
 def error(run=bpy.ops.ssdr.decompose):
     try:

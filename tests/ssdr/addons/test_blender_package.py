@@ -29,7 +29,10 @@ def test_the_manifest_and_the_modules_promise_what_they_keep() -> None:
                 names = [str(node.module)]
             for name in names:
                 top = name.partition(".")[0]
-                assert top in {*sys.stdlib_module_names, "bpy", "mathutils", "numpy"}, path.name
+                own = "ssdr" if path.name == "solve.py" else ""  # runs outside Blender
+                assert top in {*sys.stdlib_module_names, "bpy", "mathutils", "numpy", own}, (
+                    path.name
+                )
 
 
 def test_without_blender_the_build_says_what_is_missing(tmp_path: Path) -> None:

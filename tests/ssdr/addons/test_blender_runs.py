@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
-from pathlib import Path
 from typing import Any
 
 from helpers.blender_scene import needs_blender
@@ -19,11 +17,11 @@ item.modifiers.new("Solidify", "SOLIDIFY")
 for frame in range(1, 6):
     scene.frame_set(frame)
 was, found = state(), []
-for phase in ("reading the frames", "RMSE", "measuring the error"):
-    work = job.Decompose(bpy.context, item, options, PYTHON)
-    while phase not in work.text:
-        assert work.step()
-    work.cancel()
+for phase in ("reading the frames", "preparing", "RMSE"):
+    work = job.steps(bpy.context, item, options, PYTHON)
+    while phase not in next(work)[1]:
+        pass
+    work.close()
     alone = False
     try:
         os.waitpid(-1, os.WNOHANG)
@@ -34,9 +32,13 @@ for phase in ("reading the frames", "RMSE", "measuring the error"):
 # the operator itself, without an interface: Esc, then a run to its end
 from types import SimpleNamespace
 from unittest.mock import MagicMock
-class Clerk(ui._Stepwise):
-    def start(self, context):
-        return job.Decompose(bpy.context, item, options, PYTHON)
+class Clerk:
+    _steps, _said, _timer = None, (0.0, ""), None
+    invoke, modal, cancel, _step, _end = (
+        getattr(ui.SSDR_OT_decompose, one)
+        for one in ("invoke", "modal", "cancel", "_step", "_end"))
+    def _start(self, context):
+        return job.steps(bpy.context, item, options, PYTHON)
     def report(self, kind, text):
         told.append([*kind, text])
     def ends(self, key):
@@ -84,8 +86,6 @@ found["count"] = error()
 still.modifiers.remove(build)
 options.joints = "ARMATURE"
 found["armature"] = error()
-options.armature = still
-found["mesh"] = error()
 options.joints = "NONE"
 bending()
 options.clips = True
@@ -96,18 +96,10 @@ found["one frame"] = error()
 options.clips = False
 options.bones = 5000
 found["bones"] = error()
-found["page"] = error(bpy.ops.ssdr.page)
 preferences.python = str(FOLDER / "nowhere" / "python")
 found["python"] = error()
-preferences.python = shutil.which("git") or shutil.which("false")
-found["no ssdr"] = error()
 preferences.python = ""
-found["environment"] = error()
-found["source"] = error(bpy.ops.ssdr.install)
-preferences.source, preferences.online = str(FOLDER / "ssdr.zip"), True
-found["online"] = error(bpy.ops.ssdr.install)
-preferences.online = False
-found["wheel"] = error(bpy.ops.ssdr.install)
+found["unnamed"] = error()
 found["left"] = left_behind()
 print("SAID " + json.dumps(found))
 """)
@@ -118,52 +110,13 @@ print("SAID " + json.dumps(found))
         "hidden": "Grid is hidden: show it",
         "count": "their number must stay the same",
         "armature": "Choose the armature whose bones to keep",
-        "mesh": "Choose an armature: Grid is of type mesh",
-        "no marker": "There is no marker between the frames 1 and 30 of the scene",
-        "one frame": "The clip jump, from its marker at frame 30 on, has 1 frame: move a marker",
+        "no marker": "Set a marker where each clip starts, between the frames 1 and 30",
+        "one frame": "Set a marker where each clip starts",
         "bones": "bones: expected an integer from 1 to",
-        "page": "Select an object that was given bones since Blender was started",
         "python": "There is no Python at",
-        "no ssdr": "has no ssdr that works",
-        "environment": "ssdr is not installed yet: press Install in Preferences",
-        "source": "Choose what to install from",
-        "online": "Blender has no leave to go online",
-        "wheel": "is neither a wheel nor a folder of wheels",
+        "unnamed": "name one in which ssdr is installed in Preferences",
     }.items():
         assert words in said[key], key
         assert said[key].startswith("Error: "), key
         assert "\n" not in said[key], key
     assert said["left"] == []
-
-
-@needs_blender
-def test_the_button_installs_from_a_folder_of_wheels_and_the_page_opens(
-    blender: Any, tmp_path: Path
-) -> None:
-    info = "ssdr-0.1.0.dist-info"
-    (tmp_path / "wheels").mkdir()
-    with zipfile.ZipFile(tmp_path / "wheels" / "ssdr-0.1.0-py3-none-any.whl", "w") as wheel:
-        wheel.writestr("ssdr/__main__.py", "print('ssdr 0.1.0')")
-        wheel.writestr(f"{info}/METADATA", "Metadata-Version: 2.1\nName: ssdr\nVersion: 0.1.0\n")
-        wheel.writestr(
-            f"{info}/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
-        )
-        wheel.writestr(f"{info}/RECORD", f"ssdr/__main__.py,,\n{info}/METADATA,,\n{info}/WHEEL,,\n")
-    said = blender(
-        """
-preferences.python, preferences.source = "", str(FOLDER / "wheels")
-installed = list(bpy.ops.ssdr.install())
-made = ui._python(bpy.context)
-preferences.python = str(PYTHON)
-item = bending()
-options.color_error = False
-bpy.ops.ssdr.decompose()
-work = job.Page(item, PYTHON)
-while work.step():
-    pass
-print("SAID " + json.dumps([
-    installed, made.is_file(), "ssdr" in str(made),
-    "<html" in work.page.read_text(encoding="utf-8").lower(), len(item.data.color_attributes)]))
-"""
-    )
-    assert said == [["FINISHED"], True, True, True, 0]
