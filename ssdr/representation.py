@@ -1,4 +1,4 @@
-"""Representations of results: few words, whatever the size of their arrays, and HTML for notebooks."""
+"""Representations of results: a few words, whatever the size of arrays, and HTML for notebooks."""
 
 from __future__ import annotations
 
