@@ -11,7 +11,6 @@ import ssdr
 from helpers.blender_scene import needs_blender
 from helpers.rig_model import largest_distance, tube
 from helpers.rig_tree import NAMES, PARENTS, creature, differences, flat, tree_of
-from ssdr.io import in_space
 from ssdr.io.scene import SceneBudget
 
 FILES = ["a model.glb", "a.gltf", "a.usda", "a.usdc"]
@@ -143,18 +142,6 @@ def test_keyframes_alone_are_written(path):
         (animation,) = [p for p in stage.Traverse() if p.IsA(UsdSkel.Animation)]
         stored = UsdSkel.Animation(animation).GetRotationsAttr().GetTimeSamples()
         assert stored == [0, 4, 8, 12, 16, 20]
-
-
-def test_the_up_axis_is_turned(path):
-    lying, y_up = dataclasses.replace(tube(), space=ssdr.Space(1.0, "y")), ssdr.Space(1.0, "y")
-    standing = dataclasses.replace(in_space(lying, ssdr.Space(1.0, "z")), space=ssdr.Space())
-    assert np.ptp(standing.rest, axis=0).argmax() == 2
-    ssdr.save(standing, path, up="z")
-    assert largest_distance(in_space(ssdr.load(path), y_up).vertices, tube().skin()) < 1e-6
-    animal = dataclasses.replace(creature(), space=y_up)
-    ssdr.save(in_space(animal, ssdr.Space(1.0, "z")), path)
-    back = in_space(ssdr.load_skinning(path), y_up)
-    assert max(differences(creature(), back).values()) < 1e-6
 
 
 def test_points_without_faces_and_one_frame(path):
