@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from .problem.answer import finished
 from .problem.check import check_problem
 from .problem.problem import Effort
 from .representation import short_repr
+from .search.schedules import follow_effort
 from .search.solve import solve
 from .sequence import MeshSequence
 from .shapes import Shapes
@@ -202,7 +204,15 @@ def _solved(frames: MeshSequence, options: dict[str, Any], guess: Skinning | Non
     initial = dataclasses.replace(problem.initial, is_model=False)
     constraints = dataclasses.replace(problem.constraints, rest=True)
     problem = dataclasses.replace(problem, start=None, initial=initial, constraints=constraints)
-    return finished(problem, solve).skinning
+    # bones that start from a guess are in place
+    schedule = partial(
+        follow_effort,
+        effort=problem.effort,
+        rig=problem.rig,
+        bones_placed=guess is not None,
+        tries_model=False,
+    )
+    return finished(problem, partial(solve, schedule=schedule)).skinning
 
 
 def _at_rest(model: Skinning, least: float) -> Skinning:
