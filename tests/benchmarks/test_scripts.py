@@ -44,7 +44,6 @@ def test_a_script_says_how_it_is_used(
         ("accuracy/parsimony.py", "static mesh", "error / tolerance"),
         ("accuracy/skeletons.py", "exact tree-8", "joint error, median"),
         ("interchange/programs.py", "tube.glb in ssdr", "vertices"),
-        ("robustness/stability.py", "one thread and two", "passed"),
         ("speed/first_call.py", "import ssdr", "process"),
         ("speed/laplacian.py", "scipy 4", "residual"),
     ],

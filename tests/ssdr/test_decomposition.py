@@ -10,21 +10,7 @@ import pytest
 import threadpoolctl
 
 import ssdr
-from helpers import motions, stability_cases
 from helpers.measures import Ticks, bits, check, frames, rig, rmse_of
-
-# data with noise
-
-
-def test_noise_is_fitted_down_to_its_floor() -> None:
-    """White noise on exact data is fitted as well as the number of unknowns allows."""
-    noisy = stability_cases.noisy()
-    result = check(ssdr.decompose(noisy.frames, bones=4), noisy.frames, 4)
-    floor, sigma = stability_cases.noise_floor(), stability_cases.NOISE
-    assert 0.97 * floor < result.rmse / noisy.size < 1.03 * floor
-    exact = motions.chain(bones=4, frames=40, rows=30).frames
-    assert rmse_of(result.skinning, exact) < 0.6 * sigma * np.sqrt(3)
-
 
 # the number of bones
 
