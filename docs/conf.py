@@ -1,7 +1,6 @@
 """Sphinx's settings for the site that ``make docs`` builds into out/docs.
 
-The source folder is the root of the repository: links between docs/, benchmarks/ and the
-other pages then hold on the site as they do in a checkout.  Nothing is fetched while it builds
+The source folder is the root of the repository: links between docs/ and the other pages then hold on the site as they do in a checkout.  Nothing is fetched while it builds
 or while it is read.
 """
 
@@ -39,7 +38,6 @@ extensions = [
 root_doc = "docs/index"
 include_patterns = [
     "docs/**.md",
-    "benchmarks/README.md",
     "ssdr/samples/ORIGIN.md",
     "CHANGELOG.md",
 ]

@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import ssdr
 from benchmarks import common
-from benchmarks.common import COLOURS, EFFORTS, Row, plain_log_ticks, pyplot, save_figure
+from benchmarks.common import EFFORTS, Row, plain_log_ticks, pyplot, save_figure
 
 # E after 100 plain alternations of weights, bones and rest pose
 PLAIN = {
@@ -49,7 +49,6 @@ AUTHOR = {
 FLOATS = {"rigid": 7, "similarity": 8, "affine": 12}  # numbers per bone and frame
 EXACT = {"fox": 24, "chain": 6}  # bones
 STRETCH = [*AUTHOR, ("ea_bone", 20)]
-GOAL = 1e-4  # RMSE over the diagonal on exact data
 
 
 def chain(bones: int = 6, frames: int = 60, seed: int = 7) -> np.ndarray:
@@ -135,7 +134,6 @@ def measure(
         "E": common.e_of(frames, model), "seconds": wall, "cpu seconds": cpu,
         "rmse / diagonal": float(np.sqrt((away**2).mean())) / diagonal,
         "max / diagonal": float(away.max()) / diagonal,
-        "history": [[round(r.elapsed, 3), 1000 * r.rmse / 3**0.5] for r in result.history],
     }  # fmt: skip
     if group == "influences" and influences == 8:
         pruned = {k: common.e_of(frames, model.prune(k)) for k in (1, 2, 3, 4, 6, 8)}
@@ -143,54 +141,14 @@ def measure(
     return row
 
 
-# --- charts --------------------------------------------------------------------------------------
+# --- the chart -----------------------------------------------------------------------------------
 
 
-def charts(rows: dict[str, Row], images: Path) -> None:
-    found: dict[str, list[Row]] = {}
-    for row in rows.values():
-        found.setdefault(row["group"], []).append(row)
-    if "efforts" in found:
-        panels = [
-            (f"{name}, {bones} bones, {k} influences", PLAIN[name, bones, k],
-             [r for r in found["efforts"] if (r["sequence"], r["bones"]) == (name, bones)])
-            for name, bones, k in HERE
-        ]  # fmt: skip
-        history_chart(panels, images / "accuracy.png", "E", "plain alternation")
-    if "recovery" in found:
-        exact = [(n, GOAL, [r for r in found["recovery"] if r["sequence"] == n]) for n in EXACT]
-        history_chart(exact, images / "recovery.png", "rmse / diagonal", "goal")
-    if "kinds" in found:
-        stretched = found["kinds"] + found.get("kinds, equal bytes", [])
-        kinds_chart(stretched, images / "bone_models.png")
-    if "bones" in found and "influences" in found:
-        choice_chart(found["bones"], found["influences"], images / "choose.png")
-
-
-def history_chart(
-    panels: list[tuple[str, float, list[Row]]], path: Path, unit: str, level_name: str
-) -> None:
-    """Error over time, a line for each effort, and a level to compare with."""
-    height = -(-len(panels) // 2)
-    figure, axes = pyplot().subplots(height, 2, figsize=(8, 3.2 * height), squeeze=False)
-    for axis, (title, level, rows) in zip(axes.flat, panels, strict=True):
-        for row in rows:
-            seconds, errors = np.array([*row["history"], (row["seconds"], row["E"])]).T
-            errors, colour = errors * row[unit] / row["E"], COLOURS[row["effort"]]
-            axis.step(seconds, errors, where="post", color=colour, label=row["effort"])
-        axis.axhline(level, color="0.4", linewidth=0.8, linestyle="--", label=level_name)
-        axis.set(xscale="log", yscale="log", title=title)
-        plain_log_ticks(axis)
-    for axis in axes[-1]:
-        axis.set_xlabel("seconds since the call")
-    for axis in axes[:, 0]:
-        axis.set_ylabel("RMSE / diagonal" if unit != "E" else "E")
-    axes.flat[0].legend(fontsize=7)
-    save_figure(figure, path)
-
-
-def kinds_chart(rows: list[Row], path: Path) -> None:
+def chart(rows: dict[str, Row], images: Path) -> None:
     """Error over bytes of transforms, a panel for each sequence."""
+    found = [row for row in rows.values() if row["group"].startswith("kinds")]
+    if not found:
+        return
     names = list(dict.fromkeys(name for name, _ in STRETCH))
     figure, axes = pyplot().subplots(1, len(names), figsize=(2.6 * len(names), 3.0))
     colours = dict(zip(FLOATS, ("#0072b2", "#e69f00", "#d55e00"), strict=True))
@@ -198,7 +156,7 @@ def kinds_chart(rows: list[Row], path: Path) -> None:
         for kind, colour in colours.items():
             line = {
                 (4 * FLOATS[kind] * r["bones"], r["E"])
-                for r in rows
+                for r in found
                 if (r["sequence"], r["bone_model"], r["effort"]) == (name, kind, "balanced")
             }
             if line:
@@ -207,7 +165,7 @@ def kinds_chart(rows: list[Row], path: Path) -> None:
         plain_log_ticks(axis)
     axes[0].set_ylabel("E")
     axes[0].legend(fontsize=7)
-    save_figure(figure, path)
+    save_figure(figure, images / "bone_models.png")
 
 
 def millimetres(e: float) -> float:
@@ -215,27 +173,6 @@ def millimetres(e: float) -> float:
     return float(np.sqrt(3) * e)
 
 
-def choice_chart(bones: list[Row], influences: list[Row], path: Path) -> None:
-    figure, (left, right) = pyplot().subplots(1, 2, figsize=(9, 3.4))
-    b = [r["bones"] for r in bones]
-    left.plot(b, [millimetres(r["E"]) for r in bones], "o-", color="#0072b2")
-    left.set(xscale="log", yscale="log", xlabel="bones", ylabel="RMSE, mm")
-    common.number_ticks(left, b)
-    k = [r["influences"] for r in influences]
-    asked = [millimetres(r["E"]) for r in influences]
-    right.plot(k, asked, "o-", color="#0072b2", label="asked for")
-    pruned = influences[-1].get("E pruned", {})
-    right.plot(
-        [int(n) for n in pruned], [millimetres(e) for e in pruned.values()], "s--",
-        color="#e69f00", label="pruned from 8",
-    )  # fmt: skip
-    right.set(xlabel="influences", yscale="log")
-    right.legend()
-    for axis in (left, right):
-        plain_log_ticks(axis)
-    save_figure(figure, path)
-
-
 if __name__ == "__main__":
     columns = ("E", "rmse / diagonal", "max / diagonal", "seconds", "cpu seconds")
-    common.run(__file__, __doc__, dict(cases()), measure, columns, charts)
+    common.run(__file__, __doc__, dict(cases()), measure, columns, chart)

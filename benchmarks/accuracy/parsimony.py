@@ -5,8 +5,7 @@
 
 Ten small scenes, default options.  The error of each result is measured here by plain NumPy;
 then a bone less is tried: ``effort="best"`` from three seeds, and from more of them in turn until
-ten times the iterations are spent that the search itself spent on that number of bones.  Of three
-motions also the curve of error against size.
+ten times the iterations are spent that the search itself spent on that number of bones.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -95,27 +93,11 @@ SCENES: dict[str, tuple[Callable[[], np.ndarray], str, int | None]] = {
     "horse_gallop": (lambda: sampled("horse_gallop", 400, 24), "0.8%", None),
     "cow_elastic": (lambda: sampled("cow_elastic", 400, 25), "1.5%", None),
 }
-CURVES: dict[str, Callable[[], np.ndarray]] = {
-    "dancer": lambda: common.load("dancer_small")[0],
-    "horse_gallop": SCENES["horse_gallop"][0],
-    "chain of 5, exact": links,
-}
 
 
-def measure(scene: str | None = None, curve: str | None = None) -> common.Row:
-    return curve_of(curve) if curve else smallest(scene or "")
-
-
-def curve_of(name: str) -> common.Row:
-    found = ssdr.parsimony.curve(CURVES[name](), bones=40)
-    row = {"bones": found.bones.tolist(), "bytes": found.bytes.tolist()}
-    row["percent"] = (100 * found.rmse / found.diagonal).tolist()
-    return row | {"knee": int(found.bones[found.knee])}
-
-
-def smallest(name: str) -> common.Row:
+def measure(scene: str) -> common.Row:
     """Size of the smallest model for a scene's tolerance, and errors with one bone less."""
-    make, asked, made = SCENES[name]
+    make, asked, made = SCENES[scene]
     frames = make()
     common.compile_kernels()
     began = time.process_time()
@@ -138,7 +120,7 @@ def smallest(name: str) -> common.Row:
         row["one less"] = [e / tolerance for e in errors]
         row["effort"] = iterations / spent if spent else None
     if not row["held"] or min(row["one less"], default=2.0) <= 1:
-        print(f"{name}: not held, or a smaller model holds it", file=sys.stderr)
+        print(f"{scene}: not held, or a smaller model holds it", file=sys.stderr)
     return row
 
 
@@ -155,43 +137,7 @@ def one_less(frames: np.ndarray, bones: int, spent: int) -> tuple[list[float], i
     return errors, iterations
 
 
-def chart(rows: dict[str, common.Row], images: Path) -> None:
-    figure, (left, right) = common.pyplot().subplots(
-        1, 2, figsize=(10, 3.8), width_ratios=[1, 1.15]
-    )
-    curves = {r["curve"]: r for r in rows.values() if "curve" in r}
-    for (name, c), color in zip(curves.items(), ("#0072b2", "#d55e00", "#009e73"), strict=False):
-        size, percent = np.array(c["bytes"]) / 1e3, np.maximum(c["percent"], 1e-3)
-        knee = c["bones"].index(c["knee"])
-        left.plot(size, percent, ".-", color=color, label=name)
-        left.plot(size[knee], percent[knee], "o", ms=10, mfc="none", color=color)
-        left.annotate(
-            f"{c['knee']} bones", (size[knee], percent[knee]), color=color, xytext=(-8, -14),
-            textcoords="offset points", ha="right", bbox={"fc": "white", "ec": "none", "pad": 0.5},
-        )  # fmt: skip
-    left.set(
-        xscale="log", yscale="log", xlabel="kB, every frame a key", ylabel="RMSE, % of diagonal",
-        title="error against size, knee marked",
-    )  # fmt: skip
-    common.number_ticks(left, [6, 10, 20, 40])
-    left.legend(loc="upper right", fontsize=7)
-    scenes = [r for r in rows.values() if "scene" in r]
-    place = np.arange(len(scenes))[::-1]
-    for y, row in zip(place, scenes, strict=True):
-        many: list[Any] = [max(v, 1e-3) for v in row["one less"]]
-        right.plot(many, [y] * len(many), "|", ms=9, color="#d55e00")
-        right.plot(max(row["error / tolerance"], 1e-3), y, "o", color="#0072b2")
-    right.plot([], [], "o", color="#0072b2", label="result")
-    right.plot([], [], "|", color="#d55e00", label="one bone less, every try")
-    right.axvline(1.0, color="k", lw=1)
-    right.set_yticks(place, [f"{r['scene']}: {r['bones']}" for r in scenes])
-    right.set(xscale="log", xlabel="RMSE / tolerance", title="ten scenes: bones found")
-    right.legend(loc="lower left", fontsize=7)
-    common.save_figure(figure, images / "parsimony.png")
-
-
 if __name__ == "__main__":
     every = {name: {"scene": name} for name in SCENES}
-    every |= {f"curve of {name}": {"curve": name} for name in CURVES}
     columns = ("bones", "influences", "error / tolerance", "effort", "bytes", "cpu seconds")
-    common.run(__file__, __doc__, every, measure, columns, chart)
+    common.run(__file__, __doc__, every, measure, columns)

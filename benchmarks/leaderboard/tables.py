@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Callable, Iterable, Iterator
 
 from benchmarks.common import RESULTS, Row, read_rows
@@ -158,14 +160,24 @@ TABLES: dict[str, tuple[Callable[[], Iterable[Row]], dict[str, str]]] = {
         "rest pose": "{rest}", "measure": "{measure}", "method": "{name}",
         "theirs": "{theirs:.4g}", "ssdr": "{ours:.4g}",
     }),
-    "board_all": (results, {
-        "sequence, bones": SEQUENCE, "weights": "{weights}", "bone model": "{bone_model}",
-        "rest pose": "{rest}", "solver": "{name}", "E": "{E:.3f}", METRIC: f"{{{METRIC}:.3f}}",
-        "largest, %": "{largest %:.2f}", "STED": "{STED:.4f}", "CPU s": "{cpu seconds:.1f}",
-        "defects": "{defects}", "revision": "{machine[revision]}",
-    }),
     "board_sequences": (sequence_rows, {
         "name": "{name}", "github.com/": "{repository}", "commit": "{commit:.7}",
         "licence": "{licence}", "credit": "{credit}",
     }),
 }  # fmt: skip
+
+
+def every_case() -> str:
+    """All rows as comma-separated values."""
+    columns = (
+        "sequence", "bones", "influences", "bone_model", "rest", "solver", "E", METRIC, "largest %",
+        "STED", "cpu seconds", "defects",
+    )  # fmt: skip
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow([*columns, "revision"])
+    for r in results():
+        values = [r.get(column, "") for column in columns]
+        shown = [f"{value:.5g}" if isinstance(value, float) else value for value in values]
+        writer.writerow([*shown, r["machine"]["revision"]])
+    return file.getvalue()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +20,7 @@ from benchmarks.common import (
 from benchmarks.peers.tables import (
     WITHIN,
     by_case,
-    case_of,
-    divide,
     front_of,
-    least,
     level_and_apart,
     only,
     summary,
@@ -45,7 +42,6 @@ STYLE = {
     "published": ("published by Dem Bones' authors", "black", ""),
     "pca": ("PCA of the trajectories", "0.6", "--"),
 }
-EFFORT_STYLES = ("ssdr fast", "ssdr balanced", "ssdr best")
 
 
 def draw(folder: Path, images: Path) -> None:
@@ -54,21 +50,9 @@ def draw(folder: Path, images: Path) -> None:
     race, front, scaling, choices = (
         [*read_rows(folder / f"{part}.json").values()] for part in parts
     )
-    level, apart = level_and_apart(race)
-    if level:
+    if level := level_and_apart(race)[0]:
         race_chart(level, images / "race.png", race)
-        effort_chart(level, images / "effort.png")
-    if apart:
-        race_chart(apart, images / "race_apart.png", race)
     if front:
-        sequences = {r["sequence"] for r in front}
-        known = {(case_of(r), r["influences"]) for r in only(front, "ssdr best")}
-        raced = [
-            r
-            for r in only(race, "ssdr best")
-            if r["sequence"] in sequences and (case_of(r), r["influences"]) not in known
-        ]
-        front_chart([*front, *raced], images / "front.png")
         size_chart(front, race, images / "size.png")
         bones_chart(front, images / "bones.png")
     if scaling:
@@ -174,41 +158,6 @@ def panels(
     return figure, axes, mine
 
 
-def front_chart(records: list[Row], path: Path) -> None:
-    """Bones × influences × effort: error over size and over time, what nothing beats joined."""
-    records = [r for r in records if r.get("E8") is not None]
-    figure, axes, columns = panels(records, 2, 7)
-    marks = {1: "v", 2: "s", 4: "o", 8: "D"}
-    sizes: Callable[[Row], float] = lambda r: r["bytes8"] / KIB  # noqa: E731
-    times: Callable[[Row], float] = lambda r: r["total wall"]  # noqa: E731
-    for column, name, mine in columns:
-        for axis, x, error in zip(axes[:, column], (sizes, times), ("E8", "E"), strict=True):
-            for r in mine:
-                mark, colour = marks.get(r["influences"], "x"), STYLE[r["solver"]][1]
-                axis.plot(x(r), r[error], mark, color=colour, markersize=4)
-                if r["influences"] == 4 and r["solver"] == "ssdr balanced":
-                    axis.annotate(
-                        str(r["bones"]), (x(r), r[error]), xytext=(4, 3),
-                        textcoords="offset points", fontsize=7,
-                    )  # fmt: skip
-            front = front_of([(x(r), r[error]) for r in mine])
-            axis.step(*np.array(front).T, where="post", color="0.3", linewidth=0.7)
-            axis.set(xscale="log", yscale="log")
-            plain_log_ticks(axis)
-            plain_x(axis)
-        axes[0, column].set(title=name, xlabel="KiB, weights of 8 bits")
-        axes[1, column].set_xlabel("seconds")
-    axes[0, 0].set_ylabel("E of the stored model")
-    axes[1, 0].set_ylabel("E")
-    for k, mark in marks.items():
-        axes[1, 0].plot([], [], mark, color="0.4", label=f"{k} influence" + "s" * (k > 1))
-    present = {r["solver"] for r in records}
-    for solver in (s for s in STYLE if s in present):
-        axes[1, 0].plot([], [], "-", color=STYLE[solver][1], label=STYLE[solver][0])
-    legend_below(figure, axes[1, :1])
-    save_figure(figure, path)
-
-
 def size_chart(front: list[Row], race: list[Row], path: Path) -> None:
     """Error over bytes: ours over bones and influences, peers at their bones, PCA as a line."""
     figure, axes, columns = panels(front, 1, 4)
@@ -297,37 +246,6 @@ def bones_chart(front: list[Row], path: Path) -> None:
     for axis in axes[:, 0]:
         axis.set_ylabel("E")
         axis.legend(fontsize=7)
-    save_figure(figure, path)
-
-
-def effort_chart(race: dict[str, list[Row]], path: Path) -> None:
-    """What the efforts cost and bring, and what a free rest pose does."""
-    figure, (left, right) = pyplot().subplots(1, 2, figsize=(10, 3.8))
-    race = {name: records for name, records in race.items() if only(records, "ssdr balanced")}
-    points: dict[str, list[tuple[float, float]]] = {solver: [] for solver in EFFORT_STYLES}
-    for records in race.values():
-        base, line = least(records, "ssdr balanced") or 1.0, []
-        for solver, found in points.items():
-            if runs := only(records, solver):
-                line.append((runs[0]["total wall"], runs[0]["E"] / base))
-                found.append(line[-1])
-        left.plot(*np.array(line).T, "-", color="0.7", linewidth=0.7, zorder=0)
-    for solver, found in points.items():
-        label, colour, _ = STYLE[solver]
-        left.plot(*np.array(found).T, "o", color=colour, label=label)
-    left.set(xscale="log", xlabel="seconds", ylabel="E, relative to balanced")
-    plain_x(left)
-    left.legend(fontsize=7)
-    place = np.arange(len(race))
-    ratios = [
-        divide(least(records, "ssdr balanced free"), least(records, "ssdr balanced")) or 0
-        for records in race.values()
-    ]
-    right.barh(place, ratios, 0.6, color=STYLE["ssdr balanced"][1])
-    right.axvline(1, color="0.3", linewidth=0.8)
-    right.set_yticks(place, list(race), fontsize=7)
-    right.invert_yaxis()
-    right.set_xlabel("E with a free rest pose / E with one that is a surface")
     save_figure(figure, path)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Iterable
 
 import numpy as np
@@ -13,16 +13,6 @@ WITHIN = 1.01  # times of Dem Bones and ssdr are those until this times Dem Bone
 # where Dem Bones returns fewer bones than it is asked for, or no usable model
 APART = ("fox-24", "ict_face_expressions-20", "morph_stress-20")
 BASE = {"V": 2000, "F": 100, "B": 20}  # each sweep changes one of these
-# Solvers whose positions and normals are compared, and the heads of their columns.
-DRAWN = {
-    "dembones default": "Dem Bones",
-    "dembones 0": "without regularisers",
-    "2012": "SSDR 2012",
-    "ssdr balanced free": "ssdr, free rest pose",
-    "ssdr fast": "fast",
-    "ssdr balanced": "balanced",
-    "ssdr best": "best",
-}
 COLUMN = {"wall": 1, "cpu": 2}  # in a point of a curve
 
 
@@ -94,6 +84,7 @@ def summary(records: list[Row]) -> Row | None:
     for solver in ("fast", "balanced", "best"):
         row[solver] = least(records, f"ssdr {solver}")
         row[f"{solver} ratio"] = divide(row[solver], best["E"])
+    row["2012 ratio"] = divide(row["SSDR 2012"], best["E"])
     for clock in COLUMN:
         theirs = soonest(peers, WITHIN * best["E"], clock)
         row[f"Dem Bones {clock}"] = theirs
@@ -120,61 +111,15 @@ def drawn_rows(records: Iterable[Row]) -> list[Row]:
     return found
 
 
-def best_known_rows(records: Iterable[Row], cases: Iterable[str]) -> list[Row]:
-    """Of some cases, rows of `summaries` and `drawn_rows` in one, with Dem Bones at its best."""
+def best_known_rows(records: Iterable[Row], cases: Iterable[str] | None = None) -> list[Row]:
+    """Rows of `summaries` and `drawn_rows` in one, of some cases or all; Dem Bones at its best."""
     records = list(records)
     sums, drawn = ({case_of(r): r for r in f(records)} for f in (summaries, drawn_rows))
-    rows = [sums[case] | drawn[case] for case in cases]
+    rows = [sums[case] | drawn[case] for case in cases or sums]
     for row in rows:
         for key in ("E", "normals"):
             row[f"best peer {key}"] = row[f"dembones {row['setting']} {key}"]
     return rows
-
-
-def apart_rows() -> list[Row]:
-    _, apart = level_and_apart(read("race"))
-    return [r for records in apart.values() for r in records if r["solver"] != "pca"]
-
-
-def seed_rows() -> list[Row]:
-    """Spread of `best` over seeds; only runs of the most frequent revision count."""
-    first = [r for r in read("race") if r["solver"] == "ssdr best" and r["threads"] == 1]
-    rows = []
-    for records in by_case(first + read("seeds")).values():
-        records = [r for r in records if r.get("E") is not None]
-        counts = Counter(r["machine"]["revision"] for r in records).most_common(1)
-        records = [r for r in records if r["machine"]["revision"] == counts[0][0]]
-        errors = {r["seed"]: float(r["E"]) for r in records}.values()
-        if len(errors) > 1:
-            low, high = min(errors), max(errors)
-            rows.append({
-                "sequence": records[0]["sequence"], "bones": records[0]["bones"],
-                "runs": len(errors), "least": low, "most": high,
-                "spread": 100 * (high - low) / low, "revision": counts[0][0],
-                "cpu": float(np.mean([r["total cpu"] for r in records])),
-            })  # fmt: skip
-    return rows
-
-
-def at_bytes(pca: list[list[float]], size: float) -> float | None:
-    """E of PCA at a number of bytes, interpolated linearly in the logarithms."""
-    x, y = np.log([[p[1], max(p[2], 1e-12)] for p in pca]).T
-    if not x[0] <= np.log(size) <= x[-1]:
-        return None
-    return float(np.exp(np.interp(np.log(size), x, y)))
-
-
-def size_rows() -> list[Row]:
-    """Models of four influences beside PCA of as many bytes."""
-    records = read("front")
-    pca = {r["sequence"]: r["pca"] for r in records if "pca" in r}
-    return [
-        r | {"case": case, "KiB": r["bytes8"] / 1024}
-        | {"PCA": at_bytes(pca[r["sequence"]], r["bytes8"])}
-        for case, mine in by_case(records).items()
-        for r in only(mine, "ssdr balanced")
-        if r["influences"] == 4
-    ]  # fmt: skip
 
 
 def front_of(points: list[tuple[float, float]]) -> list[tuple[float, float]]:

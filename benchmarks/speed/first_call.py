@@ -5,15 +5,12 @@
 
 Each figure is the median of processes from their start to their end, in seconds and in CPU seconds
 (of all processes, whatever else the machine does): Python alone, `import ssdr`, the command
-`ssdr decompose` with an empty cache of kernels, the same with a filled one.  Then the time
-that each kernel takes to compile in one process, from Numba's own events; what a kernel calls is
-compiled with the first kernel that needs it.  The second line measures the ssdr of another Python,
-such as one where a wheel with machine code is installed.
+`ssdr decompose` with an empty cache of kernels, the same with a filled one.  The second line
+measures the ssdr of another Python, such as one where a wheel with machine code is installed.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import tempfile
@@ -40,14 +37,10 @@ CASES = {
     "import ssdr": "import ssdr; print({})",
     "first call, nothing compiled": COMMAND,
     "first call, kernels cached": COMMAND,
-    "kernels": "",
 }
 
 
 def measure(what: str, python: str = "") -> Row:
-    if what == "kernels":
-        with tempfile.TemporaryDirectory() as empty:
-            return fresh([__file__, "--kernels"], NUMBA_CACHE_DIR=empty)
     with tempfile.TemporaryDirectory() as cache:
         runs = []
         for k in range(REPEATS + (what.endswith("cached"))):
@@ -63,43 +56,6 @@ def measure(what: str, python: str = "") -> Row:
     return sorted(runs[-REPEATS:], key=lambda run: run["process"])[REPEATS // 2]
 
 
-def compiled() -> Row:
-    """Seconds to compile each kernel and all of them; the cache must be empty."""
-    from numba.core import event
-
-    from ssdr.solver.warmup import compile_kernels
-
-    under_way, found = [], []
-
-    class Listener(event.Listener):
-        def on_start(self, e: event.Event) -> None:
-            under_way.append((e.data["dispatcher"], time.perf_counter()))
-
-        def on_end(self, e: event.Event) -> None:
-            function, began = under_way.pop()
-            name = f"{function.__module__.rpartition('.')[2]}.{function.__name__}"
-            if not under_way and function.__module__.startswith("ssdr."):
-                found.append({"kernel": name, "s": time.perf_counter() - began})
-
-    event.register("numba:compile", Listener())
-    seconds = compile_kernels()
-    return {"seconds": seconds, "kernels": sorted(found, key=lambda row: -float(row["s"]))}
-
-
-def chart(rows: dict[str, Row], images: Path) -> None:
-    if "kernels" not in rows:
-        return
-    kernels = rows["kernels"]["kernels"]
-    figure, axis = common.pyplot().subplots(figsize=(7, 3.6))
-    axis.barh([r["kernel"] for r in kernels], [r["s"] for r in kernels], color="#0072b2")
-    axis.invert_yaxis()
-    axis.set(xlabel="seconds to compile", title="Kernels of the solver")
-    common.save_figure(figure, images / "first_call.png")
-
-
 if __name__ == "__main__":
-    if "--kernels" in sys.argv:
-        print(json.dumps(compiled()))
-    else:
-        cases = {case: {"what": case} for case in CASES}
-        common.run(__file__, __doc__, cases, measure, ["process", "cpu", "kernels", "solve"], chart)
+    cases = {case: {"what": case} for case in CASES}
+    common.run(__file__, __doc__, cases, measure, ["process", "cpu", "kernels", "solve"])

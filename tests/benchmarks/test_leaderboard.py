@@ -33,7 +33,7 @@ def test_the_example_has_ten_lines_and_is_that_of_the_page() -> None:
     text = EXAMPLE.read_text("utf-8")
     body = text[text.index("def solve") :].strip()
     assert len(body.splitlines()) <= 10
-    assert body in (ROOT / "docs" / "leaderboard.md").read_text("utf-8")
+    assert body in (ROOT / "docs" / "benchmarks.md").read_text("utf-8")
 
 
 NAMES = "cat_poses, cow_elastic, ea_bone, horse_gallop, horse_poses, ict_face_expressions, samba"

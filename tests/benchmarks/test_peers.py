@@ -115,11 +115,8 @@ def test_fewer_bones_than_asked_or_a_crash_is_a_collapse() -> None:
     assert tables.collapsed([whole, crashed])
 
 
-def test_front_and_interpolation_in_bytes() -> None:
+def test_front() -> None:
     assert tables.front_of([(3, 1), (1, 5), (2, 6), (4, 1)]) == [(1, 5), (3, 1)]
-    line = [[1, 100, 10.0], [2, 10000, 0.1]]
-    assert tables.at_bytes(line, 1000) == pytest.approx(1.0)
-    assert tables.at_bytes(line, 50) is None
 
 
 def test_exponent_of_a_sweep() -> None:

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from benchmarks import common
-from benchmarks.speed import revisions
 from benchmarks.speed.long_sequences import true_error
 from benchmarks.speed.skirt import BLOCK, Skirt
 
@@ -42,17 +41,13 @@ def test_a_script_says_how_it_is_used(
     [
         ("accuracy/errors.py", "recovery chain-6 fast", "E"),
         ("accuracy/parsimony.py", "static mesh", "error / tolerance"),
-        ("accuracy/skeletons.py", "exact tree-8", "joint error, median"),
         ("interchange/programs.py", "tube.glb in ssdr", "vertices"),
         ("speed/first_call.py", "import ssdr", "process"),
-        ("speed/laplacian.py", "scipy 4", "residual"),
     ],
 )
 def test_a_script_measures_and_keeps(script: str, case: str, key: str, tmp_path: Path) -> None:
     out = tmp_path / "rows.json"
     options = ["--only", case, "--out", str(out), "--images", str(tmp_path)]
-    if script == "accuracy/skeletons.py":
-        options += ["--set", "effort=fast"]
     command = [sys.executable, str(FOLDER / script), *options]
     # the second finds the row and measures nothing
     for _ in range(1 + (script == "speed/first_call.py")):
@@ -68,17 +63,6 @@ def test_pages_show_the_results() -> None:
     script = FOLDER / "tools" / "pages.py"
     done = subprocess.run([sys.executable, str(script), "--check"], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-
-
-def test_revisions_are_paired(tmp_path: Path) -> None:
-    before = {"E": 2.0, "bytes": 0} | dict.fromkeys(("cpu", "wall", "import", "kernels"), 1.0)
-    before |= {"bones found": 5}
-    row = revisions.summary([[before, before | {"E": 3.0}], [before, before | {"E": 1.0}]])
-    assert row["E"] == {"before": 2.0, "after": 2.0, "ratio": 1.0, "least": 0.5, "most": 1.5}
-    assert row["bytes"]["ratio"] == 1.0
-    assert "bones" not in revisions.line(row)
-    home = revisions.copied(str(common.ROOT), tmp_path)
-    assert (home / "ssdr" / "__init__.py").is_file()
 
 
 def test_a_skirt_is_written_in_pieces_and_far_from_its_skinning_by_the_floor(

@@ -26,7 +26,6 @@ DOCS = ROOT / "docs"
 SITE = sorted(
     [
         *DOCS.glob("**/*.md"),
-        ROOT / "benchmarks" / "README.md",
         ROOT / "CHANGELOG.md",
         ROOT / "ssdr" / "samples" / "ORIGIN.md",
     ]
