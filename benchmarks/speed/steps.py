@@ -202,20 +202,6 @@ def quickest(step: Callable[[], object], targets: list[tuple[str, Any, str]]) ->
     return min(watches, key=lambda w: w.seconds["all"])
 
 
-def chart(rows: dict[str, Row], images: Path) -> None:
-    shown = [row for row in rows.values() if row.get("parts")]
-    figure, axes = common.pyplot().subplots(-(-len(shown) // 2), 2, figsize=(11, 8))
-    for axis in axes.flat[len(shown) :]:
-        axis.axis("off")
-    for axis, row in zip(axes.flat, shown, strict=False):
-        axis.barh(list(row["parts"]), list(row["parts"].values()), color="#0072b2")
-        axis.barh(["all products, at the GEMM rate"], [row["floor ms"]], color="#e69f00")
-        axis.invert_yaxis()
-        title = f"{row['step']}, {row['data']}-{row['bones']}: {row['ms']:.0f} ms"
-        axis.set(title=title, xlabel="ms, one thread")
-    common.save_figure(figure, images / "steps.png")
-
-
 if __name__ == "__main__":
     cases: dict[str, Row] = {
         f"{data}-{bones}, {step}, {threads}": {"data": data, "step": step, "threads": threads}
@@ -224,4 +210,4 @@ if __name__ == "__main__":
         for threads in (1, 2)
     }
     columns = ("V", "F", "r", "ms", "GFLOP", "floor ms", "ratio", "rate")
-    common.run(__file__, __doc__, cases, measure, columns, chart)
+    common.run(__file__, __doc__, cases, measure, columns)
