@@ -1,7 +1,7 @@
 """Sphinx's settings for the site that ``make docs`` builds into out/docs.
 
-The source folder is the root of the repository: links between docs/ and the other pages then hold on the site as they do in a checkout.  Nothing is fetched while it builds
-or while it is read.
+The source folder is the root of the repository: links between docs/ and the other pages then
+hold on the site as they do in a checkout.  Nothing is fetched while it builds or while it is read.
 """
 
 from __future__ import annotations
