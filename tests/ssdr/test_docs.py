@@ -216,22 +216,10 @@ def _template(_: contextlib.ExitStack) -> tuple[dict[str, object], dict[str, str
     return {"result": result}, {}
 
 
-def _shapes(_: contextlib.ExitStack) -> tuple[dict[str, object], dict[str, str]]:
-    model = ssdr.initialize(SAMPLE, bones=4)
-    moves = 0.01 * np.ones((2, model.n_vertices, 3))
-    amounts = np.ones((model.n_frames, 2))
-    return {"skinning": model, "displacements": moves, "amounts": amounts}, {}
-
-
 def _expressions(_: contextlib.ExitStack) -> tuple[dict[str, object], dict[str, str]]:
     rest = SAMPLE.vertices[0]
     ssdr.save(ssdr.decompose_expressions(rest, [rest + 1, 2 * rest], bones=2), "face.npz")
     return {}, {}
-
-
-def _meshopt(_: contextlib.ExitStack) -> tuple[dict[str, object], dict[str, str]]:
-    pytest.importorskip("meshoptimizer", reason='meshopt is missing: pip install ".[meshopt]"')
-    return {"result": ssdr.initialize(SAMPLE, bones=4)}, {}
 
 
 def _torch(_: contextlib.ExitStack) -> tuple[dict[str, object], dict[str, str]]:
@@ -245,9 +233,7 @@ NEEDS = {
     "a Dask cluster": _cluster,
     "a mask of your own": _mask,
     "the file in.glb that the result was made from": _template,
-    "a skinning, displacements (M, V, 3) of its rest pose and amounts (F, M)": _shapes,
     "a face as face.npz": _expressions,
-    'the package meshoptimizer, pip install ".[meshopt]"': _meshopt,
     "torch": _torch,
 }
 # Those of garmentnet's own pages run in its tests.
