@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from ..errors import InputError
 from ..sequence import MeshSequence, joined
 from ..skinning import Skinning
 from .format_options import read_options
@@ -53,6 +52,7 @@ def compare(options: CompareOptions) -> None:
     output = Output.start(options)
     from ..io import in_space
     from ..metrics import compare as measure
+    from ..metrics.inputs import as_pair
     from ..metrics.normal_angles import known_errors
 
     files = options.reference, options.other
@@ -61,7 +61,7 @@ def compare(options: CompareOptions) -> None:
     read = read_options(files, options, roles=("A", "B"))
     with output.waiting(f"loading {files[0]}, {files[1]}"):
         found = read_pairs(files, options.clip, read)
-        pairs = [(n, *_on_the_same_vertices(a, in_space(b, a.space))) for n, a, b in found]
+        pairs = [(n, *as_pair(a, in_space(b, a.space))) for n, a, b in found]
     model = in_space(read_any(options.other, **read[1]), pairs[0][2].space)
     (_, a, b), compared = found[0], pairs[0][2].space
     if compared != b.space:
@@ -143,29 +143,4 @@ def _other_units(a: MeshSequence, b: MeshSequence, scale: float) -> str:
         f"the diagonal of {larger} is about {10.0 ** abs(power):,.0f} times that of {smaller}: "
         "are they in different units, such as metres and centimetres? "
         f"--read B:scale={scale * 10.0**-power:g} brings B to A"
-    )
-
-
-def _on_the_same_vertices(a: MeshSequence, b: MeshSequence) -> tuple[MeshSequence, MeshSequence]:
-    a, b = _spread(a, b), _spread(b, a)
-    if a.n_vertices != b.n_vertices:
-        raise InputError(
-            "B",
-            f"the {a.n_vertices:,} vertices of A (if one of them was welded, weld the other, "
-            "too: ssdr convert IN OUT.npz --read weld=true)",
-            f"{b.n_vertices:,}",
-        )
-    return a, b
-
-
-def _spread(sequence: MeshSequence, like: MeshSequence) -> MeshSequence:
-    """Undo the welding of a sequence if this yields the number of vertices of `like`.
-
-    Otherwise the sequence is returned unchanged.
-    """
-    if sequence.vertex_map is None or len(sequence.vertex_map) != like.n_vertices:
-        return sequence
-    vertices = np.concatenate([sequence.unweld(block, axis=1) for _, block in sequence.chunks()])
-    return dataclasses.replace(
-        sequence, vertices=vertices, faces=like.faces, surface=None, vertex_map=None, validate=False
     )
