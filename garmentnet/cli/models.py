@@ -33,7 +33,7 @@ def models(
 
 
 def _row(path: Path) -> tuple[str, ...]:
-    from ssdr.io.registry import reading
+    from ssdr.io.file_errors import reading
 
     from ..io.tensors import load_arrays
     from ..networks.document import read_document

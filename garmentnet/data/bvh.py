@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ssdr.errors import FormatError, InputError
-from ssdr.io.registry import check, reading
+from ssdr.io.file_errors import check, reading
 
 Float = NDArray[np.float64]
 # Limits against hostile files, far above what a motion of a body needs.

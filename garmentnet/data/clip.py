@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssdr.errors import FormatError, InputError
-from ssdr.io.registry import reading
+from ssdr.io.file_errors import reading
 from ssdr.sequence import MeshSequence
 from ssdr.skinning import skin
 

@@ -22,7 +22,7 @@ from zarr.codecs import BloscCodec, Crc32cCodec
 
 from ssdr.errors import FormatError
 from ssdr.io.atomic import atomic_path
-from ssdr.io.registry import reading
+from ssdr.io.file_errors import reading
 
 from .skeleton import check_finite
 

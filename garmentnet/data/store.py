@@ -24,7 +24,7 @@ import ssdr
 from ssdr.checks import check_mask
 from ssdr.errors import FormatError, InputError, check_choice
 from ssdr.io.atomic import atomic_path, remove
-from ssdr.io.registry import check, reading
+from ssdr.io.file_errors import check, reading
 from ssdr.sequence import MeshSequence
 from ssdr.skinning import Skinning
 

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 import ssdr
 from ssdr import MeshSequence, Skinning
 from ssdr.errors import FormatError, InputError
-from ssdr.io.registry import reading
+from ssdr.io.file_errors import reading
 from ssdr.laplacian import LaplacianSmoother
 
 from ..configs.config import BoneOptions

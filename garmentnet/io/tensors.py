@@ -13,7 +13,7 @@ import safetensors.numpy
 from numpy.typing import NDArray
 
 from ssdr.errors import InputError
-from ssdr.io.registry import check, reading
+from ssdr.io.file_errors import check, reading
 
 from .files import write_file
 

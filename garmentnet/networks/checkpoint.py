@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ssdr.errors import FormatError, InputError
-from ssdr.io.registry import reading
+from ssdr.io.file_errors import reading
 
 from ..data.outfit import mesh_identity
 from ..data.parameters import SimulationParameters

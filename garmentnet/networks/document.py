@@ -11,7 +11,7 @@ import numpy as np
 from ssdr import Skinning
 from ssdr.checks import check_skin
 from ssdr.errors import FormatError
-from ssdr.io.registry import check
+from ssdr.io.file_errors import check
 
 from ..configs.config import Config
 from ..data.parameters import SimulationParameters

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ssdr.errors import FormatError, InputError
 from ssdr.io.arrays.archive import read_arrays
-from ssdr.io.registry import reading
+from ssdr.io.file_errors import reading
 
 from ..data.bvh import read_bvh
 from ..data.clip import Clip

@@ -14,8 +14,8 @@ import ssdr
 from ssdr import MeshSequence, Skinning
 from ssdr.errors import InputError
 from ssdr.io.atomic import atomic_path
+from ssdr.io.formats import FORMATS
 from ssdr.io.optional import import_optional as require
-from ssdr.io.registry import FORMATS
 from ssdr.render import Film, write_picture
 from ssdr.rigid import nearest_rotation
 
@@ -53,7 +53,7 @@ def check_output(path: Path | str) -> None:
     if not file.parent.is_dir():
         raise InputError("output", "a file in a folder that exists", str(file))
     suffix = file.suffix.lower()
-    meshes = [s for s, f in FORMATS.items() if f.has("write_sequence")] + list(_BONES)
+    meshes = [s for s, f in FORMATS.items() if f.sequences] + list(_BONES)
     known = sorted({*_FILMS, *_PICTURES, *meshes, _PAGE})
     if suffix not in known:
         raise InputError("output", f"a suffix of {', '.join(known)}", str(file))
@@ -201,9 +201,7 @@ def _save(prediction: Prediction, file: Path) -> str:
         rms = 1e3 * float(np.sqrt((gap.astype(np.float64) ** 2).sum(-1).mean()))
         return f"the virtual bones alone; {rms:.2f} mm of the prediction are not in it"
     report = ssdr.save(prediction.cloth, file)
-    return (
-        f"{prediction.cloth.n_frames} frames of vertices{': ' + report.note if report.note else ''}"
-    )
+    return ": ".join([f"{prediction.cloth.n_frames} frames of vertices", *report.notes])
 
 
 def rigid(skinning: Skinning) -> Skinning:

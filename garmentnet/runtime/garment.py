@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssdr.errors import FormatError, InputError
-from ssdr.io.registry import check, reading
+from ssdr.io.file_errors import check, reading
 
 from ..collision.outward import push_of
 from ..configs.config import FeatureOptions

@@ -12,7 +12,7 @@ import os
 from pathlib import Path
 
 import ssdr
-from ssdr.io.registry import check, reading
+from ssdr.io.file_errors import check, reading
 from ssdr.skinning import Skinning
 
 from ..data.skeleton import Skeleton

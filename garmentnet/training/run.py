@@ -20,7 +20,7 @@ import torch
 
 from ssdr.errors import InputError
 from ssdr.io.atomic import write_bytes
-from ssdr.io.registry import reading
+from ssdr.io.file_errors import reading
 
 from ..configs.config import Config
 from ..data.clip import MIRRORED, Clip

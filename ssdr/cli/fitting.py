@@ -13,7 +13,7 @@ from typing import Any
 
 from ..clips import names_of
 from ..errors import Cancelled, InputError
-from ..io.registry import SaveReport
+from ..io.save_report import SaveReport
 from ..sequence import MeshSequence, joined
 from ..signals import stop_on_signals
 from ..space import Space
@@ -212,7 +212,7 @@ def _draw(path: Path, options: FitOptions, shots: Shots, result: Any) -> SaveRep
             file=files[0] if files else None,
             reference_name=", ".join(source.name for source in options.inputs),
         )
-        return SaveReport(path=page.path, bytes=page.bytes, note=", ".join(page.notes))
+        return SaveReport(path=page.path, bytes=page.bytes, notes=tuple(page.notes))
 
 
 def _print(

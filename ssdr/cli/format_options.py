@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import json
 import re
 from collections.abc import Sequence
@@ -10,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import FormatError, InputError, check_flag
+from ..io.formats import FORMATS, Format, format_to_read, option_names
 from ..io.references import trust
-from ..io.registry import FORMATS, Format, format_to_read
 from .options import Options, SpaceOptions
 
 _PREFIX = re.compile(r"\.?(\w+):(?=\w+=)")
@@ -83,14 +82,6 @@ def write_options(pairs: list[str] | None, path: Path) -> dict[str, Any]:
     return options
 
 
-def keywords(format_: Format | None, role: str) -> set[str]:
-    """Names of the options of a format's function, such as ``"read"``; empty if there are none."""
-    if format_ is None or not format_.has(role):
-        return set()
-    parameters = inspect.signature(format_.function(role)).parameters.values()
-    return {p.name for p in parameters if p.kind is p.KEYWORD_ONLY}
-
-
 def readable_format(path: Path) -> Format | None:
     """Format by which a file is read, or None if there is none."""
     try:
@@ -102,7 +93,12 @@ def readable_format(path: Path) -> Format | None:
 def _known(path: Path) -> set[str]:
     """Names of the keyword arguments with which a file can be read."""
     format_ = readable_format(path)
-    of_format = keywords(format_, "read") | keywords(format_, "read_skinning")
+    of_format: set[str] = set()
+    if format_ is not None:
+        functions = format_.functions()
+        of_format |= set(option_names(functions.read))
+        if functions.read_skinning is not None:
+            of_format |= set(option_names(functions.read_skinning))
     return (of_format | {"weld", "fps", "folder"} | PLACED) - {"clip"}
 
 

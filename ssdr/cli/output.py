@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from rich.filesize import decimal
 
-from ..io.registry import SaveReport
+from ..io.save_report import SaveReport
 from .options import Options
 from .progress import Show, progress_bar, waiting
 
@@ -122,10 +122,10 @@ def saved_line(report: SaveReport, diagonal: float = 0.0) -> str:
     parts = [str(report.path), decimal(report.bytes)]
     lengths = {"error of storage": report.error, "between frames": report.between_frames}
     for name, length in lengths.items():
-        if length is not None:
+        if length:
             share = f" ({100 * length / diagonal:.3g} %)" if diagonal else ""
             parts.append(f"{name} {length:.4g}{share}")
-    return ", ".join([*parts, report.note] if report.note else parts)
+    return ", ".join([*parts, *report.notes])
 
 
 def page_row(page: Page) -> tuple[str, str]:

@@ -11,9 +11,10 @@ import numpy as np
 
 from ..clips import Clip, unique_names
 from ..errors import FormatError, InputError
+from ..io.formats import option_names
 from ..sequence import MeshSequence, joined
 from ..skinning import Skinning
-from .format_options import PLACED, keywords, readable_format
+from .format_options import PLACED, readable_format
 from .output import Output
 
 _MOST_NAMES = 20  # in a line of the table
@@ -23,9 +24,10 @@ def read_any(path: Path, **options: Any) -> MeshSequence | Skinning:
     """Read the skinning of a file, or its sequence if it holds no skinning."""
     from .. import io
 
-    known = keywords(readable_format(path), "read_skinning")
+    format_ = readable_format(path)
     no_skinning = None
-    if known:
+    if format_ is not None and format_.skinnings:
+        known = set(option_names(format_.functions().read_skinning))
         try:
             fitting = {k: v for k, v in options.items() if k in known | PLACED}
             return io.load_skinning(path, **fitting)
@@ -41,9 +43,10 @@ def clips_in(path: Path, options: dict[str, Any]) -> tuple[Clip, ...]:
     """Clips of a file; empty if its format has none or the file does not exist."""
     from ..io import list_clips
 
-    known = keywords(readable_format(path), "list_clips")
-    if not known or not path.exists():
+    format_ = readable_format(path)
+    if format_ is None or not format_.skinnings or not path.exists():
         return ()
+    known = option_names(format_.functions().list_clips)
     return list_clips(path, **{k: v for k, v in options.items() if k in known})
 
 
@@ -52,7 +55,7 @@ def meshes_text(path: Path) -> str:
     from ..io import list_meshes
 
     known = readable_format(path)
-    names = list_meshes(path) if known is not None and known.has("list_meshes") else ()
+    names = list_meshes(path) if known is not None else ()
     if len(names) < 2:
         return ""
     listed = ", ".join(names[:_MOST_NAMES]) + ", ..." * (len(names) > _MOST_NAMES)

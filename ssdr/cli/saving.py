@@ -15,8 +15,9 @@ import numpy as np
 from ..clips import Clip
 from ..errors import FormatError, InputError, MissingDependencyError, error_text
 from ..io.atomic import check_writable
+from ..io.formats import format_of
 from ..io.optional import require
-from ..io.registry import SaveReport, format_of
+from ..io.save_report import SaveReport
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from .format_options import write_options
@@ -46,11 +47,9 @@ def check_outputs(
     seen = list(sources)
     for path in paths:
         try:
-            suffix, format_ = format_of(path)
+            format_ = format_of(path)
         except FormatError as error:
             raise InputError("--output", "a known suffix", str(error)) from error
-        if not format_.has("write_skinning", "write_sequence"):
-            raise InputError("--output", "a format that can be written", f"{path} ({suffix})")
         if format_.extra == "blender":
             from ..io.blender import finder
 
@@ -98,7 +97,7 @@ def try_format(
     """
     from .. import io
 
-    if format_of(path)[1].extra == "blender":  # starts another program, for seconds
+    if format_of(path).extra == "blender":  # starts another program, for seconds
         return
     n = mesh.n_vertices
     bones = min(options.influences, np.max(options.bones or n), _TRIED_INFLUENCES)
@@ -142,7 +141,7 @@ def save_model(model: Skinning, outputs: Mapping[Path, Settings]) -> list[SaveRe
         return reports
     for path, other in failed[1:]:
         Output.current.warn(f"{path}: {error_text(other)}")
-    if not any(format_of(report.path)[1].has("read_skinning") for report in reports):
+    if not any(format_of(report.path).skinnings for report in reports):
         kept = _save_beside(model, failed[0][0])
         Output.current.warn(f"the model is kept in {kept}" if kept else "the model is lost")
     raise failed[0][1]

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..io.registry import call, format_of
+from ..io.formats import FORMATS, format_of
 from .format_options import PLACED, readable_format, write_options
 from .output import Output
 
@@ -47,11 +47,11 @@ def _template(target: Path, options: dict[str, Any], inputs: Inputs) -> Path | N
     """First input that can be the template of an output, or None if there is none."""
     for source, read in inputs.items():
         format_ = readable_format(source)
-        if format_ is None or format_ is not format_of(target)[1] or not source.is_file():
+        if format_ is not FORMATS[".glb"] or format_ is not format_of(target):
             continue
-        if not format_.has("template_problem") or format_.extra is not None:
-            continue
-        problem = call(format_, "template_problem", source)
+        from ..io.gltf.template import template_problem
+
+        problem = template_problem(source)
         if not problem:
             # A model that was scaled or is said to be elsewhere does not fit the rest of the file.
             return None if PLACED & (read.keys() | options.keys()) else source

@@ -12,7 +12,7 @@ from ..checks import check_faces
 from ..errors import FormatError, InputError
 from ..sequence import MeshSequence
 from .arrays.archive import read_array
-from .registry import reading
+from .file_errors import reading
 
 _SUFFIXES = (".obj", ".ply", ".npz")
 

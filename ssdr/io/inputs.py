@@ -15,9 +15,8 @@ import numpy as np
 from ..clips import unique_names
 from ..errors import FormatError, InputError, SsdrWarning, check_flag
 from ..sequence import MeshSequence, joined
+from .formats import as_path, format_to_read, option_names
 from .load_save import list_clips, load, load_skinning
-from .paths import as_path
-from .registry import Format, format_to_read
 from .spaces import in_space
 
 if TYPE_CHECKING:
@@ -140,24 +139,16 @@ def load_any(
 
 def clips_in(path: Path, **options: Any) -> list[str]:
     """Names of a file's clips; none if its format has no clips."""
-    if not format_to_read(path).has("list_clips") or not path.exists():
+    if not format_to_read(path).skinnings or not path.exists():
         return []
     known = {k: v for k, v in options.items() if k in ("fps", "folder")}
     return [clip.name for clip in list_clips(path, **known)]
 
 
-def keywords(format_: Format, role: str) -> set[str]:
-    """Names of the options of a format's function, such as ``"read"``; empty if there are none."""
-    if not format_.has(role):
-        return set()
-    parameters = inspect.signature(format_.function(role)).parameters.values()
-    return {p.name for p in parameters if p.kind is p.KEYWORD_ONLY}
-
-
 def _for_each(files: Sequence[Path], options: dict[str, Any]) -> list[dict[str, Any]]:
     """Options of each file: those of :func:`load`, and those that its format has."""
     general = inspect.signature(load).parameters.keys()
-    known = [keywords(format_to_read(path), "read") | general for path in files]
+    known = [general | option_names(format_to_read(path).functions().read) for path in files]
     for name in options:
         if len(files) > 1 and not any(name in one for one in known):
             wanted = ", ".join(sorted(set().union(*known) - {"path", "options", "clip"}))

@@ -11,18 +11,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..clips import Clip, pick
-from ..errors import FormatError, InputError, SsdrWarning
+from ..errors import FormatError, InputError, SsdrWarning, is_real
 from ..sequence import MeshSequence
 from ..space import Space, Up
 from .atomic import check_beside
-from .paths import as_path, readable_path, writable
-from .references import trusting
-from .registry import (
-    SaveReport,
-    bake,
-    call,
+from .file_clips import bake
+from .formats import (
+    FORMATS,
+    Format,
+    as_path,
+    check_options,
+    check_readable,
     format_of,
+    format_to_read,
 )
+from .references import trusting
+from .save_report import SaveReport
 from .spaces import ready_to_write, scaled, with_space
 
 if TYPE_CHECKING:
@@ -101,13 +105,14 @@ def load(
     >>> dancer.vertices.shape, dancer.fps
     ((24, 799, 3), 8.0)
     """
-    source, format_ = readable_path(path, fps, scale)
-    space = Space(units, up)
-    if format_.has("list_clips") and clip is not None:
+    source, format_ = _to_read(path, fps, scale)
+    space, functions = Space(units, up), format_.functions()
+    if functions.list_clips is not None and clip is not None:
         options["clip"] = clip
+    check_options(functions.read, format_.title, options)
     with trusting(folder):
-        sequence: MeshSequence = call(format_, "read", source, fps=fps, **options)
-    if not format_.has("list_clips"):
+        sequence = functions.read(source, fps=fps, **options)
+    if functions.list_clips is None:
         pick([_only_clip(sequence, source).name], clip)
     sequence = scaled(sequence, scale, space)
     if weld:
@@ -143,12 +148,13 @@ def list_clips(
     >>> ssdr.list_clips(ssdr.samples.path("dancer_small"))
     (Clip(name='dancer_small', start=0, stop=24, fps=8.0),)
     """
-    source, format_ = readable_path(path, fps)
-    if not format_.has("list_clips"):
+    source, format_ = _to_read(path, fps)
+    listed = format_.functions().list_clips
+    if listed is None:
         return (_only_clip(load(source, fps=fps, folder=folder, **options), source),)
+    check_options(listed, format_.title, options)
     with trusting(folder):
-        clips: tuple[Clip, ...] = call(format_, "list_clips", source, fps=fps, **options)
-    return clips
+        return listed(source, fps=fps, **options)
 
 
 def list_meshes(
@@ -178,12 +184,32 @@ def list_meshes(
     ...     ssdr.io.list_meshes(f"{place}/dance.glb")
     ('dancer_small',)
     """
-    source, format_ = readable_path(path)
-    if not format_.has("list_meshes"):
+    source, format_ = _to_read(path)
+    listed = format_.functions().list_meshes
+    if listed is None:
         return ()
     with trusting(folder):
-        names: tuple[str, ...] = call(format_, "list_meshes", source)
-    return names
+        return listed(source)
+
+
+def _to_read(
+    path: Any, fps: float | None = None, scale: float = 1.0, *, skinning: bool = False
+) -> tuple[Path, Format]:
+    """Path of a file that can be read, and its format.
+
+    If `skinning` is true, the format must be one that holds skinnings.
+    """
+    for argument, value in (("fps", fps), ("scale", scale)):
+        if value is not None and not (is_real(value) and value > 0):
+            raise InputError(argument, "a positive number", repr(value))
+    source = as_path(path)
+    format_ = format_to_read(source)
+    if skinning and not format_.skinnings:
+        able = ", ".join(sorted(suffix for suffix, f in FORMATS.items() if f.skinnings))
+        wrong = f"no skinning can be read from {source.suffix}, only from {able}"
+        raise FormatError(f"{source}: {wrong}")
+    check_readable(source)
+    return source, format_
 
 
 def _only_clip(sequence: MeshSequence, source: Path) -> Clip:
@@ -235,11 +261,12 @@ def load_skinning(
     >>> again.n_bones
     4
     """
-    source, format_ = readable_path(path, fps, scale, "read_skinning")
-    space = Space(units, up)
+    source, format_ = _to_read(path, fps, scale, skinning=True)
+    space, read = Space(units, up), format_.functions().read_skinning
+    assert read is not None  # as the format says
+    check_options(read, format_.title, options)
     with trusting(folder):
-        skinning: Skinning = call(format_, "read_skinning", source, fps=fps, **options)
-    skinning = scaled(skinning, scale, space)
+        skinning = scaled(read(source, fps=fps, **options), scale, space)
     if clip is None:
         return skinning
     return skinning.select(*([clip] if isinstance(clip, (str, int)) else clip))
@@ -305,36 +332,43 @@ def save(
 
     target = as_path(path)
     try:
-        suffix, format_ = format_of(target)
+        format_ = format_of(target)
     except FormatError as error:
-        raise InputError("path", f"a suffix of {', '.join(writable())}", str(target)) from error
+        raise InputError(
+            "path", f"a suffix of {', '.join(sorted(FORMATS))}", str(target)
+        ) from error
     check_beside(target)
     thing = skinning_in(thing)
     if not isinstance(thing, (MeshSequence, Skinning)):
         raise InputError("thing", "a MeshSequence, Skinning or Decomposition", type(thing).__name__)
-    writer, joined = "write_sequence", ""
-    if isinstance(thing, Skinning):
-        if format_.has("write_skinning"):
-            writer = "write_skinning"
-        elif format_.has("write_sequence"):
-            if len(thing.clips) > 1:
-                names = ", ".join(f"{c.name} from frame {c.start}" for c in thing.clips)
-                joined = f"clips are not kept apart: {names}"
-            thing = bake(thing)
-    if not format_.has(writer):
-        able = writable(type(thing))
-        raise InputError(
-            "path", f"a suffix of {', '.join(able)} for a {type(thing).__name__}", suffix
-        )
+    if not (format_.sequences or isinstance(thing, Skinning)):
+        able = ", ".join(sorted(suffix for suffix, f in FORMATS.items() if f.sequences))
+        raise InputError("path", f"a suffix of {able} for a MeshSequence", target.suffix)
+    functions, notes = format_.functions(), []
+    write = functions.write_sequence
+    if isinstance(thing, Skinning) and functions.write_skinning is not None:
+        write = functions.write_skinning
+    elif isinstance(thing, Skinning):
+        if len(thing.clips) > 1:
+            names = ", ".join(f"{c.name} from frame {c.start}" for c in thing.clips)
+            notes.append(f"clips are not kept apart: {names}")
+        thing = bake(thing)
+    assert write is not None  # as the format says
+    check_options(write, format_.title, options)
     given = with_space(thing, thing.space.but(Space(units, up)))
     ready, said = ready_to_write(given, format_.title, format_.space)
     with trusting(folder):
-        report: SaveReport = call(format_, writer, ready, target, **options)
-    back = (ready.space.units or 1.0) / (given.space.units or ready.space.units or 1.0)
-    lengths = {n: getattr(report, n) for n in ("error", "max_error", "between_frames")}
-    report = dataclasses.replace(report, **{n: x and x * back for n, x in lengths.items()})
+        report = write(ready, target, **options)
     if report.lost:
         warnings.warn(f"{target}: not kept: {', '.join(report.lost)}", SsdrWarning, stacklevel=2)
-    bare = _BARE if suffix in _SHOWN and not len(thing.faces) else ""
-    notes = [note for note in (bare, said, report.note, joined) if note]
-    return dataclasses.replace(report, note="; ".join(notes))
+    bare = target.suffix.lower() in _SHOWN and not len(thing.faces)
+    notes = [*([_BARE] if bare else []), *([said] if said else []), *report.notes, *notes]
+    back = (ready.space.units or 1.0) / (given.space.units or ready.space.units or 1.0)
+    between = report.between_frames
+    return dataclasses.replace(
+        report,
+        error=report.error * back,
+        max_error=report.max_error * back,
+        between_frames=None if between is None else between * back,
+        notes=tuple(notes),
+    )

@@ -16,11 +16,10 @@ from ..clips import Clip, names_of
 from ..errors import FormatError, InputError, MissingDependencyError, SsdrWarning, error_text
 from ..sequence import MeshSequence
 from .atomic import check_writable
-from .inputs import keywords
+from .formats import as_path, format_of, option_names
 from .load_save import list_clips, save
 from .optional import require
-from .paths import as_path
-from .registry import SaveReport, format_of
+from .save_report import SaveReport
 
 _PACKAGES = {"alembic": "alembic3d", "usd": "pxr", "zarr": "zarr"}
 _GLTF = (".glb", ".gltf")
@@ -43,7 +42,7 @@ def check_outputs(
     Raises
     ------
     InputError
-        If a suffix is unknown, a format can only be read, or a file is named twice, is an input,
+        If a suffix is unknown, or a file is named twice, is an input,
         lies in a folder that cannot be written to or would overwrite a companion file that is not
         its own.
     MissingDependencyError
@@ -56,11 +55,9 @@ def check_outputs(
     seen = [as_path(path) for path in inputs]
     for path in map(as_path, paths):
         try:
-            suffix, format_ = format_of(path)
+            format_ = format_of(path)
         except FormatError as error:
             raise InputError("output", "a known suffix", str(error)) from error
-        if not format_.has("write_skinning", "write_sequence"):
-            raise InputError("output", "a format that can be written", f"{path} ({suffix})")
         if format_.extra == "blender":
             from .blender import finder
 
@@ -141,7 +138,7 @@ def try_outputs(
     model = Skinning(*arrays, transforms, clips=pairs, bone_model=kind, **same)
     files = list(map(as_path, paths))
     for path, given in zip(files, _settings(model, files, **options), strict=True):
-        if format_of(path)[1].extra == "blender":  # starts another program, for seconds
+        if format_of(path).extra == "blender":  # starts another program, for seconds
             continue
         # Errors of the temporary folder say nothing about that of the output.
         with contextlib.suppress(OSError), warnings.catch_warnings():
@@ -208,7 +205,7 @@ def save_all(
     if not failed:
         return reports
     said = [f"{path}: {error_text(other)}" for path, other in failed[1:]]
-    if not any(format_of(report.path)[1].has("read_skinning") for report in reports):
+    if not any(format_of(report.path).skinnings for report in reports):
         kept = _save_beside(model, failed[0][0])
         said.append(f"the model is kept in {kept}" if kept else "the model is lost")
     for text in said:
@@ -240,9 +237,8 @@ def _settings(
     """Options of :func:`save` for each file: those that its format has, and a template."""
     known = []
     for path in files:
-        format_ = format_of(path)[1]
-        role = "write_skinning" if format_.has("write_skinning") else "write_sequence"
-        known.append(keywords(format_, role))
+        functions = format_of(path).functions()
+        known.append(option_names(functions.write_skinning or functions.write_sequence))
     for name in options:
         if name != "meshes" and not any(name in one for one in known):
             wanted = ", ".join(sorted(set().union(*known))) or "no options"
@@ -265,7 +261,7 @@ def _settings(
 
 def _template(target: Path, sources: Sequence[Path]) -> Path | None:
     """First file that can be the template of a glTF file, or None if there is none."""
-    from .gltf import template_problem
+    from .gltf.template import template_problem
 
     for source in sources:
         if source.suffix.lower() in _GLTF and source.is_file():

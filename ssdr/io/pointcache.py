@@ -21,9 +21,10 @@ from ..errors import InputError, SsdrWarning
 from ..sequence import MeshSequence
 from .atomic import atomic_path
 from .companion import over_mesh
-from .registry import SaveReport, check, reading, seconds
+from .file_clips import seconds
+from .file_errors import check, reading
+from .save_report import SaveReport, StorageError
 from .signatures import describe
-from .storage_error import StorageError
 
 _PC2 = struct.Struct("<12siiffi")
 _MDD = struct.Struct(">ii")
@@ -101,14 +102,15 @@ def write_sequence(sequence: MeshSequence, path: Path, *, unweld: bool = False) 
         If a coordinate is beyond the range of float32, or `unweld` is true and `sequence` was not
         welded.
     """
-    index, note, before = np.arange(sequence.n_vertices), "", sequence.vertex_map
+    index, before = np.arange(sequence.n_vertices), sequence.vertex_map
+    notes: tuple[str, ...] = ()
     if unweld:
         if before is None:
             raise InputError("unweld", "a mesh that was welded", "one without vertex_map")
         index = before
     elif before is not None:
         held = f"holds the {len(index)} welded vertices"
-        note = f"{held}; unweld=True writes the {len(before)} of the mesh before"
+        notes = (f"{held}; unweld=True writes the {len(before)} of the mesh before",)
     count = sequence.n_frames
     if path.suffix.lower() == ".pc2":
         header, kind = _PC2.pack(b"POINTCACHE2\0", 1, len(index), 0.0, 1.0, count), "<f4"
@@ -121,7 +123,7 @@ def write_sequence(sequence: MeshSequence, path: Path, *, unweld: bool = False) 
         for start, block in sequence.chunks():
             stored = error.round(block, start)
             stream.write(stored[:, index].astype(kind, copy=False).tobytes())
-    return error.report(path, note=note)
+    return error.report(path, notes=notes)
 
 
 def _rate(path: Path, times: np.ndarray[Any, Any]) -> float | None:

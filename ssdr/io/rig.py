@@ -32,8 +32,7 @@ from ..rigid import matrix_from_quaternion, quaternion_from_matrix, slerp, unfli
 from ..shapes import Shapes
 from ..skinning import Skinning
 from ..storage.stretch import steady_axes
-from .registry import SaveReport
-from .storage_error import StorageError, frame_blocks
+from .save_report import SaveReport, StorageError, frame_blocks
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -150,10 +149,10 @@ class Rig:
         share = (times - np.floor(times))[:, None, None]
         return skin_each(rest + (1 - share) * before + share * after, *skinned, moves)
 
-    def error(self, model: Skinning, *, between: bool = False) -> tuple[float | None, float | None]:
+    def error(self, model: Skinning, *, between: bool = False) -> tuple[float, float]:
         """Root mean square and largest distance between the vertices of this rig and of `model`.
 
-        The stored arrays are skinned in float64. Both numbers are None if there are no frames to
+        The stored arrays are skinned in float64. Both numbers are 0 if there are no frames to
         compare.
 
         Parameters
@@ -176,10 +175,9 @@ class Rig:
         return error.rmse, error.largest
 
     def report(self, model: Skinning, **fields: Any) -> SaveReport:
-        """Report on saving `model` as this rig: errors, influences and further `fields`."""
+        """Report on saving `model` as this rig: its errors, and further `fields`."""
         rmse, largest = self.error(model)
         return SaveReport(
-            influences=self.indices.shape[1],
             error=rmse,
             max_error=largest,
             between_frames=self.error(model, between=True)[0],

@@ -20,9 +20,9 @@ from ..skinning import BoneModel, Skinning
 from ..space import Space
 from ..surface import Material, Surface
 from .budget import MOST_BYTES, afford
-from .registry import check
+from .file_errors import check
 from .sampling import Sample
-from .storage_error import frame_blocks
+from .save_report import frame_blocks
 
 _log = logging.getLogger(__name__)
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ...clips import readable
 from ...normals import unit
+from ..file_errors import check
 from ..meshes.polygons import fan, value_index
-from ..registry import check
 from ..scene import Bones, Shape, facing
 
 _log = logging.getLogger(__name__)

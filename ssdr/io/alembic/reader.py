@@ -18,11 +18,11 @@ from ...errors import FormatError
 from ...sequence import MeshSequence
 from ...space import UNKNOWN
 from ...surface import Material
+from ..file_errors import check, reading
 from ..frame_rates import sample_frames
 from ..mesh_names import choose, mesh_names
 from ..optional import check_installed
 from ..own_process import run_script
-from ..registry import check, reading
 from ..sampling import Sample
 from ..scene import SceneBudget, join_sequence
 from ..signatures import describe

@@ -13,8 +13,7 @@ from ...normals import corner_normals
 from ...sequence import MeshSequence
 from ..atomic import atomic_path
 from ..optional import require
-from ..registry import SaveReport
-from ..storage_error import StorageError
+from ..save_report import SaveReport, StorageError
 
 
 def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ...errors import FormatError, InputError
 from ..atomic import atomic_path
 from ..budget import afford, refuse_bomb
-from ..registry import check, reading
+from ..file_errors import check, reading
 from ..signatures import describe
 
 _npy: Any = np.lib.format  # NumPy types it only in part

@@ -8,7 +8,8 @@ from typing import Any
 from ...sequence import MeshSequence
 from ..atomic import atomic_path
 from ..companion import over_mesh
-from ..registry import SaveReport, check
+from ..file_errors import check
+from ..save_report import SaveReport
 from .archive import read_array, write_array
 
 
@@ -46,6 +47,5 @@ def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:
             size += temporary.stat().st_size
     lost = sequence.surface is not None or sequence.vertex_map is not None
     kept_not = "fps, surface and vertex map are" if lost else "fps is"
-    return SaveReport(
-        path=path, bytes=size, note=f"faces are in {beside.name}; {kept_not} not kept"
-    )
+    notes = f"faces are in {beside.name}", f"{kept_not} not kept"
+    return SaveReport(path=path, bytes=size, notes=notes)

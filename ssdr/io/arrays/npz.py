@@ -12,7 +12,7 @@ import json
 import logging
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,15 +21,14 @@ from ...clips import Clip, pick
 from ...errors import InputError
 from ...sequence import MeshSequence
 from ...shapes import Shapes
+from ...skinning import Skinning
 from ...space import Space
 from ...surface import Material, Surface
 from ..budget import afford
-from ..registry import SaveReport, bake, check, pick_clip, reading
+from ..file_clips import bake, pick_clip
+from ..file_errors import check, reading
+from ..save_report import SaveReport
 from .archive import names_in, read_arrays, shape_of, write_arrays
-
-if TYPE_CHECKING:
-    from ...skinning import Skinning
-
 
 _log = logging.getLogger(__name__)
 
@@ -153,8 +152,6 @@ def read_skinning(
     path: Path, *, fps: float | None = None, max_bytes: int | None = None
 ) -> Skinning:
     """Read a file of :func:`write_skinning`; `fps`, if given, becomes the rate of every clip."""
-    from ...skinning import Skinning
-
     arrays = read_arrays(
         path,
         required=_SKINNING,
@@ -232,7 +229,7 @@ def _write(thing: Any, path: Path, arrays: dict[str, Any], compress: bool) -> Sa
             arrays[key] = np.array(getattr(thing.space, key))
     arrays |= _surface_arrays(thing)
     size = write_arrays(path, arrays, compress=compress)
-    return SaveReport(path=path, bytes=size, influences=getattr(thing, "n_influences", None))
+    return SaveReport(path=path, bytes=size)
 
 
 def _clips_from(arrays: Mapping[str, NDArray[Any]]) -> Any:

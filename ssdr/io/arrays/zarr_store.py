@@ -15,8 +15,9 @@ from ...sequence import MeshSequence
 from ..atomic import free_name, naming, remove
 from ..budget import afford, refuse_bomb
 from ..companion import over_mesh
+from ..file_errors import check, reading, refuse_device
 from ..optional import require
-from ..registry import SaveReport, check, reading, refuse_device
+from ..save_report import SaveReport
 
 _CHUNK = 8 << 20  # bytes of a stored chunk: larger ones make reading single frames slower
 _METADATA = ("zarr.json", ".zarray", ".zattrs", ".zgroup", ".zmetadata")
@@ -158,6 +159,5 @@ def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:
         remove(temporary)
         raise
     lost = sequence.surface is not None or sequence.vertex_map is not None
-    return SaveReport(
-        path=path, bytes=size, note="surface and vertex map are not kept" if lost else ""
-    )
+    notes = ("surface and vertex map are not kept",) if lost else ()
+    return SaveReport(path=path, bytes=size, notes=notes)

@@ -11,10 +11,10 @@ import numpy as np
 from ...errors import InputError, SsdrError
 from ...skinning import Skinning, refuse_shapes
 from ..atomic import atomic_path
+from ..file_clips import check_one_rate
 from ..gltf.writer import write_along_bones
-from ..registry import SaveReport, check_one_rate
+from ..save_report import SaveReport, StorageError, frame_blocks
 from ..spaces import transformed
-from ..storage_error import StorageError, frame_blocks
 from .fbx_reading import read_skinning
 from .finder import command, run
 

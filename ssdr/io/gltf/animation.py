@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from ...clips import Clip, readable, unique_names
 from ...errors import FormatError
 from ...rigid import matrix_from_quaternion
+from ..file_errors import check
 from ..frame_rates import DEFAULT_RATE, Frames, frame_rate, frames_between, off_frames
-from ..registry import check
 from ..rig import interpolate_quaternions
 from .document import Document
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...errors import InputError
 from ..atomic import write_bytes
-from ..registry import check, reading
+from ..file_errors import check, reading
 from ..signatures import picture_type
 from .compression import MESHOPT
 from .document import COMPONENTS, Document

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import FormatError
+from ..file_errors import check
 from ..references import HINT, OUTSIDE, locate
-from ..registry import check
 from ..scene import SceneBudget
 from ..signatures import describe
 from .compression import DRACO, MESHOPT, decode_view
@@ -32,7 +32,7 @@ _READ_EXTENSIONS = (*_READ, "KHR_materials_", DRACO, *MESHOPT)
 class Document:
     """The JSON of a ``.glb`` or ``.gltf`` file, with buffers that are read when they are needed.
 
-    To be used inside :func:`~ssdr.io.registry.reading`, which adds the file's name to errors.
+    To be used inside :func:`~ssdr.io.file_errors.reading`, which adds the file's name to errors.
 
     When the file is opened, two things are checked: each list of items (nodes, meshes, ...) holds
     JSON objects, and each index of an item is in range. Other fields are not checked then.

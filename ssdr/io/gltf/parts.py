@@ -13,8 +13,8 @@ from ...clips import readable
 from ...errors import FormatError
 from ...normals import unit
 from ...shapes import Shapes
+from ..file_errors import check
 from ..mesh_names import choose
-from ..registry import check
 from ..scene import Bones, Shape, facing, file_weights, nearest_joints, vertices_at_joints
 from .animation import Nodes, descendants, still_frame
 from .compression import DRACO, decode_mesh

@@ -13,7 +13,8 @@ from ...clips import Clip, in_order
 from ...sequence import MeshSequence
 from ...skinning import Skinning
 from ...space import METRES_Y_UP
-from ..registry import pick_clip, reading
+from ..file_clips import pick_clip
+from ..file_errors import reading
 from ..sampling import Sample
 from ..scene import join_sequence, join_skinning, part_starts
 from .animation import (

@@ -11,7 +11,7 @@ from ...clips import Clip
 from ...frames.shaped_normals import ShapedNormals
 from ...shapes import Shapes
 from ..corners import Corners
-from ..registry import seconds
+from ..file_clips import seconds
 from .builder import Builder
 
 

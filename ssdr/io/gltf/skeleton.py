@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ...clips import Clip
 from ...rigid import quaternion_from_matrix
-from ..registry import seconds
+from ..file_clips import seconds
 from ..rig import Rig
 from .builder import ARRAY, Builder
 

@@ -21,7 +21,7 @@ from ...normals import corner_normals
 from ...skinning import Skinning
 from ...surface import Surface
 from ..corners import carry_tangents
-from ..registry import check, reading
+from ..file_errors import check, reading
 from ..rig import Rig
 from ..scene import join_faces, part_starts
 from .animation import Nodes, descendants, read_animations

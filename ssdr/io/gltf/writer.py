@@ -19,8 +19,8 @@ from ...rigid import matrix_from_quaternion, quaternion_from_matrix, unflip_quat
 from ...skinning import Skinning, refuse_shapes
 from ...surface import Material, Surface
 from ..corners import Corners, rest_normals, split_corners
-from ..registry import SaveReport
 from ..rig import Rig, build_rig
+from ..save_report import SaveReport
 from .builder import ARRAY, ELEMENTS, Builder
 from .shapes import add_channel, add_targets, state_targets
 from .skeleton import add_animation, add_skin, add_weights, skeleton_nodes
@@ -207,8 +207,7 @@ def _report(model: Skinning, rig: Rig, path: Path, builder: Builder) -> SaveRepo
     size, notes = builder.save(path), builder.notes
     if rig.indices.shape[1] > 4:
         notes.append("engines that read 4 influences alone will drop the smaller ones")
-    lost = tuple(builder.lost)
-    return rig.report(model, path=path, bytes=size, note="; ".join(notes), lost=lost)
+    return rig.report(model, path=path, bytes=size, notes=tuple(notes), lost=tuple(builder.lost))
 
 
 def _attributes(builder: Builder, rig: Rig, corners: Corners) -> dict[str, int]:

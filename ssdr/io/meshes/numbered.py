@@ -11,8 +11,9 @@ import numpy as np
 
 from ...errors import FormatError, InputError, SsdrWarning
 from ...sequence import MeshSequence
+from ..file_errors import check, reading
 from ..mesh_names import natural_key
-from ..registry import SaveReport, check, reading
+from ..save_report import SaveReport
 from .obj import obj_lines, parse_obj, write_obj
 from .ply import parse_ply, write_ply
 from .polygons import Mesh
@@ -84,14 +85,15 @@ def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> Sav
         raise InputError("start", "a number >= 0", start)
     if several:
         path.parent.mkdir(parents=True, exist_ok=True)
-    size, note, obj = 0, "", path.suffix.lower() == ".obj"
+    notes: list[str] = []
+    size, obj = 0, path.suffix.lower() == ".obj"
     written: set[str] = set()
     if obj:
         lines = obj_lines(sequence.faces, sequence.surface)
         if sequence.surface is not None and sequence.surface.materials:
-            note = "of materials, only the names are kept"
+            notes.append("of materials, only the names are kept")
     elif sequence.surface is not None:
-        note = "PLY has no seams: texture coordinates, normals and materials are not kept"
+        notes.append("PLY has no seams: texture coordinates, normals and materials are not kept")
     for k, block in sequence.chunks():
         for t, vertices in enumerate(block, k):
             name = _PRINTF.sub(lambda m, t=t: m.group() % (start + t), path.name)  # type: ignore[misc]
@@ -106,7 +108,7 @@ def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> Sav
         text = f"{path}: beside the new files lie {len(older)} older ones of such names"
         said = f"{text}, as {older[0]}, which readers take for frames"
         warnings.warn(said, SsdrWarning, stacklevel=2)
-    return SaveReport(path=path, bytes=size, note=note)
+    return SaveReport(path=path, bytes=size, notes=tuple(notes))
 
 
 def _matching(path: Path) -> list[Path]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ...errors import FormatError
 from ...surface import Surface
 from ..atomic import write_bytes
-from ..registry import check, read_file, reading
+from ..file_errors import check, read_file, reading
 from ..signatures import describe
 from .polygons import Mesh, fan
 

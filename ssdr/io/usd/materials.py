@@ -14,8 +14,8 @@ from pxr import Gf, Sdf, UsdGeom, UsdShade, Vt
 from ...clips import unique_names
 from ...surface import Material, Surface
 from ..atomic import write_bytes
+from ..file_errors import check
 from ..references import find_inside
-from ..registry import check
 from ..signatures import PICTURE_SUFFIXES, picture_type
 from .parts import MeshPrim
 from .skeleton import identifier

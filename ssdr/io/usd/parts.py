@@ -12,8 +12,8 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from ...normals import unit
 from ...shapes import Shapes
+from ..file_errors import check
 from ..meshes.polygons import fan, value_index
-from ..registry import check
 from ..scene import Bones, Shape, facing, file_weights, vertices_at_joints
 
 _log = logging.getLogger(__name__)

@@ -19,9 +19,10 @@ from ...errors import is_real, is_whole
 from ...sequence import MeshSequence
 from ...skinning import Skinning
 from ...space import Space
+from ..file_clips import pick_clip
+from ..file_errors import check, reading
 from ..frame_rates import Frames, frame_rate, frames_between, off_frames
 from ..mesh_names import choose
-from ..registry import check, pick_clip, reading
 from ..sampling import Sample
 from ..scene import SceneBudget, join_sequence, join_skinning
 from .materials import read_materials

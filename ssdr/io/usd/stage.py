@@ -15,8 +15,8 @@ import numpy as np
 from pxr import Sdf, Tf, Usd, UsdUtils
 
 from ...errors import FormatError, is_real
+from ..file_errors import check, refuse_device
 from ..references import HINT, OUTSIDE, is_inside
-from ..registry import check, refuse_device
 
 _DEEPEST = 1000  # levels of nesting; usd-core crashes the process at some tens of thousands
 # Strings, asset paths and comments of a text layer, closed or not; brackets in them do not count.
@@ -38,7 +38,7 @@ _STEPS[list(b"([{")], _STEPS[list(b")]}")] = 1, -1
 def open_stage(path: Path) -> Any:
     """Open a stage from the current contents of its file, not from those that USD has in memory.
 
-    To be called inside :func:`~ssdr.io.registry.reading`.
+    To be called inside :func:`~ssdr.io.file_errors.reading`.
 
     Raises
     ------

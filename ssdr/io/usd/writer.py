@@ -17,9 +17,8 @@ from ...skinning import Skinning
 from ...space import METRES_Y_UP, Space
 from ..atomic import atomic_path
 from ..corners import rest_normals
-from ..registry import SaveReport
 from ..rig import build_rig
-from ..storage_error import StorageError
+from ..save_report import SaveReport, StorageError
 from .materials import write_materials
 from .skeleton import bind, bind_shapes, identifier, put_skeleton
 from .stage import system_errors
@@ -88,7 +87,7 @@ def write_skinning(
         if rig.shapes is not None:
             bind_shapes(stage, mesh.GetPrim(), rig.shapes)
     size = path.stat().st_size
-    return rig.report(skinning, path=path, bytes=size, note="; ".join(notes))
+    return rig.report(skinning, path=path, bytes=size, notes=tuple(notes))
 
 
 def write_sequence(sequence: MeshSequence, path: Path, *, name: str | None = None) -> SaveReport:
@@ -113,7 +112,7 @@ def write_sequence(sequence: MeshSequence, path: Path, *, name: str | None = Non
             for frame, values in enumerate(error.round(block, first), start=first):
                 points.Set(Vt.Vec3fArray.FromNumpy(values), float(frame))
                 extent.Set(_extent(values), float(frame))
-    return error.report(path, note="; ".join(notes))
+    return error.report(path, notes=tuple(notes))
 
 
 @contextlib.contextmanager

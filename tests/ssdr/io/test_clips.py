@@ -238,7 +238,7 @@ def test_vertices_of_several_clips(tmp_path):
     model = model_of()
     with pytest.raises(ssdr.InputError, match=r"one frame rate.*walk at 24, jump/high at 60"):
         ssdr.save(model, tmp_path / "a_%02d.obj")
-    assert "clips" not in ssdr.save(model.select("walk"), tmp_path / "b.npy").note
+    assert "clips" not in str(ssdr.save(model.select("walk"), tmp_path / "b.npy").notes)
 
 
 def test_a_format_without_clips_holds_one(tmp_path, wave):

@@ -59,8 +59,8 @@ def test_real_sequences_load_as_they_are(real, data_dir):
 def test_results_go_back_to_the_mesh_before_welding(tmp_path, seam, suffix):
     welded, _ = seam.weld()
     path = tmp_path / f"a.{suffix}"
-    assert "15 welded vertices" in ssdr.save(welded, path).note
-    assert ssdr.save(welded, path, unweld=True).note == ""
+    assert "15 welded vertices" in str(ssdr.save(welded, path).notes)
+    assert ssdr.save(welded, path, unweld=True).notes == ()
     back = ssdr.load(path, faces=seam)
     np.testing.assert_array_equal(back.vertices, seam.vertices, strict=True)
     with pytest.raises(InputError, match=r"^unweld"):
@@ -86,7 +86,11 @@ def test_a_mesh_without_triangles_is_no_mesh_to_other_programs(tmp_path, wave):
     points = ssdr.MeshSequence(wave.vertices)
     model = ssdr.initialize(points, bones=2)
     for name, thing in (("a.glb", model), ("a_%d.obj", points), ("a_%d.ply", points)):
-        assert "has no triangles: programs show points" in ssdr.save(thing, tmp_path / name).note
+        assert "has no triangles: programs show points" in str(
+            ssdr.save(thing, tmp_path / name).notes
+        )
     for name, thing in (("b.npz", model), ("b.npz", points)):
-        assert "triangles" not in ssdr.save(thing, tmp_path / name).note
-    assert "triangles" not in ssdr.save(ssdr.initialize(wave, bones=2), tmp_path / "b.glb").note
+        assert "triangles" not in str(ssdr.save(thing, tmp_path / name).notes)
+    assert "triangles" not in str(
+        ssdr.save(ssdr.initialize(wave, bones=2), tmp_path / "b.glb").notes
+    )

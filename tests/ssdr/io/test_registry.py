@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import sys
 import tomllib
@@ -12,13 +13,24 @@ import pytest
 import ssdr
 from ssdr import FormatError, InputError
 from ssdr.io import FORMATS
+from ssdr.io.formats import option_names
 from ssdr.io.optional import PACKAGES
 
 
 def test_every_row_of_the_table_says_what_it_can():
     for suffix, row in FORMATS.items():
         assert suffix == suffix.lower()
-        assert row.has("read", "write_skinning")
+        with contextlib.suppress(ssdr.MissingDependencyError):
+            functions = row.functions()
+            assert (functions.write_sequence is not None) == row.sequences
+            assert (functions.write_skinning is not None) == row.skinnings
+            assert (functions.read_skinning is not None) == row.skinnings
+            assert (functions.list_clips is not None) == row.skinnings
+            read = set(option_names(functions.read))
+            assert ("clip" in read, "meshes" in read) == (
+                functions.list_clips is not None,
+                functions.list_meshes is not None,
+            )
     assert {s for s, row in FORMATS.items() if row.extra == "blender"} == {".fbx"}
 
 
@@ -56,9 +68,9 @@ def test_the_page_on_formats_names_them_all():
     for suffix, row in FORMATS.items():
         line = next(line for line in table.splitlines() if f"`{suffix}`" in line)
         cells = [cell.strip() for cell in line.strip("|").split("|")]
-        able = [row.has(name) for name in ("read", "read_skinning", "write_sequence")]
+        able = [True, row.skinnings, row.sequences]
         assert [cell == "yes" for cell in cells[2:5]] == able
-        assert bool(cells[5]) == row.has("write_sequence", "write_skinning")
+        assert cells[5]
         needs = {None: "", "blender": "[Blender](export.md#blender)"}
         assert cells[6].startswith(needs.get(row.extra, f"`ssdr[{row.extra}]`"))
 

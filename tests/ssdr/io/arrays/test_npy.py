@@ -44,4 +44,4 @@ def test_npy_takes_faces_from_anywhere(tmp_path, wave, mmap):
 
 
 def test_npy_says_where_its_faces_are(tmp_path, wave):
-    assert "clip.faces.npy" in ssdr.save(wave, tmp_path / "clip.npy").note
+    assert "clip.faces.npy" in str(ssdr.save(wave, tmp_path / "clip.npy").notes)

@@ -54,7 +54,7 @@ def test_influences_beyond_the_format(tmp_path):
         ssdr.save(model, tmp_path / "a.glb")
     report = ssdr.save(model, tmp_path / "a.glb", influences=4)
     pruned = ssdr.load_skinning(tmp_path / "a.glb")
-    assert report.influences == pruned.n_influences == 4
+    assert pruned.n_influences == 4
     expected = largest_distance(pruned.skin(), model.skin())
     assert report.max_error == pytest.approx(expected, rel=1e-3)
     assert largest_distance(pruned.skin(), model.prune(4).skin()) < 2e-6

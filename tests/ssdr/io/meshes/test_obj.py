@@ -17,7 +17,7 @@ def test_obj_keeps_seams_edges_and_names_of_materials(tmp_path, seam):
     named = dataclasses.replace(seam.surface, materials=names)
     for sequence in (seam, welded):
         report = ssdr.save(sequence, tmp_path / "o" / "frame_%d.obj", start=5)
-        assert "only the names are kept" in report.note
+        assert "only the names are kept" in str(report.notes)
         assert sorted(f.name for f in report.path.parent.iterdir()) == [
             f"frame_{k}.obj" for k in range(5, 9)
         ]

@@ -17,7 +17,8 @@ from pxr import Usd, UsdGeom, UsdSkel
 @pytest.mark.parametrize("options", [{}, {"bones": 12, "influences": 10}])
 def test_usd_skins_the_same_vertices(tmp_path, suffix, options):
     model, path = tube(**options), tmp_path / f"model{suffix}"
-    assert ssdr.save(model, path).influences == model.n_influences
+    ssdr.save(model, path)
+    assert ssdr.load_skinning(path).n_influences == model.n_influences
     assert largest_distance(baked_by_usd(path, range(20)), model.skin()) < 3e-6
 
 
@@ -46,7 +47,7 @@ def test_point_cache(tmp_path):
     path = tmp_path / "cache.usdc"
     report = ssdr.save(sequence, path, up="z", units=0.01)
     assert report.max_error < 1e-6
-    assert ("normals" in report.note) == (model.surface.normals is not None)
+    assert ("normals" in str(report.notes)) == (model.surface.normals is not None)
     stage = Usd.Stage.Open(str(path))
     assert UsdGeom.GetStageUpAxis(stage) == "Z"
     assert UsdGeom.GetStageMetersPerUnit(stage) == 0.01
@@ -60,7 +61,7 @@ def test_point_cache(tmp_path):
     with pytest.raises(ssdr.FormatError, match="its points move"):
         ssdr.load_skinning(path)
     exact = ssdr.MeshSequence(sequence.vertices.astype(np.float32), model.faces)
-    assert ssdr.save(exact, path).error is None
+    assert ssdr.save(exact, path).error == 0
     np.testing.assert_array_equal(ssdr.load(path).vertices, exact.vertices)
     with pytest.raises(ssdr.InputError, match="units"):
         ssdr.save(exact, path, units=0)

@@ -1,0 +1,74 @@
+"""Reading of files that may be damaged or hostile: every error becomes one that names the file."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from ..errors import FormatError, InputError, SsdrError
+from .budget import afford
+
+_log = logging.getLogger(__name__)
+_BUGS: dict[type[Exception], str] = {
+    KeyError: "it has no {}",
+    IndexError: "it refers to something that is not there",
+    TypeError: "an entry holds another kind of value than the format says",
+    AttributeError: "an entry holds another kind of value than the format says",
+}
+
+
+@contextlib.contextmanager
+def reading(path: Path, *options: str) -> Iterator[None]:
+    """Turn errors of a parser inside the block into a FormatError that names the file.
+
+    An InputError inside the block becomes a FormatError, too, because it is about the contents of
+    the file, unless it is about one of the `options` of the caller. Errors of a missing file,
+    permission or package stay as they are.
+    """
+    try:
+        refuse_device(path)
+        yield
+    except Exception as error:
+        missing = isinstance(error, FileNotFoundError) and not path.exists()
+        named = isinstance(error, FormatError) and str(error).startswith(str(path))
+        of_caller = isinstance(error, InputError) and error.argument in options
+        of_no_file = isinstance(error, SsdrError) and not isinstance(error, ValueError)
+        kept = of_caller or of_no_file or isinstance(error, (PermissionError, UserWarning))
+        if missing or named or kept:
+            raise
+        what = str(error) or type(error).__name__
+        if isinstance(error, MemoryError):
+            what = "needs more memory than there is"
+        elif not isinstance(error, (FormatError, InputError, FileNotFoundError)):
+            # On hostile bytes a parser may raise any error, even one about its own code.
+            _log.debug("%s", path, exc_info=error)
+            said = [text for kind, text in _BUGS.items() if isinstance(error, kind)]
+            what = f"truncated or damaged ({said[0].format(what) if said else what})"
+        raise FormatError(f"{path}: {what}") from error
+
+
+def check(valid: Any, problem: str) -> None:
+    """Raise a FormatError with the text `problem` unless `valid` is true."""
+    if not valid:
+        raise FormatError(problem)
+
+
+def refuse_device(path: Path) -> None:
+    """Raise a FormatError for a device, a pipe or a socket, because reading it may never end.
+
+    Raises
+    ------
+    FormatError
+        If `path` exists and is neither a file nor a folder.
+    """
+    usual = path.is_file() or path.is_dir() or not path.exists()
+    check(usual, f"{path}: a device, a pipe or a socket, not a file")
+
+
+def read_file(path: Path) -> bytes:
+    """Check the size of a file and read all its bytes; to be called inside :func:`reading`."""
+    afford(path.stat().st_size, "the whole file", path)
+    return path.read_bytes()

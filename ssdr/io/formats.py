@@ -1,0 +1,297 @@
+"""The file formats by suffix, the functions that read and write each, and checks of their options.
+
+A format's modules are imported at its first use.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import os
+import typing
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..clips import Clip
+from ..errors import FormatError, InputError, is_real, is_whole
+from ..sequence import MeshSequence
+from ..space import METRES_Y_UP, UNKNOWN, Space
+from .file_errors import refuse_device
+from .save_report import SaveReport
+
+if TYPE_CHECKING:
+    from ..skinning import Skinning
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Functions:
+    """Functions of a format; None where a file can hold no such thing.
+
+    Keyword arguments of `read`, `read_skinning` and the writers are the format's options. A format
+    with `list_clips` takes `clip` in `read`, and one with `list_meshes` takes `meshes`.
+    """
+
+    read: Callable[..., MeshSequence]
+    read_skinning: Callable[..., Skinning] | None = None
+    write_sequence: Callable[..., SaveReport] | None = None
+    write_skinning: Callable[..., SaveReport] | None = None
+    list_clips: Callable[..., tuple[Clip, ...]] | None = None
+    list_meshes: Callable[[Path], tuple[str, ...]] | None = None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Format:
+    """A file format, as far as it is known before its modules are imported.
+
+    Attributes
+    ----------
+    title : str
+    functions : callable
+        Imports the format's modules and returns its `Functions`.
+    sequences, skinnings : bool
+        Whether sequences and skinnings can be written; all that is written can be read.
+    extra : str or None
+        Extra of ssdr that the format needs.
+    space : Space or None
+        Space that its files must have.  If its unit or up axis is unknown, a file may choose that;
+        None if files cannot state a space.
+    """
+
+    title: str
+    functions: Callable[[], Functions]
+    sequences: bool = True
+    skinnings: bool = False
+    extra: str | None = None
+    space: Space | None = None
+
+
+def _npz() -> Functions:
+    from .arrays import npz
+
+    return Functions(
+        read=npz.read,
+        read_skinning=npz.read_skinning,
+        write_sequence=npz.write_sequence,
+        write_skinning=npz.write_skinning,
+        list_clips=npz.list_clips,
+    )
+
+
+def _npy() -> Functions:
+    from .arrays import npy
+
+    return Functions(read=npy.read, write_sequence=npy.write_sequence)
+
+
+def _zarr() -> Functions:
+    from .arrays import zarr_store
+
+    return Functions(read=zarr_store.read, write_sequence=zarr_store.write_sequence)
+
+
+def _numbered() -> Functions:
+    from .meshes import numbered
+
+    return Functions(read=numbered.read, write_sequence=numbered.write_sequence)
+
+
+def _pointcache() -> Functions:
+    from . import pointcache
+
+    return Functions(read=pointcache.read, write_sequence=pointcache.write_sequence)
+
+
+def _gltf() -> Functions:
+    from .gltf import reader, writer
+
+    return Functions(
+        read=reader.read,
+        read_skinning=reader.read_skinning,
+        write_skinning=writer.write_skinning,
+        list_clips=reader.list_clips,
+        list_meshes=reader.list_meshes,
+    )
+
+
+def _usd() -> Functions:
+    from .usd import reader, writer
+
+    return Functions(
+        read=reader.read,
+        read_skinning=reader.read_skinning,
+        write_sequence=writer.write_sequence,
+        write_skinning=writer.write_skinning,
+        list_clips=reader.list_clips,
+        list_meshes=reader.list_meshes,
+    )
+
+
+def _alembic() -> Functions:
+    from .alembic import reader, writer
+
+    return Functions(
+        read=reader.read,
+        write_sequence=writer.write_sequence,
+        list_meshes=reader.list_meshes,
+    )
+
+
+def _fbx() -> Functions:
+    from .blender import fbx_reading, fbx_writing
+
+    return Functions(
+        read=fbx_reading.read,
+        read_skinning=fbx_reading.read_skinning,
+        write_skinning=fbx_writing.write_skinning,
+        list_clips=fbx_reading.list_clips,
+        list_meshes=fbx_reading.list_meshes,
+    )
+
+
+_NUMBERED = Format(title="numbered OBJ or PLY", functions=_numbered)
+_ZARR = Format(title="zarr store", functions=_zarr, extra="zarr")
+_GLTF = Format(
+    title="glTF 2.0", functions=_gltf, sequences=False, skinnings=True, space=METRES_Y_UP
+)
+_USD = Format(
+    title="Universal Scene Description",
+    functions=_usd,
+    skinnings=True,
+    extra="usd",
+    space=UNKNOWN,
+)
+
+FORMATS: Mapping[str, Format] = {
+    ".npz": Format(title="NumPy archive", functions=_npz, skinnings=True, space=UNKNOWN),
+    ".npy": Format(title="NumPy array", functions=_npy),
+    ".zarr": _ZARR,
+    ".obj": _NUMBERED,
+    ".ply": _NUMBERED,
+    ".pc2": Format(title="PC2 point cache", functions=_pointcache),
+    ".mdd": Format(title="MDD point cache", functions=_pointcache),
+    ".glb": _GLTF,
+    ".gltf": _GLTF,
+    ".usd": _USD,
+    ".usda": _USD,
+    ".usdc": _USD,
+    ".abc": Format(title="Alembic", functions=_alembic, extra="alembic"),
+    ".fbx": Format(
+        title="FBX",
+        functions=_fbx,
+        sequences=False,
+        skinnings=True,
+        extra="blender",
+        space=METRES_Y_UP,
+    ),
+}
+
+
+def as_path(path: Any) -> Path:
+    """Path that a caller gives.
+
+    Raises
+    ------
+    InputError
+        If it is no path, or one that no file can have.
+    """
+    if not isinstance(path, (str, os.PathLike)) or "\0" in (name := str(os.fspath(path))):
+        raise InputError("path", "a path", repr(path))
+    return Path(name)
+
+
+def format_of(path: Path) -> Format:
+    """Format of a path with one of the suffixes in `FORMATS`.
+
+    Raises
+    ------
+    FormatError
+        If the suffix is another.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
+        kind = f"the suffix {suffix!r}" if suffix else "a name without suffix"
+        raise FormatError(f"{path}: {kind} is none of {', '.join(sorted(FORMATS))}")
+    return FORMATS[suffix]
+
+
+def _is_numbered(path: Path) -> bool:
+    """Whether a path is a folder of numbered files or a pattern of their names."""
+    many = path.is_dir() or (not path.exists() and any(c in path.name for c in "%*?["))
+    return many and FORMATS.get(path.suffix.lower(), _NUMBERED) is _NUMBERED
+
+
+def format_to_read(path: Path) -> Format:
+    """Format of a file, or of a folder or pattern of numbered files.
+
+    Raises
+    ------
+    FormatError
+        If the suffix is not in `FORMATS`.
+    """
+    return _NUMBERED if _is_numbered(path) else format_of(path)
+
+
+def check_readable(path: Path) -> None:
+    """Raise an error unless there is a file, store or set of numbered files to read at a path.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is none.
+    FormatError
+        If it is a folder, a device, a pipe or a socket.
+    """
+    if _is_numbered(path):
+        return
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such file")
+    if path.is_dir() and format_of(path) is not _ZARR:
+        raise FormatError(f"{path}: a folder, not a file")
+    refuse_device(path)
+
+
+_KINDS: dict[Any, tuple[Callable[[Any], bool], str]] = {
+    bool: (lambda value: isinstance(value, (bool, np.bool_)), "true or false"),
+    int: (is_whole, "an integer"),
+    float: (lambda value: isinstance(value, float) or is_real(value), "a number"),
+}
+
+
+def check_options(function: Callable[..., Any], title: str, options: Mapping[str, Any]) -> None:
+    """Check options before a format's function is called with them.
+
+    Numbers and flags must have the type of the parameter: without this check, any text would count
+    as true for an option that is true or false. Other values are checked by the function.
+
+    Raises
+    ------
+    InputError
+        If the function does not have an option, or its value has another type.
+    """
+    known = option_names(function)
+    unknown = [name for name in options if name not in known]
+    if unknown:
+        wanted = f"{', '.join(known) or 'no options'} (for {title}; units and up for all)"
+        raise InputError("options", wanted, ", ".join(unknown))
+    hints = typing.get_type_hints(function)
+    for name, value in options.items():
+        kinds = typing.get_args(hints[name]) or (hints[name],)
+        fits, words = _KINDS.get(kinds[0], (None, ""))
+        optional = kinds[1:] == (type(None),)
+        if fits is None or (kinds[1:] and not optional) or (optional and value is None):
+            continue
+        if not fits(value):
+            raise InputError(name, words, repr(value))
+        if name == "max_bytes" and value <= 0:
+            raise InputError(name, "a positive number", value)
+
+
+def option_names(function: Callable[..., Any] | None) -> list[str]:
+    """Names of the keyword arguments of a format's function; empty if it has no such function."""
+    if function is None:
+        return []
+    parameters = inspect.signature(function).parameters.values()
+    return [p.name for p in parameters if p.kind is p.KEYWORD_ONLY]
