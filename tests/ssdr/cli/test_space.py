@@ -51,9 +51,8 @@ def test_two_spaces_are_compared_in_one(run, done, there, stage, tmp_path):
 def test_what_is_said_beats_what_is_stated(done, refused, there, stage, tmp_path):
     out = tmp_path / "a.glb"
     document = done("convert", stage, out)
-    assert "converted from 0.01 m a unit, z up to 1 m a unit, y up" in str(
-        document["output"]["notes"]
-    )
+    notes = document["output"]["notes"]
+    assert "converted from 0.01 m a unit, z up to 1 m a unit, y up" in notes
     assert largest_distance(ssdr.load(out).vertices, there.skin()) < 1e-6
     done("convert", stage, out, "--units", "mm", "--up", "y")
     size, up = np.ptp(ssdr.load(out).vertices[0], axis=0), np.ptp(there.skin()[0], axis=0)
