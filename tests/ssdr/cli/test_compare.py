@@ -30,7 +30,9 @@ def test_a_welded_model_is_spread_back(done, refused, seam, tmp_path):
     for pair in (("a.npz", "b.npz"), ("b.npz", "a.npz")):
         assert done("compare", *(tmp_path / p for p in pair))["rmse"] == 0
     ssdr.save(ssdr.MeshSequence(seam.vertices[:, :7]), tmp_path / "c.npz")
-    assert "18 vertices, as the reference has" in refused("compare", tmp_path / "a.npz", tmp_path / "c.npz")
+    assert "18 vertices, as the reference has" in refused(
+        "compare", tmp_path / "a.npz", tmp_path / "c.npz"
+    )
 
 
 def test_a_page_shows_what_is_compared(done, run, refused, clip, wave, tmp_path):

@@ -28,7 +28,7 @@ def test_normals_are_better_at_no_more_bytes() -> None:
     assert found.parsimony.held
     assert found.parsimony.bones == plain.parsimony.bones
     assert found.parsimony.size.total <= 1.005 * plain.parsimony.size.total
-    means = [normal_angles.errors(DANCER, r.skinning).mean for r in (found, plain)]
+    means = [ssdr.metrics.normals(DANCER, r.skinning).mean for r in (found, plain)]
     assert means[0] < 0.93 * means[1]
 
 

@@ -222,7 +222,7 @@ def test_the_error_of_normals_is_that_of_the_metric():
     model = made()
     rng = np.random.default_rng(1)
     truth = ssdr.MeshSequence(model.skin() + 0.1 * rng.normal(size=(5, 5, 3)), model.faces)
-    expected = normal_angles.errors(truth, model)
+    expected = ssdr.metrics.normals(truth, model)
     page = held(model, truth, keep_input=False, reference_name="dance.abc").document
     rows = {name: (value, note) for name, value, note in page["figures"]}
     value, note = rows["Normals"]
