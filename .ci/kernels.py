@@ -33,7 +33,6 @@ def use_kernels() -> None:
     for rig in (None, "rigid"):
         model = ssdr.decompose(few, bones=5, effort="fast", rig=rig).skinning
     ssdr.decompose(few, bones=5, effort="fast", bone_model="similarity")
-    ssdr.round_weights(few, model)
     ssdr.metrics.compare(small, ssdr.decompose(small, bones=5, effort="fast").skinning)
     contact_sheet(model, reference=few)
     for kind in (np.float32, np.float64):
