@@ -186,11 +186,6 @@ BLOCKS: dict[str, Callable[[], str]] = {
         "effort on it": "{effort}", "bytes before and after pruning": "{bytes before:,}, {bytes:,}",
         "CPU s": "{cpu seconds:.1f}",
     }),
-    "first_call": Table(lambda: rows("first_call"), {
-        "": "{case}", "whole process": "{process:.2f}", "its CPU seconds": "{cpu:.2f}",
-        "compiling or loading kernels": "{kernels:.2f}", "solving": "{solve:.2f}",
-        "revision": "{machine[revision]}",
-    }),
     "steps": Table(lambda: rows("steps"), {
         "case": "{data}-{bones}", "step": "{step}", "threads": "{threads}", "ms": "{ms:.1f}",
         "products, GFLOP": "{GFLOP:.2f}", "products at the GEMM rate, ms": "{floor ms:.1f}",
