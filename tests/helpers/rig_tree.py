@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -13,63 +14,14 @@ from ssdr.hierarchy.transforms import from_local
 # parents do not come first, and there are two roots
 PARENTS = (2, 0, -1, 0, 2, -1, 4)
 NAMES = ("chest", "arm.L", "hip", "arm.R", "leg", "ball", "foot")
-POSITIONS = np.array(
-    [
-        [0, 1.0, 0],
-        [0.3, 1.5, 0.1],
-        [0, 0, 0],
-        [-0.3, 1.5, 0.1],
-        [0.1, -0.2, 0],
-        [2, 0, 0],
-        [0.1, -1, 0.1],
-    ]
-)
-ENDS = np.array(
-    [
-        [0, 1.6, 0],
-        [1, 1.4, 0.3],
-        [0, 0.9, 0],
-        [-1, 1.4, 0.3],
-        [0.1, -0.9, 0.1],
-        [2, 0.6, 0],
-        [0.1, -1.1, 0.6],
-    ]
-)
-
-
-def _rods(sides=6, rings=5):
-    """A closed rod from each joint to its end; vertices, triangles, bone of each vertex."""
-    rest, faces, bone = [], [], []
-    angle = np.arange(sides) * 2 * np.pi / sides
-    for b, (a, z) in enumerate(zip(POSITIONS, ENDS, strict=True)):
-        along = (z - a) / np.linalg.norm(z - a)
-        one = np.cross(along, [0.3, 0.2, 0.9])
-        one /= np.linalg.norm(one)
-        two = np.cross(along, one)
-        start = sum(map(len, rest))
-        ring = 0.12 * (np.cos(angle)[:, None] * one + np.sin(angle)[:, None] * two)
-        for u in np.linspace(0, 1, rings):
-            rest.append(a + u * (z - a) + ring)
-        rest.append(np.array([a, z]))
-        for i in range(rings - 1):
-            for j in range(sides):
-                p, q = start + i * sides + j, start + i * sides + (j + 1) % sides
-                faces += [[p, p + sides, q], [q, p + sides, q + sides]]
-        for j in range(sides):
-            p, q, top = start + j, start + (j + 1) % sides, start + (rings - 1) * sides
-            low = start + rings * sides
-            faces += [[low, p, q], [low + 1, top + (j + 1) % sides, top + j]]
-        bone += [b] * (rings * sides + 2)
-    return np.concatenate(rest), np.array(faces), np.array(bone)
+# rods of a branched body, one from each joint to its end: rest, faces, indices, weights
+_RODS = np.load(Path(__file__).with_name("creature.npz"))
+POSITIONS, ENDS = _RODS["positions"], _RODS["ends"]
 
 
 def creature(*, frames=10, loose=False, scaled=False, clips=None):
     """Rigid joints; `loose` ones slide too, `scaled` bones grow."""
-    rest, faces, bone = _rods()
     parents = np.array(PARENTS)
-    above = np.where(parents[bone] >= 0, parents[bone], 0)
-    near = np.exp(-2 * np.linalg.norm(rest - POSITIONS[bone], axis=1)) * (parents[bone] >= 0)
-    weights = np.stack([1 - 0.5 * near, 0.5 * near], axis=1)
     n = len(PARENTS)
     local = np.zeros((frames, n, 3, 4))
     for t in range(frames):
@@ -86,11 +38,11 @@ def creature(*, frames=10, loose=False, scaled=False, clips=None):
         local[t, 2, :, 3] += [0.5 * phase, 0.1 * np.sin(6 * phase), 0]
         local[t, 5, :, 3] += [0, 0.3 * phase, 0.2]
     return ssdr.Skinning(
-        rest,
-        np.stack([bone, above], axis=1),
-        weights,
+        _RODS["rest"],
+        _RODS["indices"],
+        _RODS["weights"],
         from_local(local, parents, POSITIONS),
-        faces=faces,
+        faces=_RODS["faces"],
         fps=24.0,
         bone_model="similarity" if scaled else "rigid",
         bone_names=NAMES,
