@@ -118,38 +118,8 @@ def test_frames_come_in_their_order_and_as_the_catalogue_says(
     assert server.asked == [tree_path(TOY)]
 
 
-def _damage_a_file(server: Server) -> None:
-    name = f"/owner/toy/{COMMIT}/models/toy/3.obj"
-    server.content[name] = server.content[name].replace(b"v ", b"v 1", 1)[:-1]
-
-
-def _leave_out_a_file(server: Server) -> None:
-    del server.content[f"/owner/toy/{COMMIT}/models/toy/5.obj"]
-
-
-def _make_a_file_long(server: Server) -> None:
-    server.content[f"/owner/toy/{COMMIT}/models/toy/7.obj"] += b"#" * 1000
-
-
-def _list_too_few(server: Server) -> None:
-    tree = json.loads(server.content[tree_path(TOY)])
-    tree["tree"] = [e for e in tree["tree"] if not e["path"].endswith("/9.obj")]
-    server.content[tree_path(TOY)] = json.dumps(tree).encode()
-
-
-def _list_no_rest(server: Server) -> None:
-    tree = json.loads(server.content[tree_path(TOY)])
-    tree["tree"] = [e for e in tree["tree"] if not e["path"].endswith("rest.obj")]
-    server.content[tree_path(TOY)] = json.dumps(tree).encode()
-
-
-def _cut_the_list(server: Server) -> None:
-    tree = json.loads(server.content[tree_path(TOY)]) | {"truncated": True}
-    server.content[tree_path(TOY)] = json.dumps(tree).encode()
-
-
-def _garble_the_list(server: Server) -> None:
-    server.content[tree_path(TOY)] = b"[1, 2]"
+def _file(number: int) -> str:
+    return f"/owner/toy/{COMMIT}/models/toy/{number}.obj"
 
 
 def test_an_address_that_is_not_reached_is_said_to_be() -> None:
@@ -157,23 +127,32 @@ def test_an_address_that_is_not_reached_is_said_to_be() -> None:
         fetch.download("http://127.0.0.1:1/nobody", 10)
 
 
+def _listed(content: dict[str, bytes], left_out: str = "-", **more: object) -> None:
+    """Leave a file out of the listing, or say more in it."""
+    tree = json.loads(content[tree_path(TOY)])
+    tree["tree"] = [e for e in tree["tree"] if not e["path"].endswith(left_out)]
+    content[tree_path(TOY)] = json.dumps(tree | more).encode()
+
+
 @pytest.mark.parametrize(
     ("damage", "word"),
     [
-        (_damage_a_file, r"models/toy/3\.obj: expected the Git SHA-1 \w{40}, got \w{40}"),
-        (_leave_out_a_file, r"models/toy/5\.obj: HTTP Error 404"),
-        (_make_a_file_long, r"models/toy/7\.obj: expected at most [\d,]+ bytes"),
-        (_list_too_few, r"expected 12 files, got 11"),
-        (_list_no_rest, r"models/rest\.obj: the commit has no such file"),
-        (_cut_the_list, r"the listing is cut off"),
-        (_garble_the_list, r"not a listing of files"),
+        (lambda c: c.update({_file(3): c[_file(3)].replace(b"v ", b"v 1", 1)[:-1]}),
+         r"models/toy/3\.obj: expected the Git SHA-1 \w{40}, got \w{40}"),
+        (lambda c: c.pop(_file(5)), r"models/toy/5\.obj: HTTP Error 404"),
+        (lambda c: c.update({_file(7): c[_file(7)] + b"#" * 1000}),
+         r"models/toy/7\.obj: expected at most [\d,]+ bytes"),
+        (lambda c: _listed(c, "/9.obj"), r"expected 12 files, got 11"),
+        (lambda c: _listed(c, "rest.obj"), r"models/rest\.obj: the commit has no such file"),
+        (lambda c: _listed(c, truncated=True), r"the listing is cut off"),
+        (lambda c: c.update({tree_path(TOY): b"[1, 2]"}), r"not a listing of files"),
     ],
-)
+)  # fmt: skip
 def test_what_is_not_as_it_should_be_is_refused_by_name(
-    damage: Callable[[Server], None], word: str, server: Server, tmp_path: Path
+    damage: Callable[[dict[str, bytes]], object], word: str, server: Server, tmp_path: Path
 ) -> None:
     server.publish(TOY, toy_files()[1])
-    damage(server)
+    damage(server.content)
     with pytest.raises(fetch.FetchError, match=word):
         fetch.get("toy", TOY, tmp_path, server.url)
     assert not (tmp_path / "toy.npz").exists()

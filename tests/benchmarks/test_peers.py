@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import subprocess
@@ -107,27 +106,8 @@ def test_times_are_to_within_a_percent_of_dem_bones_best() -> None:
     assert tables.summary([ours]) is None
 
 
-def test_fewer_bones_than_asked_or_a_crash_is_a_collapse() -> None:
-    whole = _run("dembones 0", [[0, 1.0, 1.0, 3.0]])
-    assert not tables.collapsed([whole])
-    assert tables.collapsed([whole, _run("dembones 0", [[0, 1.0, 1.0, 3.0]]) | {"bones found": 4}])
-    crashed = {"solver": "dembones 0", "bones": 5, "failed": "ended with status -11", "curve": []}
-    assert tables.collapsed([whole, crashed])
-
-
 def test_front() -> None:
     assert tables.front_of([(3, 1), (1, 5), (2, 6), (4, 1)]) == [(1, 5), (3, 1)]
-
-
-def test_exponent_of_a_sweep() -> None:
-    runs = [
-        _run("ssdr balanced", [[1, 1.0, 1.0, 1.0]], V=v, F=100)
-        | {"bones": 20, "total wall": 0.001 * v**1.5, "peak MiB": 1}
-        for v in (500, 1000, 2000)
-    ]
-    (row,) = tables.sweeps(runs)
-    assert row["over"] == "vertices"
-    assert row["exponent"] == pytest.approx(1.5)
 
 
 @pytest.mark.slow
@@ -154,19 +134,6 @@ def test_a_solver_runs_in_a_process_of_its_own_and_tells_the_truth() -> None:
     assert errors == sorted(errors, reverse=True)
     assert all(a[1] <= b[1] for a, b in zip(record["curve"], record["curve"][1:], strict=False))
     assert record["curve"][-1][1] <= record["total wall"]
-
-
-def test_a_solver_of_ones_own_leaves_the_records_of_the_tables_alone() -> None:
-    def folders(*words: str, **given: object) -> tuple[Path, ...]:
-        options = {"short": False, "solvers": [*words], "results": None, "images": None}
-        return race.folders(argparse.Namespace(**(options | given)))
-
-    tables, own = ROOT / "benchmarks" / "results", ROOT / "out" / "race"
-    assert folders("ssdr fast") == (tables, ROOT / "docs" / "images", tables)
-    assert folders("ssdr fast", "mine.py") == (own, own, tables)
-    here = Path("here")
-    assert folders("mine.py", results=here, images=here) == (here, here, here)
-    assert folders("mine.py", short=True)[0] == ROOT / "out" / "bench-short"
 
 
 @pytest.mark.slow
