@@ -105,7 +105,8 @@ def _pointcache() -> Functions:
 
 
 def _gltf() -> Functions:
-    from .gltf import reader, writer
+    from .gltf import gltf_reading as reader
+    from .gltf import gltf_writing as writer
 
     return Functions(
         read=reader.read,
@@ -117,7 +118,8 @@ def _gltf() -> Functions:
 
 
 def _usd() -> Functions:
-    from .usd import reader, writer
+    from .usd import usd_reading as reader
+    from .usd import usd_writing as writer
 
     return Functions(
         read=reader.read,

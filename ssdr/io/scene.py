@@ -19,8 +19,7 @@ from ..shapes import Shapes
 from ..skinning import BoneModel, Skinning
 from ..space import Space
 from ..surface import Material, Surface
-from .budget import MOST_BYTES, afford
-from .file_errors import check
+from .file_errors import MOST_BYTES, afford, check
 from .sampling import Sample
 from .save_report import frame_blocks
 
@@ -62,7 +61,7 @@ class SceneBudget:
         Raises
         ------
         FormatError
-            If the sum exceeds the limit; see :func:`~ssdr.io.budget.afford`.
+            If the sum exceeds the limit; see :func:`~ssdr.io.file_errors.afford`.
         """
         self.spent += n_bytes
         afford(self.spent, what, self.path, self.most)

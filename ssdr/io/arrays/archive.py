@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from ...errors import FormatError, InputError
 from ..atomic import atomic_path
-from ..budget import afford, refuse_bomb
-from ..file_errors import check, reading
+from ..file_errors import afford, check, reading, refuse_bomb
 from ..signatures import describe
 
 _npy: Any = np.lib.format  # NumPy types it only in part

@@ -24,9 +24,8 @@ from ...shapes import Shapes
 from ...skinning import Skinning
 from ...space import Space
 from ...surface import Material, Surface
-from ..budget import afford
 from ..file_clips import bake, pick_clip
-from ..file_errors import check, reading
+from ..file_errors import afford, check, reading
 from ..save_report import SaveReport
 from .archive import names_in, read_arrays, shape_of, write_arrays
 

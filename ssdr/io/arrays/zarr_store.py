@@ -13,9 +13,8 @@ from ...checks import check_faces
 from ...errors import InputError
 from ...sequence import MeshSequence
 from ..atomic import free_name, naming, remove
-from ..budget import afford, refuse_bomb
 from ..companion import over_mesh
-from ..file_errors import check, reading, refuse_device
+from ..file_errors import afford, check, reading, refuse_bomb, refuse_device
 from ..optional import require
 from ..save_report import SaveReport
 

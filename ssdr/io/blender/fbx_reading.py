@@ -20,9 +20,8 @@ from ...sequence import MeshSequence
 from ...skinning import Skinning
 from ...space import METRES_Y_UP, Space
 from ..arrays.npz import surface_from
-from ..budget import MOST_BYTES
 from ..file_clips import pick_clip
-from ..file_errors import reading
+from ..file_errors import MOST_BYTES, reading
 from ..mesh_names import choose, mesh_names
 from ..sampling import tell
 from ..scene import Bones, make_skinning, vertices_at_joints

@@ -12,7 +12,7 @@ from ...errors import InputError, SsdrError
 from ...skinning import Skinning, refuse_shapes
 from ..atomic import atomic_path
 from ..file_clips import check_one_rate
-from ..gltf.writer import write_along_bones
+from ..gltf.gltf_writing import write_along_bones
 from ..save_report import SaveReport, StorageError, frame_blocks
 from ..spaces import transformed
 from .fbx_reading import read_skinning
@@ -44,7 +44,7 @@ def write_skinning(
         In metres with y up.
     path : Path
     influences, name
-        As in :func:`ssdr.io.gltf.writer.write_skinning`.
+        As in :func:`ssdr.io.gltf.gltf_writing.write_skinning`.
     centimetres : bool
         Whether to store numbers in centimetres, the unit that the file states in any case. By
         default they are metres, below nodes that Blender gives a scale of 100.

@@ -25,12 +25,11 @@ from ..file_errors import check, reading
 from ..rig import Rig
 from ..scene import join_faces, part_starts
 from .animation import Nodes, descendants, read_animations
-from .builder import ARRAY, ELEMENTS, Builder
+from .builder import ARRAY, ELEMENTS, Builder, add_animation, add_skin, add_weights, skeleton_nodes
 from .compression import DRACO
 from .document import Document
 from .numbering import remove, remove_unused, unknown_extensions, used
-from .parts import PrimitiveGroup, read_parts, triangles
-from .skeleton import add_animation, add_skin, add_weights, skeleton_nodes
+from .primitives import PrimitiveGroup, read_parts, triangles
 
 _LINES = (1, 2, 3)
 _CONTENT = {"mesh", "camera", "extensions"}  # a node with one of these is more than a joint

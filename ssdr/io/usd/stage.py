@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Tf, Usd, UsdUtils
 
+from ...clips import readable
 from ...errors import FormatError, is_real
 from ..file_errors import check, refuse_device
 from ..references import HINT, OUTSIDE, is_inside
@@ -175,3 +176,8 @@ def system_errors(path: Path) -> Iterator[None]:
         number = next((n for n in known if os.strerror(n) in text), None)
         reason = text if number is None else os.strerror(number)
         raise OSError(number or errno.EIO, reason, str(path)) from error
+
+
+def identifier(name: str) -> str:
+    """Identifier that USD accepts, made from a name by replacing other characters."""
+    return str(Tf.MakeValidIdentifier(readable(name)))

@@ -7,7 +7,7 @@ import pytest
 
 from helpers.rig_tree import ENDS, NAMES, PARENTS, POSITIONS, creature
 from ssdr.hierarchy.bone_ends import limb_axes, limb_ends
-from ssdr.io.gltf.writer import orient_joints
+from ssdr.io.gltf.gltf_writing import orient_joints
 from ssdr.io.rig import build_rig
 
 

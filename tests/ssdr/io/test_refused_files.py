@@ -21,7 +21,7 @@ from helpers.gltf_asset import make_asset
 from helpers.rig_model import tube
 from helpers.rig_tree import creature
 from ssdr import FormatError, InputError
-from ssdr.io.budget import MOST_BYTES, afford
+from ssdr.io.file_errors import MOST_BYTES, afford
 
 FOREIGN = re.compile(
     r"Traceback|at line \d+ in file|not iterable|subscriptable|pxrInternal|File \""

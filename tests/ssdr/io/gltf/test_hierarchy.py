@@ -10,7 +10,7 @@ import pytest
 import ssdr
 from helpers.rig_model import largest_distance
 from helpers.rig_tree import NAMES, PARENTS, creature, differences, tree_of
-from ssdr.io.gltf.writer import write_along_bones
+from ssdr.io.gltf.gltf_writing import write_along_bones
 
 
 class Edited:

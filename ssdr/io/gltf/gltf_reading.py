@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +15,12 @@ from ...clips import Clip, in_order
 from ...sequence import MeshSequence
 from ...skinning import Skinning
 from ...space import METRES_Y_UP
+from ...surface import Material
 from ..file_clips import pick_clip
 from ..file_errors import reading
 from ..sampling import Sample
 from ..scene import join_sequence, join_skinning, part_starts
+from ..signatures import picture_type
 from .animation import (
     Nodes,
     animation_names,
@@ -26,8 +30,7 @@ from .animation import (
     still_frame,
 )
 from .document import Document
-from .materials import read_materials
-from .parts import JointPoints, PrimitiveGroup, names_of, read_parts
+from .primitives import JointPoints, PrimitiveGroup, names_of, read_parts
 
 
 def read(
@@ -153,3 +156,37 @@ def read_skinning(
             parts = read_parts(document, clips[0], meshes)
         samples = [_sample(parts, nodes, fps) for nodes in clips]
         return join_skinning(samples, read_materials(document), mesh_name(document), METRES_Y_UP)
+
+
+_log = logging.getLogger(__name__)
+
+
+def read_materials(document: Document) -> list[Material]:
+    """All materials of the file."""
+    return [_material(document, item) for item in document.items("materials")]
+
+
+def _material(document: Document, item: dict[str, Any]) -> Material:
+    look = item.get("pbrMetallicRoughness", {})
+    r, g, b, a = document.numbers(look, "baseColorFactor", [1.0] * 4).tolist()
+    texture, kind = None, "image/png"
+    if "baseColorTexture" in look:
+        reference = look["baseColorTexture"]
+        if "KHR_texture_transform" in reference.get("extensions", {}):
+            _log.warning("%s: the transform of a texture is left out", document.path)
+        source = document.items("textures")[reference["index"]].get("source")
+        if source is None:
+            _log.warning("%s: a texture has no PNG or JPEG image", document.path)
+        else:
+            image = document.items("images")[source]
+            texture = document.picture(image)
+            kind = str(image.get("mimeType") or picture_type(texture) or kind)
+    return Material(
+        name=str(item.get("name", "material")),
+        base_color=(r, g, b, a),
+        metallic=document.number(look.get("metallicFactor", 1.0), "metallicFactor"),
+        roughness=document.number(look.get("roughnessFactor", 1.0), "roughnessFactor"),
+        double_sided=bool(item.get("doubleSided", False)),
+        texture=texture,
+        texture_type=kind,
+    )

@@ -21,9 +21,18 @@ from ...surface import Material, Surface
 from ..corners import Corners, rest_normals, split_corners
 from ..rig import Rig, build_rig
 from ..save_report import SaveReport
-from .builder import ARRAY, ELEMENTS, Builder
-from .shapes import add_channel, add_targets, state_targets
-from .skeleton import add_animation, add_skin, add_weights, skeleton_nodes
+from .builder import (
+    ARRAY,
+    ELEMENTS,
+    Builder,
+    add_animation,
+    add_channel,
+    add_skin,
+    add_targets,
+    add_weights,
+    skeleton_nodes,
+    state_targets,
+)
 from .template import Template
 
 

@@ -17,8 +17,8 @@ from ..atomic import write_bytes
 from ..file_errors import check
 from ..references import find_inside
 from ..signatures import PICTURE_SUFFIXES, picture_type
-from .parts import MeshPrim
-from .skeleton import identifier
+from .mesh_prims import MeshPrim
+from .stage import identifier
 
 _log = logging.getLogger(__name__)
 

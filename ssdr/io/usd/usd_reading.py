@@ -25,8 +25,8 @@ from ..frame_rates import Frames, frame_rate, frames_between, off_frames
 from ..mesh_names import choose
 from ..sampling import Sample
 from ..scene import SceneBudget, join_sequence, join_skinning
-from .materials import read_materials
-from .parts import MeshPrim, SkeletonPoints
+from .mesh_prims import MeshPrim, SkeletonPoints
+from .preview_materials import read_materials
 from .stage import open_stage
 
 _log = logging.getLogger(__name__)
