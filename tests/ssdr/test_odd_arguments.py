@@ -40,6 +40,14 @@ def skeleton(**options: Any) -> Any:
     return ssdr.decompose(FRAMES, rig=ssdr.Skeleton(hung, **options))
 
 
+# options of decompose, and the odd values that are right there
+INF = float("inf")
+OPTIONS: dict[str, tuple[Any, ...]] = {
+    "bone_model": (), "callback": (None,), "checkpoint": (None,), "effort": (), "influences": (),
+    "normals": (True,), "rest_frame": (None,), "rest_pose": (), "rig": (None,), "rng": (),
+    "smoothness": (), "start": (None,), "time_limit": (None, INF), "vertex_importance": (None,),
+    "frame_importance": (None,),
+}  # fmt: skip
 # what the error says, a call with the odd value, and the odd values that are right there
 EMPTY, TWO = ([], {}, set()), (np.array([1, 2]),)
 CALLS: dict[str, tuple[Any, tuple[Any, ...]]] = {
@@ -51,12 +59,7 @@ CALLS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     r"rest: expected .*(Skinning|shape)": (lambda x: ssdr.fit_weights(FRAMES, x), ()),
     r"^rest: expected .*(Skinning|shape)": (lambda x: ssdr.fit_bones(FRAMES, x), ()),
     r"rest: expected (.*Skinning|.*shape)": (lambda x: ssdr.fit_rest_pose(FRAMES, x), ()),
-    "^start: expected": (lambda x: decompose(start=x), (None,)),
-    "^rig: expected": (lambda x: decompose(rig=x), (None,)),
-    "^checkpoint: expected": (lambda x: decompose(checkpoint=x), (None,)),
-    "^callback: expected": (lambda x: decompose(callback=x), (None,)),
     r"^start\.rest: ": (lambda x: decompose(start=ssdr.Start(rest=x)), (None,)),
-    "^rest_frame": (lambda x: decompose(rest_frame=x), (None,)),
     r"^rig\.joints: expected": (lambda x: skeleton(joints=x), ()),
     r"^rig\.extra_bones: expected": (lambda x: skeleton(extra_bones=x), EMPTY),
     "hausdorff: expected True": (
@@ -70,6 +73,12 @@ CALLS: dict[str, tuple[Any, tuple[Any, ...]]] = {
         lambda x: ssdr.laplacian.LaplacianSmoother(FRAMES[0], FACES, 0.1, backend=x), (None,)),
     "skinning: expected a Skinning": (ssdr.parsimony.size, ()),
 }  # fmt: skip
+
+
+CALLS |= {
+    f"^{name}: expected": (lambda x, name=name: decompose(**{name: x}), right)
+    for name, right in OPTIONS.items()
+}
 
 
 @pytest.mark.parametrize("said", CALLS)
