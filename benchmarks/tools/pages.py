@@ -186,8 +186,8 @@ BLOCKS: dict[str, Callable[[], str]] = {
         "effort on it": "{effort}", "bytes before and after pruning": "{bytes before:,}, {bytes:,}",
         "CPU s": "{cpu seconds:.1f}",
     }),
-    "steps": Table(lambda: rows("steps"), {
-        "case": "{data}-{bones}", "step": "{step}", "threads": "{threads}", "ms": "{ms:.1f}",
+    "steps": Table(lambda: rows("steps", threads=1), {
+        "case": "{data}-{bones}", "step": "{step}", "ms": "{ms:.1f}",
         "products, GFLOP": "{GFLOP:.2f}", "products at the GEMM rate, ms": "{floor ms:.1f}",
         "ratio": "{ratio:.1f}", "GEMM, GFLOP/s": "{rate}", "revision": "{machine[revision]}",
     }),
