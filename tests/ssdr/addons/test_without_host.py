@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import importlib
 import json
+import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 from unittest.mock import MagicMock
 
+import numpy as np
 import pytest
+
+import ssdr
 
 ADDONS = Path(__file__).resolve().parents[3] / "ssdr" / "addons"
 _INHERITED = {"PYTHONPATH": "/host/modules", "PYTHONHOME": "/host", "VIRTUAL_ENV": "/host/env"}
@@ -82,3 +86,42 @@ def test_any_error_of_a_step_ends_the_operator_in_words(extension: Any, error: E
     kinds, texts = zip(*told, strict=True)
     assert kinds == ({"ERROR"},) * 2
     assert all(str(error.args[0]) in text for text in texts)
+
+
+JOINTS = {"names": ["hips", "head"], "parents": [-1, 0], "positions": [[0, 0, 0], [1, 0, 0.0]]}
+
+
+@pytest.mark.parametrize(
+    ("options", "joints"),
+    [({"bones": 2}, None), ({"tolerance": "50%", "measure": "max"}, None), ({}, JOINTS)],
+)
+def test_the_solver_answers_with_a_file_and_the_skin(
+    tmp_path: Path, wave: Any, options: Any, joints: Any
+) -> None:
+    asked = {
+        "name": "sheet",
+        "fps": 25,
+        "clips": [("up", 0, 2), ("down", 2, 4)],
+        "joints": joints,
+        "options": {"effort": "fast", "influences": 2, **options},
+    }
+    (tmp_path / "asked.json").write_text(json.dumps(asked))
+    np.savez(tmp_path / "frames.npz", vertices=wave.vertices, faces=wave.faces)
+    words = [sys.executable, str(ADDONS / "blender" / "solve.py"), str(tmp_path)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    assert float(done.stderr.splitlines()[0].split()[0]) <= 1
+    said = json.loads(done.stdout)
+    model = ssdr.load_skinning(tmp_path / "model.glb")
+    assert said["text"].startswith(f"{model.n_bones} bones, RMSE ")
+    assert [clip.name for clip in model.clips] == ["up", "down"]
+    assert joints is None or model.names() == tuple(joints["names"])
+    with np.load(tmp_path / "model.npz") as skin:
+        assert skin["weights"].shape == skin["indices"].shape == (12, model.n_influences)
+        upright = ssdr.io.in_space(model, ssdr.Space(up="z"))
+        np.testing.assert_allclose(skin["rest"], upright.rest, atol=1e-6)
+    asked["options"]["influences"] = 0
+    (tmp_path / "asked.json").write_text(json.dumps(asked))
+    wrong = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
+    assert wrong.returncode == 1
+    assert wrong.stderr.splitlines()[-1].startswith("influences: expected")
