@@ -345,16 +345,15 @@ def save(
         able = ", ".join(sorted(suffix for suffix, f in FORMATS.items() if f.sequences))
         raise InputError("path", f"a suffix of {able} for a MeshSequence", target.suffix)
     functions, notes = format_.functions(), []
-    write = functions.write_sequence
-    if isinstance(thing, Skinning) and functions.write_skinning is not None:
-        write = functions.write_skinning
-    elif isinstance(thing, Skinning):
+    rigged = isinstance(thing, Skinning) and functions.write_skinning is not None
+    write = functions.write_skinning if rigged else functions.write_sequence
+    assert write is not None  # as the format says
+    check_options(write, format_.title, options)
+    if isinstance(thing, Skinning) and not rigged:
         if len(thing.clips) > 1:
             names = ", ".join(f"{c.name} from frame {c.start}" for c in thing.clips)
             notes.append(f"clips are not kept apart: {names}")
         thing = bake(thing)
-    assert write is not None  # as the format says
-    check_options(write, format_.title, options)
     given = with_space(thing, thing.space.but(Space(units, up)))
     ready, said = ready_to_write(given, format_.title, format_.space)
     with trusting(folder):

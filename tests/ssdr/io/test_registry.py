@@ -71,7 +71,7 @@ def test_the_page_on_formats_names_them_all():
         able = [True, row.skinnings, row.sequences]
         assert [cell == "yes" for cell in cells[2:5]] == able
         assert cells[5]
-        needs = {None: "", "blender": "[Blender](export.md#blender)"}
+        needs = {None: "", "blender": "[Blender](#blender)"}
         assert cells[6].startswith(needs.get(row.extra, f"`ssdr[{row.extra}]`"))
 
 
