@@ -69,8 +69,8 @@ def require(names: Iterable[str]) -> None:
     if missing := sorted({name for name in names if not sequence_file(name).is_file()}):
         raise SystemExit(
             f"no data for {', '.join(missing)}: expected NAME.npz in "
-            f"{' or '.join(map(str, data_folders()))}; benchmarks/leaderboard/fetch.py --list says "
-            "what can be fetched"
+            f"{' or '.join(map(str, data_folders()))}, or where SSDR_TEST_DATA says; "
+            "benchmarks/leaderboard/fetch.py --list says what can be fetched"
         )
 
 
@@ -326,8 +326,7 @@ def run(
             row = {"failed": str(error).rpartition(": ")[2]}
         rows[name] = {"threads": args.threads, "machine": rates, **cases[case], **changes, **row}
         write_rows(args.out, rows)
-        shown = {k: v for k, v in row.items() if not isinstance(v, list | dict)}
-        print(name, json.dumps(shown), flush=True)
+        print(name, *(f"{k} {_cell(row[k])}" for k in columns if _cell(row.get(k))), flush=True)
     if chart is not None and importlib.util.find_spec("matplotlib"):
         chart({case: rows[case] for case in cases if case in rows}, args.images)
     print(table([{"case": n} | rows[n] for n in names if n in rows], ["case", *columns]))
