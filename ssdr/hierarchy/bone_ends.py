@@ -1,16 +1,14 @@
-"""Ends and orientations of bones as programs draw them."""
+"""Ends of bones as programs draw them."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..rigid import turn_between
 from .transforms import parents_first, rest_diagonal
 
 Array = NDArray[np.float64]
 _SHORTEST = 0.01  # least length, in diagonals of the mesh: programs drop bones without length
-_ASIDE = 2e-3  # shift of an end, in bone lengths: above Blender's tolerance, too small to see
 # If the mean of the children's joints is nearer to a joint than this part of their mean distance,
 # they lie around it on all sides.
 _FORKED = 0.3
@@ -22,8 +20,6 @@ def limb_ends(
     rest: NDArray[np.floating],
     indices: NDArray[np.integer],
     weights: NDArray[np.floating],
-    *,
-    sliding: NDArray[np.bool_] | None = None,
 ) -> Array:
     """Ends (B, 3) of all bones in the rest pose.
 
@@ -39,10 +35,6 @@ def limb_ends(
     parents : (B,) int array
     rest : (V, 3) array
     indices, weights : (V, K) arrays
-    sliding : (B,) bool array, optional
-        Mask of the bones that translate relative to their parents.  No parent ends exactly at the
-        joint of such a bone, since Blender would treat the bone as fixed there and drop its
-        translation.
     """
     at = np.asarray(positions, dtype=np.float64)
     shortest = _SHORTEST * (rest_diagonal(rest) or 1.0)
@@ -70,10 +62,6 @@ def limb_ends(
         length = float(np.linalg.norm(way))
         if length < shortest:
             way = np.array([0.0, shortest, 0.0]) if not length else way * (shortest / length)
-        beside = np.linalg.norm(at[below] - at[b] - way, axis=1) > _ASIDE * np.linalg.norm(way)
-        if sliding is not None and (sliding[below] & ~beside).any():
-            across = np.cross(way, np.eye(3)[int(np.argmin(np.abs(way)))])
-            way = way + _ASIDE * np.linalg.norm(way) * across / np.linalg.norm(across)
         ends[b] = at[b] + way
     return ends
 
@@ -89,13 +77,3 @@ def _reach(points: Array) -> Array:
     length = float(np.linalg.norm(middle))
     far = max(float(np.quantile(points @ middle, 0.98)), 0.0)
     return np.asarray(middle * (far / (length**2 or 1.0)))
-
-
-def limb_axes(positions: NDArray[np.floating], parents: NDArray[np.integer], ends: Array) -> Array:
-    """Axes (B, 3, 3) of the bones: y along the bone, x and z with least twist from the parent's."""
-    axes = np.tile(np.eye(3), (len(ends), 1, 1))
-    for b in parents_first(parents):
-        above = axes[parents[b]] if parents[b] >= 0 else np.eye(3)
-        along = ends[b] - positions[b]
-        axes[b] = turn_between(above[:, 1], along / np.linalg.norm(along)) @ above
-    return axes

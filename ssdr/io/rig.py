@@ -68,9 +68,6 @@ class Rig:
         True where the transform of a joint in a frame is stored.
     names : tuple of str
     clips : tuple of Clip
-    axes : (B, 3, 3) float64 or None
-        Orientations of the joints in the rest pose, used only with a hierarchy. None if all joints
-        are aligned with the world.
     shapes : Shapes or None
         Shapes of the rest pose, with the amounts of every frame.
     moving : (D,) int or None
@@ -90,7 +87,6 @@ class Rig:
     keys: NDArray[np.bool_]
     names: tuple[str, ...]
     clips: tuple[Clip, ...]
-    axes: NDArray[np.float64] | None = None
     shapes: Shapes | None = None
     moving: NDArray[np.int64] | None = None
 
@@ -128,8 +124,6 @@ class Rig:
             rotation = rotation * scale[..., None, :]
         if self.parents is not None:
             frames = to_world(np.concatenate([rotation, moved[..., None]], axis=-1), self.parents)
-            if self.axes is not None:
-                frames[..., :3] = frames[..., :3] @ np.swapaxes(self.axes, 1, 2)
             return from_frames(frames, self.centers)
         shift = moved - np.einsum("fbij,bj->fbi", rotation, self.centers.astype(np.float64))
         return np.concatenate([rotation, shift[..., None]], axis=-1)

@@ -12,7 +12,8 @@ from ...errors import InputError, SsdrError
 from ...skinning import Skinning, refuse_shapes
 from ..atomic import atomic_path
 from ..file_clips import check_one_rate
-from ..gltf.gltf_writing import write_along_bones
+from ..gltf.gltf_writing import write_rig
+from ..rig import build_rig
 from ..save_report import SaveReport, StorageError, frame_blocks
 from ..spaces import transformed
 from .fbx_reading import read_skinning
@@ -80,13 +81,18 @@ def write_skinning(
         model = dataclasses.replace(skinning, fps=_IMPORT_FPS, clips=tuple(numbered))
         unit = 0.01 if centimetres else 1.0
         model = transformed(model, 1 / unit)
-        stored, lengths = write_along_bones(model, source, influences=influences, name=title)
+        rig = build_rig(model, influences=influences, most=8)
+        stored = write_rig(model, rig, source, title)
+        # An importer of FBX fixes a bone that begins where its parent ends, so bones that slide
+        # must not be drawn there. By itself, Blender draws each bone along the y axis of its joint.
+        slides = rig.parents is not None and bool(rig.translating[rig.parents >= 0].any())
+        drawn = "TEMPERANCE" if slides else "FORTUNE"
         job = {
             "source": str(source),
             "path": str(temporary.resolve()),
             "fps": skinning.fps,
             "import_fps": _IMPORT_FPS,
-            "lengths": lengths,
+            "options": {} if rig.parents is None else {"bone_heuristic": drawn},
             "unit": unit,
             "clips": [
                 {"name": one, "action": f"c{k}", "frames": clip.n_frames}

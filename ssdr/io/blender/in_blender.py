@@ -61,17 +61,6 @@ def load_gltf(path: str, **options: Any) -> None:
     bpy.ops.import_scene.gltf(filepath=path, merge_vertices=False, **options)
 
 
-def edit(item: Any, change: Any) -> None:
-    """Apply a function to each bone of an armature in edit mode."""
-    hidden, item.hide_viewport = item.hide_viewport, False
-    bpy.context.view_layer.objects.active = item
-    bpy.ops.object.mode_set(mode="EDIT")
-    for bone in item.data.edit_bones:
-        change(bone)
-    bpy.ops.object.mode_set(mode="OBJECT")
-    item.hide_viewport = hidden
-
-
 def meshes(needed: bool = True) -> list[Any]:
     """Mesh objects that are shown in the scene, sorted by name.
 

@@ -29,7 +29,7 @@ def load(path: str, fps: float) -> None:
         # The importer attaches a bone that begins where another ends; detached, it can slide.
         for item in list(bpy.context.view_layer.objects):
             if item.type == "ARMATURE" and any(bone.use_connect for bone in item.data.bones):
-                in_blender.edit(item, lambda bone: setattr(bone, "use_connect", False))
+                edit(item, lambda bone: setattr(bone, "use_connect", False))
     elif suffix in (".glb", ".gltf"):
         in_blender.load_gltf(path)
     else:
@@ -38,6 +38,17 @@ def load(path: str, fps: float) -> None:
         if "apply_unit_conversion_scale" in known:  # Blender 4.2 never applies it
             options["apply_unit_conversion_scale"] = False
         bpy.ops.wm.usd_import(filepath=path, set_frame_range=True, **options)
+
+
+def edit(item: Any, change: Any) -> None:
+    """Apply a function to each bone of an armature in edit mode."""
+    hidden, item.hide_viewport = item.hide_viewport, False
+    bpy.context.view_layer.objects.active = item
+    bpy.ops.object.mode_set(mode="EDIT")
+    for bone in item.data.edit_bones:
+        change(bone)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    item.hide_viewport = hidden
 
 
 def names_of(item: Any) -> list[str]:

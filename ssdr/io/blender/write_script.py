@@ -89,12 +89,9 @@ def copies(faces: Any) -> Any:
 
 
 def write(job: dict[str, Any]) -> None:
-    lengths = job["lengths"]
-    # with this heuristic the importer draws bones along their own y axis
-    options = {} if lengths is None else {"bone_heuristic": "BLENDER"}
     bpy.ops.wm.read_factory_settings(use_empty=True)
     in_blender.set_rate(job["import_fps"])
-    in_blender.load_gltf(job["source"], **options)
+    in_blender.load_gltf(job["source"], **job["options"])
     in_blender.set_rate(job["fps"])
     items = in_blender.meshes()
     for item in items:
@@ -103,10 +100,6 @@ def write(job: dict[str, Any]) -> None:
     np.savez(job["out"], vertex=in_blender.vertex_numbers(items), triangles=np.array(triangles))
     armatures = [item for item in bpy.context.scene.objects if item.type == "ARMATURE"]
     for item in armatures:
-        if lengths is not None:
-            in_blender.edit(
-                item, lambda bone: setattr(bone, "length", lengths.get(bone.name, bone.length))
-            )
         if item.animation_data:
             put_strips(item, job["clips"])
     bpy.context.scene.unit_settings.scale_length = job["unit"]

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from ...clips import Clip
 from ...errors import InputError
 from ...frames.shaped_normals import ShapedNormals
-from ...rigid import quaternion_from_matrix
 from ...shapes import Shapes
 from ..atomic import write_bytes
 from ..corners import Corners
@@ -240,10 +239,6 @@ def skeleton_nodes(rig: Rig, title: str, first: int) -> list[dict[str, Any]]:
     nodes: list[dict[str, Any]] = [{"name": f"{title}_skeleton"}]
     for bone, name in enumerate(rig.names):
         nodes.append({"name": name, "translation": [float(str(x)) for x in rig.offsets[bone]]})
-        if rig.axes is not None:
-            above = rig.axes[parents[bone]] if parents[bone] >= 0 else np.eye(3)
-            turn = quaternion_from_matrix(above.T @ rig.axes[bone])
-            nodes[-1]["rotation"] = turn.tolist()
     for place, node in enumerate(nodes):
         children = first + 1 + np.flatnonzero(parents == place - 1)
         if len(children):
@@ -258,10 +253,8 @@ def add_skin(builder: Builder, rig: Rig, title: str, first: int) -> dict[str, An
     """
     moving = np.arange(rig.n_bones) if rig.moving is None else rig.moving
     inverse = np.tile(np.eye(4, dtype=np.float32), (len(moving), 1, 1))
-    axes = np.tile(np.eye(3), (len(moving), 1, 1)) if rig.axes is None else rig.axes
     # glTF stores matrices column by column, so that rows here are the columns of the matrix.
-    inverse[:, :3, :3] = axes
-    inverse[:, 3, :3] = -np.einsum("bji,bj->bi", axes, rig.centers[moving].astype(np.float64))
+    inverse[:, 3, :3] = -rig.centers[moving]
     return {
         "name": title,
         "inverseBindMatrices": builder.accessor(inverse.reshape(-1, 16), "MAT4"),
@@ -272,8 +265,6 @@ def add_skin(builder: Builder, rig: Rig, title: str, first: int) -> dict[str, An
 
 def _moved(rig: Rig, clip: Clip) -> list[int]:
     """Indices of the bones that leave their rest transforms in a clip; bone 0 if none do."""
-    if rig.axes is not None:
-        return list(range(rig.n_bones))
     some = clip.frames
     moved = (rig.rotations[some] != np.array([0, 0, 0, 1])).any(axis=(0, 2))
     moved |= ((rig.translations[some] != rig.offsets).any(axis=2) & rig.translating).any(axis=0)

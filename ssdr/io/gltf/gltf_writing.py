@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 
 from ...errors import InputError
 from ...frames.shaped_normals import shaped_normals
-from ...hierarchy.bone_ends import limb_axes, limb_ends
 from ...quantisation import WeightStorage
-from ...rigid import matrix_from_quaternion, quaternion_from_matrix, unflip_quaternions
 from ...skinning import Skinning, refuse_shapes
 from ...surface import Material, Surface
 from ..corners import Corners, rest_normals, split_corners
@@ -100,7 +98,7 @@ def write_skinning(
     if rig.n_bones > 65535:
         raise InputError("thing", "at most 65535 bones", rig.n_bones)
     if template is None:
-        return _report(skinning, rig, path, _document(skinning, rig, title))
+        return write_rig(skinning, rig, path, title)
     refuse_shapes(skinning, "thing", "a file with a template")
     old = Template(Path(template), skinning, meshes, clip_names or {})
     old.put(rig, title)
@@ -110,57 +108,9 @@ def write_skinning(
     return _report(skinning, rig, path, old.builder)
 
 
-def write_along_bones(
-    skinning: Skinning, path: Path, *, influences: int | None = None, name: str | None = None
-) -> tuple[SaveReport, dict[str, float] | None]:
-    """Write a model with the y axis of each joint along its bone, if it has a hierarchy.
-
-    Programs that draw a bone along an axis of its joint, such as Blender, then draw it from joint
-    to joint. Without a hierarchy a bone has no direction.
-
-    Parameters
-    ----------
-    skinning, path, influences, name
-        As for :func:`write_skinning`.
-
-    Returns
-    -------
-    SaveReport
-    lengths : dict or None
-        Length of each bone by its name.
-    """
-    rig, lengths = build_rig(skinning, influences=influences, most=8), None
-    if rig.parents is not None:
-        ends = limb_ends(
-            rig.centers, rig.parents, rig.rest, rig.indices, rig.weights, sliding=rig.translating
-        )
-        rig = orient_joints(rig, limb_axes(rig.centers, rig.parents, ends))
-        sizes = np.linalg.norm(ends - rig.centers, axis=1).tolist()
-        lengths = dict(zip(rig.names, sizes, strict=True))
-    builder = _document(skinning, rig, name or skinning.name or path.stem)
-    return _report(skinning, rig, path, builder), lengths
-
-
-def orient_joints(rig: Rig, axes: NDArray[np.float64]) -> Rig:
-    """Copy of a rig that moves in the same way, but whose joints have the rest axes `axes`.
-
-    The columns of each matrix in `axes` (B, 3, 3) are the axes of a joint.
-    """
-    assert rig.parents is not None
-    parent_axes = np.where((rig.parents >= 0)[:, None, None], axes[rig.parents], np.eye(3))
-    turn = matrix_from_quaternion(rig.rotations.astype(np.float64))
-    turn = np.swapaxes(parent_axes, 1, 2) @ turn @ axes
-
-    def turned(points: NDArray[np.float32]) -> NDArray[np.float32]:
-        return np.asarray(np.einsum("bji,...bj->...bi", parent_axes, points), dtype=np.float32)
-
-    return dataclasses.replace(
-        rig,
-        rotations=unflip_quaternions(quaternion_from_matrix(turn)).astype(np.float32),
-        translations=turned(rig.translations),
-        offsets=turned(rig.offsets),
-        axes=axes,
-    )
+def write_rig(skinning: Skinning, rig: Rig, path: Path, title: str) -> SaveReport:
+    """Write a model that :func:`ssdr.io.rig.build_rig` has made a rig of, without a template."""
+    return _report(skinning, rig, path, _document(skinning, rig, title))
 
 
 def _document(model: Skinning, rig: Rig, title: str) -> Builder:
