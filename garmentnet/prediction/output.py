@@ -197,8 +197,7 @@ def _film(p: Prediction, truth: Clip | None, size: int, error: bool, every: int)
 def _save(prediction: Prediction, file: Path) -> str:
     if file.suffix.lower() in _BONES:
         ssdr.save(rigid(prediction.skinning), file)
-        gap = prediction.cloth.vertices - prediction.skinning.skin(dtype=np.float32)
-        rms = 1e3 * float(np.sqrt((gap.astype(np.float64) ** 2).sum(-1).mean()))
+        rms = 1e3 * ssdr.metrics.rmse(prediction.cloth, prediction.skinning)
         return f"the virtual bones alone; {rms:.2f} mm of the prediction are not in it"
     report = ssdr.save(prediction.cloth, file)
     return ": ".join([f"{prediction.cloth.n_frames} frames of vertices", *report.notes])

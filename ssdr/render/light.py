@@ -311,9 +311,8 @@ def _floor(
     fall, height = ray @ camera.vertical, ground - camera.eye @ camera.vertical
     far = np.divide(height, fall, out=np.full(len(fall), -1.0), where=fall < -1e-6)
     at = camera.eye + far[:, None] * ray
-    centre = (points.min(axis=0) + points.max(axis=0)) / 2
     reach = float(np.linalg.norm(np.ptp(points, axis=0)))
-    near = (far > 0) & (np.linalg.norm(at - centre, axis=1) < 1.5 * reach)
+    near = (far > 0) & (np.linalg.norm(at - points.mean(axis=0), axis=1) < 1.5 * reach)
     at, pixels = at[near], (rows[near], columns[near])
     up = np.tile(camera.vertical, (len(at), 1))
     # Light that grazes the floor is left out, since each direction would cast a streak.

@@ -160,9 +160,10 @@ class Scene:
     def distances(self) -> metrics.Distances:
         """Errors of the measured vertices over all frames."""
         assert self.reference is not None
-        truth, frames = self.reference, self.subject
-        vertices = frames.skin() if isinstance(frames, Skinning) else frames.frames(slice(None))
-        chosen = self.measured
+        truth, subject, chosen = self.reference, self.subject, self.measured
+        if chosen.all():
+            return metrics.distances(truth, subject)
+        vertices = subject.skin() if isinstance(subject, Skinning) else subject.frames(slice(None))
         return metrics.distances(truth.frames(slice(None))[:, chosen], vertices[:, chosen])
 
     def errors(self, frame: int, style: Style = "error") -> Float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import ssdr
 from ssdr import MeshSequence
 from ssdr.metrics import distances, rmse
 
@@ -77,3 +79,16 @@ def test_published_results_have_their_published_error(bones, published):
     points = np.c_[model["rest"], np.ones(len(model["rest"]))]
     frames = np.einsum("vb,fbxy,vy->fvx", model["weights"], model["transforms"], points)
     assert rmse(data["vertices"], frames) == pytest.approx(published, rel=1e-4)
+
+
+def test_what_was_welded_is_compared_at_the_vertices_that_are_left(seam):
+    welded, _ = seam.weld()
+    moved = dataclasses.replace(welded, vertices=welded.vertices + np.float32([0, 0.5, 0]))
+    expected = distances(welded, moved)
+    assert expected.rmse == pytest.approx(0.5)
+    for pair in ((seam, moved), (moved, seam)):
+        found = distances(*pair)
+        assert found.rmse == pytest.approx(0.5)
+        assert found.per_vertex.shape == (welded.n_vertices,) != (seam.n_vertices,)
+    with pytest.raises(ssdr.InputError, match="of 7 vertices, as the reference has"):
+        distances(ssdr.MeshSequence(seam.vertices[:, :7]), moved)
