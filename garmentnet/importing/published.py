@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 import ssdr
 from ssdr.errors import InputError
-from ssdr.io.arrays.archive import read_arrays
+from ssdr.io.arrays.array_files import read_arrays
 
 from ..data.clip_files import Split
 from ..data.parameters import SimulationParameters

@@ -12,7 +12,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from ssdr.errors import SsdrError
-from ssdr.io.arrays.archive import read_arrays, write_arrays
+from ssdr.io.arrays.array_files import read_arrays, write_arrays
 from ssdr.io.atomic import write_bytes
 
 # Called with a text that says what is being done, and the fraction that is done.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssdr.errors import FormatError, InputError
-from ssdr.io.arrays.archive import read_arrays
+from ssdr.io.arrays.array_files import read_arrays
 from ssdr.io.file_errors import reading
 
 from ..data.bvh import read_bvh

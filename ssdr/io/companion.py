@@ -11,7 +11,7 @@ import numpy as np
 from ..checks import check_faces
 from ..errors import FormatError, InputError
 from ..sequence import MeshSequence
-from .arrays.archive import read_array
+from .arrays.array_files import read_array
 from .file_errors import reading
 
 _SUFFIXES = (".obj", ".ply", ".npz")

@@ -132,12 +132,12 @@ def _usd() -> Functions:
 
 
 def _alembic() -> Functions:
-    from .alembic import reader, writer
+    from .alembic import alembic_reading, alembic_writing
 
     return Functions(
-        read=reader.read,
-        write_sequence=writer.write_sequence,
-        list_meshes=reader.list_meshes,
+        read=alembic_reading.read,
+        write_sequence=alembic_writing.write_sequence,
+        list_meshes=alembic_reading.list_meshes,
     )
 
 

@@ -10,7 +10,7 @@ from ..atomic import atomic_path
 from ..companion import over_mesh
 from ..file_errors import check
 from ..save_report import SaveReport
-from .archive import read_array, write_array
+from .array_files import read_array, write_array
 
 
 def read(

@@ -14,7 +14,7 @@ _HERE = os.path.dirname(os.path.abspath(__file__))
 sys.path += [_HERE, os.path.dirname(_HERE)]
 in_blender: Any = importlib.import_module("in_blender")
 skins: Any = importlib.import_module("skins")
-surfaces: Any = importlib.import_module("surfaces")
+surfaces: Any = importlib.import_module("fbx_surfaces")
 takes: Any = importlib.import_module("takes")
 
 

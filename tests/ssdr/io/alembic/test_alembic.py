@@ -14,7 +14,7 @@ import pytest
 import ssdr
 from helpers.alembic_cache import OUTWARD, TETRAHEDRON, Cache, moving, one_mesh, uniform
 from ssdr import cli
-from ssdr.io.alembic import reader
+from ssdr.io.alembic import alembic_reading
 
 TELEVISION = 24000 / 1001
 
@@ -303,7 +303,7 @@ def test_limits_of_memory_and_time(tmp_path):
 def test_a_crash_or_an_endless_loop_is_blamed_on_the_file(tmp_path, monkeypatch, code, limit, text):
     path = one_mesh(tmp_path / "a.abc", moving(2), uniform(24))
     (tmp_path / "script.py").write_text(code)
-    monkeypatch.setattr(reader, "_SCRIPT", tmp_path / "script.py")
+    monkeypatch.setattr(alembic_reading, "_SCRIPT", tmp_path / "script.py")
     with pytest.raises(ssdr.FormatError, match=rf"a\.abc: {text}"):
         ssdr.load(path, time_limit=limit)
 

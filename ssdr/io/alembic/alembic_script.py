@@ -1,8 +1,9 @@
 """Script that reads the meshes of an Alembic archive as they are stored.
 
-Run it as ``python archive.py job.json``. It needs only NumPy and alembic3d, not the package. It
-runs in a process of its own because a damaged archive can crash the library. It writes its results,
-or the reason why the archive is not read, to an archive of arrays, which the package checks.
+Run it as ``python alembic_script.py job.json``. It needs only NumPy and alembic3d, not the package.
+It runs in a process of its own because a damaged archive can crash the library. It writes its
+results, or the reason why the archive is not read, to an archive of arrays, which the package
+checks.
 """
 
 import contextlib

@@ -26,10 +26,10 @@ from ..own_process import run_script
 from ..sampling import Sample
 from ..scene import SceneBudget, join_sequence
 from ..signatures import describe
-from .parts import CacheMesh, Transforms, object_name
+from .cache_mesh import CacheMesh, Transforms, object_name
 
 _log = logging.getLogger(__name__)
-_SCRIPT = Path(__file__).with_name("archive.py")
+_SCRIPT = Path(__file__).with_name("alembic_script.py")
 
 
 def read(
@@ -141,7 +141,7 @@ def _stamps(clocks: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
 def _read_archive(
     path: Path, wanted: list[str] | None, time_limit: float, max_bytes: int
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Run ``archive.py`` on a file; return records and arrays of the meshes `wanted`.
+    """Run ``alembic_script.py`` on a file; return records and arrays of the meshes `wanted`.
 
     If `wanted` is None, these are all meshes.
     """

@@ -104,7 +104,7 @@ class CacheMesh:
     Parameters
     ----------
     record, arrays
-        As ``archive.py`` writes them.
+        As ``alembic_script.py`` writes them.
     transforms : Transforms
     materials : list of str
         Names of the materials that are known so far, to which those of this mesh are appended.
