@@ -2,12 +2,141 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import ssdr
-from helpers.alembic_scenes import SCENES, write_caches
 from helpers.blender_scene import needs_blender, run_blender
+
+_HEAD = """
+import math, os, sys
+import bpy
+from mathutils import Matrix, Vector
+
+def fresh(fps=24, base=1.0, start=1, end=6):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    scene.render.fps, scene.render.fps_base = fps, base
+    scene.frame_start, scene.frame_end = start, end
+
+def put(name, points, faces, parent=None):
+    mesh = bpy.data.meshes.new(name + "_mesh")
+    mesh.from_pydata(points, [], faces)
+    item = bpy.data.objects.new(name, mesh)
+    bpy.context.scene.collection.objects.link(item)
+    item.parent = parent
+    return item
+
+def grid(name, n=4, uv=True, parent=None, wave=True):
+    points = [(x / n, y / n, 0.1 * x * y / n) for y in range(n + 1) for x in range(n + 1)]
+    rows = n + 1
+    faces = [(a, a + 1, a + rows + 1, a + rows)
+             for a in (y * rows + x for y in range(n) for x in range(n))]
+    item = put(name, points, faces, parent)
+    if uv:
+        layer = item.data.uv_layers.new(name="map")
+        for loop in item.data.loops:
+            p = points[loop.vertex_index]
+            layer.data[loop.index].uv = (p[0] * 0.9, p[1] * 0.7 + 0.1)
+    if wave:
+        ripple(item)
+    return item
+
+def ripple(item):
+    # shape keys driven by the frame, so that every frame is another shape
+    item.shape_key_add(name="rest")
+    for k, axis in enumerate(((0, 0, 1), (0.3, 0.2, 0))):
+        key = item.shape_key_add(name=f"k{k}")
+        for n, point in enumerate(key.data):
+            point.co = point.co + Vector(axis) * math.sin(1.7 * n + k)
+        scene = bpy.context.scene
+        for n, frame in enumerate(range(scene.frame_start, scene.frame_end + 1)):
+            key.value = (0.17 * n * (k + 1)) % 1
+            key.keyframe_insert("value", frame=frame)
+
+def move(item, turn=True, frames=None):
+    scene = bpy.context.scene
+    item.rotation_mode = "XYZ"
+    for n, frame in enumerate(frames or range(scene.frame_start, scene.frame_end + 1)):
+        item.location = (0.1 * n, 0.05 * n * n, 0.3)
+        item.keyframe_insert("location", frame=frame)
+        if turn:
+            item.rotation_euler = (0.1 * n, 0.2 * n, 0.3 + 0.1 * n)
+            item.keyframe_insert("rotation_euler", frame=frame)
+
+def empty(name, parent=None):
+    item = bpy.data.objects.new(name, None)
+    bpy.context.scene.collection.objects.link(item)
+    item.parent = parent
+    return item
+
+def material(item, *names):
+    for name in names:
+        item.data.materials.append(bpy.data.materials.new(name))
+    for k, face in enumerate(item.data.polygons):
+        face.material_index = k % len(names)
+
+def save(name, **options):
+    scene = bpy.context.scene
+    settings = dict(start=scene.frame_start, end=scene.frame_end, as_background_job=False)
+    path = os.path.join(sys.argv[-1], name + ".abc")
+    bpy.ops.wm.alembic_export(filepath=path, **(settings | options))
+"""
+
+SCENES = {
+    "film": "fresh(24); grid('a')",
+    "pal": "fresh(25); grid('a')",
+    "television": "fresh(24, 1.001); grid('a')",
+    "thirty": "fresh(30); grid('a')",
+    "sixty": "fresh(60); grid('a')",
+    "slow": "fresh(5); grid('a')",
+    "late": "fresh(24, start=1001, end=1006); grid('a')",
+    "early": "fresh(30, start=-7, end=2); grid('a')",
+    "two": "fresh(25); move(grid('b')); grid('a', n=3)",
+    "still": "fresh(24); grid('a', wave=False)",
+    "one frame": "fresh(24, start=3, end=3); grid('a')",
+    "moved": "fresh(24); move(grid('a', wave=False))",
+    "parents": "fresh(24); e = empty('top'); move(e); f = empty('f', e); f.scale = (1, 2, 0.5); "
+    "move(f); grid('low', parent=f); grid('high', parent=e, wave=False)",
+    "stretched": "fresh(24); i = grid('a'); i.scale = (3, 1, 2); i.rotation_euler = (0.2, 0.1, 0)",
+    "mirrored": "fresh(24); i = grid('a'); i.scale = (-1, 1, 2); i.rotation_euler = (0.2, 0.1, 0)",
+    "flat": "fresh(24); e = empty('top'); move(e); grid('a', parent=e); save(NAME, flatten=True)",
+    "subdivision": "fresh(24); i = grid('a'); i.modifiers.new('s', 'SUBSURF'); "
+    "save(NAME, subdiv_schema=True)",
+    "materials": "fresh(24); material(grid('a'), 'red', 'blue'); grid('b'); "
+    "save(NAME, face_sets=True)",
+    "polygons": "fresh(24); ripple(put('a', [(0, 0, 0), (2, 0, 0), (3, 2, 0), (1, 3, 0), "
+    "(-1, 2, 0), (1, 1, 2)], [(0, 1, 2, 3, 4), (0, 5, 1), (2, 1, 5)]))",
+    "edges": "fresh(24); i = grid('a'); i.data.edges.foreach_set('use_edge_sharp', "
+    "[k % 3 == 0 for k in range(len(i.data.edges))]); i.data.shade_smooth(); ",
+    "shutter": "fresh(24); move(grid('a')); save(NAME, xsamples=2, gsamples=2, sh_open=0.0, "
+    "sh_close=1.0)",
+    "instances": "fresh(24); i = grid('a', wave=False); j = bpy.data.objects.new('b', i.data); "
+    "bpy.context.scene.collection.objects.link(j); move(j); save(NAME, use_instancing=True)",
+    "names": "fresh(24); grid('ü b/c.d'); grid('ü b/c.d', n=2); grid('Z', n=3)",
+}
+"""Code of each scene, by the name of its file."""
+
+CHANGING = (
+    "fresh(24); i = put('melt', [(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)]); "
+    "m = i.modifiers.new('a', 'ARRAY'); m.count = 1; m.keyframe_insert('count', frame=3); "
+    "m.count = 4; m.keyframe_insert('count', frame=4)"
+)
+"""Scene whose mesh has another topology from its fourth frame on."""
+
+
+def write_caches(folder: Path) -> dict[str, Path]:
+    """Caches of all scenes, written by Blender; their files by name."""
+    lines = []
+    for name, code in {**SCENES, "changing": CHANGING}.items():
+        lines.append(f"NAME = {name!r}; " + code)
+        if "save(" not in code:
+            lines.append(f"save({name!r})")
+    run_blender(folder / "write.py", _HEAD + "\n".join(lines), folder)
+    return {path.stem: path for path in folder.glob("*.abc")}
+
 
 pytestmark = [pytest.mark.slow, needs_blender]
 RATES = {"television": 24000 / 1001, "pal": 25, "thirty": 30, "sixty": 60, "slow": 5, "two": 25}
