@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import os
+import types
 import typing
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -280,10 +281,11 @@ def check_options(function: Callable[..., Any], title: str, options: Mapping[str
         raise InputError("options", wanted, ", ".join(unknown))
     hints = typing.get_type_hints(function)
     for name, value in options.items():
-        kinds = typing.get_args(hints[name]) or (hints[name],)
-        fits, words = _KINDS.get(kinds[0], (None, ""))
+        hint = hints[name]
+        kinds = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
         optional = kinds[1:] == (type(None),)
-        if fits is None or (kinds[1:] and not optional) or (optional and value is None):
+        fits, words = _KINDS.get(kinds[0], (None, ""))
+        if fits is None or len(kinds) > 1 + optional or (optional and value is None):
             continue
         if not fits(value):
             raise InputError(name, words, repr(value))
