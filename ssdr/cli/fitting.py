@@ -1,41 +1,30 @@
-"""Steps that ``ssdr decompose`` and ``ssdr smallest`` share: read, solve, save and print."""
+"""The commands that fit a model to an animation: decompose and smallest."""
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 import re
-import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import ssdr
+
 from ..clips import names_of
 from ..errors import Cancelled, InputError
-from ..io.save_report import SaveReport
+from ..io import SaveReport, check_outputs, in_space, load_any, load_clips, save_all, try_outputs
+from ..io.outputs import check_file
 from ..sequence import MeshSequence, joined
 from ..signals import stop_on_signals
-from ..space import Space
-from .format_options import read_options
-from .options import PAGES, FitOptions
-from .output import Output, in_words, saved_line
-from .reading import clips_document, clips_text, meshes_text, read_any, read_clips
-from .saving import check_file, check_outputs, save_model, try_format
-from .template import options_with_template
+from ..start import JointKind
+from .files import PAGES, file_options, files_of, storage_options
+from .output import Output, clips_document, clips_text, in_words, saved_line
+from .parameters import passes
 
-Solver = Callable[..., Any]
-Shots = list[MeshSequence]
-_SHARED = (
-    "bones",
-    "influences",
-    "effort",
-    "bone_model",
-    "rest_pose",
-    "normals",
-    "time_limit",
-    "checkpoint",
-)
+_DRAWN = (*PAGES, ".png", ".jpg", ".jpeg", ".webp", ".gif", ".tif", ".tiff", ".bmp", ".pdf")
 _ROWS = {
     "input": "{input}: {frames:,} frames, {vertices:,} vertices, {triangles:,} triangles, "
     "diagonal {diagonal:.4g}",
@@ -62,226 +51,280 @@ _ENDINGS = {
 }
 
 
-def fit(
-    command: str,
-    solve: Solver,
-    options: FitOptions,
-    arguments: Callable[[], dict[str, Any]],
+@passes(ssdr.decompose, storage_options, file_options, load_clips, ssdr.load)
+def decompose(
+    inputs: list[Path],
+    *,
+    output: list[Path],
+    rig: str | None = None,
+    joints: JointKind | None = None,
+    extra_bones: str | None = None,
+    keep_weights: bool = False,
+    start: Path | None = None,
+    **options: Any,
 ) -> None:
-    """Read the inputs, call the solver, save its model and print the result.
+    """Fit a rest pose, sparse skin weights and bones to an animated mesh.
+
+    Several files of one mesh, or several clips of a file (--clip all), get one rest pose and one
+    set of weights; each clip becomes an animation of its own.
+
+    From glTF to glTF, the file gets a new skin and keeps the rest of what it holds.
+
+    Ctrl-C stops and saves the best model so far; a second Ctrl-C ends at once.
 
     Parameters
     ----------
-    command : str
-        Name of the command.
-    solve : callable
-        :func:`ssdr.decompose` or :func:`ssdr.smallest`.
-    options : FitOptions
-    arguments : callable
-        Function that checks the options that only this command has, and returns their arguments for
-        `solve`.
+    inputs : list of Path
+        Animated mesh; several files of one mesh are its clips.
+    output : list of Path
+        Model to write; repeat it for other formats, a contact sheet (.png) or a page (.html).
+    rig : str, optional
+        Connect the bones by joints that may come apart (loose) or not (rigid), or keep the joints,
+        parents and names of a file.
+    joints : {"rigid", "loose"}
+        Whether the joints of a file given as --rig may come apart.
+    extra_bones : str, optional
+        Bones to add to those of --rig FILE: N, or NAME=N,... below named ones.
+    keep_weights : bool
+        Keep the weights and the rest pose of --rig FILE.
+    start : Path, optional
+        Go on from a model or checkpoint; of a mesh, the first frame is the rest pose, which is
+        kept.
+    """
+    if rig in (None, "loose", "rigid"):
+        for name, value in (
+            ("joints", joints),
+            ("extra-bones", extra_bones),
+            ("keep-weights", keep_weights),
+        ):
+            if value:
+                raise InputError(f"--{name}", "the file of a rig beside it (--rig FILE)", rig)
+        if options.get("bones") is None and start is None:
+            raise InputError("--bones", "a number of bones, --rig FILE or --start MODEL", "none")
+        _fit(ssdr.decompose, inputs, output, start, options, lambda space: {"rig": rig})
+        return
+    model = ssdr.load_skinning(str(rig))
+    if keep_weights and start is not None:
+        raise InputError("--start", "none beside --keep-weights", start)
+    extra = _extra_bones(extra_bones or "0")
+    ssdr.Skeleton(model, joints=joints or "rigid", extra_bones=extra)
+
+    def kept(space: ssdr.Space) -> dict[str, Any]:
+        there = in_space(model, space)
+        skeleton = ssdr.Skeleton(there, joints=joints or "rigid", extra_bones=extra)
+        same = {name: getattr(there, name) for name in ("rest", "indices", "weights")}
+        return {"rig": skeleton} | ({"start": ssdr.Start(**same)} if keep_weights else {})
+
+    _fit(ssdr.decompose, inputs, output, start, options, kept)
+
+
+@passes(ssdr.smallest, ssdr.decompose, storage_options, file_options, load_clips, ssdr.load,
+        without=["smoothness"])  # fmt: skip
+def smallest(
+    inputs: list[Path],
+    *,
+    output: list[Path],
+    tolerance: str,
+    rig: JointKind | None = None,
+    start: Path | None = None,
+    **options: Any,
+) -> None:
+    """Find the model with the fewest bones within an error tolerance.
+
+    Parameters
+    ----------
+    inputs : list of Path
+        Animated mesh; several files of one mesh are its clips.
+    output : list of Path
+        Model to write; repeat it for other formats, a contact sheet (.png) or a page (.html).
+    tolerance : str
+        A length in the mesh's units, or a share of the diagonal such as 0.5%.
+    rig : {"loose", "rigid"}, optional
+        Connect the bones by joints that may come apart (loose) or not (rigid).
+    start : Path, optional
+        A model to begin from, such as a checkpoint.
+    """
+    from ..checks import parse_tolerance
+
+    with contextlib.suppress(ValueError):
+        options["tolerance"] = tolerance
+        options["tolerance"] = float(tolerance)
+    parse_tolerance(options["tolerance"], 1.0)
+    _fit(ssdr.smallest, inputs, output, start, options, lambda space: {"rig": rig})
+
+
+def _fit(
+    solve: Callable[..., Any],
+    inputs: list[Path],
+    output: list[Path],
+    start: Path | None,
+    options: dict[str, Any],
+    arguments: Callable[[ssdr.Space], dict[str, Any]],
+) -> None:
+    """Read the inputs, solve, save and print the result.
+
+    `arguments` gives the arguments of `solve` that only one command has, in the inputs' space.
 
     Raises
     ------
     Cancelled
-        If a signal stopped the solver; the best model, if there was one, has then been saved.
+        If a signal stopped the solver; the best model has then been saved.
     """
     from ..solver.warmup import begin_compiling
 
-    output = Output.start(options)
     began = time.perf_counter()
-    _check_files(options)
+    drawn = [path for path in output if path.suffix.lower() in _DRAWN]
+    models = [path for path in output if path not in drawn]
+    checkpoint = options.get("checkpoint")
+    if not models:
+        raise InputError("--output", "a file for the model, too", str(drawn[0]))
+    if checkpoint is not None and checkpoint.suffix.lower() != ".npz":
+        raise InputError("--checkpoint", "a file ending in .npz", str(checkpoint))
+    check_outputs(models, inputs=inputs)
+    for k, path in enumerate(drawn):
+        check_file(path, "output", others=[*inputs, *models, *drawn[:k]])
+    if checkpoint is not None:
+        check_file(checkpoint, "checkpoint", others=[*inputs, *output])
     begin_compiling()  # while the files are read
-    own = arguments()
-    shots, start, settings = _read(options, output)
-    _place(own, shots[0].space)
-    own.setdefault("start", start)
+    reading, writing = files_of(options, inputs)
+    with Output.current.waiting(f"loading {', '.join(map(str, inputs))}"):
+        shots = load_clips(inputs, **reading)
+        options |= arguments(shots[0].space)
+        if start is not None:
+            options["start"] = in_space(load_any(start), shots[0].space)
+    _check_motion(shots, inputs[0])
+    tried = {k: options[k] for k in ("bones", "influences", "bone_model") if k in options}
+    try_outputs(models, shots, **tried, **writing)
     loaded = time.perf_counter()
     with stop_on_signals() as stop:
-        result = _solve(solve, options, shots, stop, own)
+        with Output.current.progress_bar() as show:
+
+            def follow(progress: Any) -> bool:
+                rmse = f"RMSE {progress.rmse:.4g}" if math.isfinite(progress.rmse) else ""
+                show(progress.phase, progress.fraction, rmse)
+                return stop.is_set()
+
+            result = solve(shots[0] if len(shots) == 1 else shots, callback=follow, **options)
         solved = time.perf_counter()
-        reports = save_model(result.skinning, settings)
-        drawn = [] if stop.is_set() else options.drawn
-        reports += [_draw(path, options, shots, result) for path in drawn]
+        with Output.current.waiting(f"saving {', '.join(map(str, models))}"):
+            reports: list[Any] = save_all(result, models, **writing)
+        for path in [] if stop.is_set() else drawn:
+            with Output.current.waiting(f"drawing {path}"):
+                reports.append(_draw(path, result, shots, inputs, models[0]))
     saved = time.perf_counter()
-    about = {
-        "command": command,
+    document = {
+        "command": solve.__name__,
         "load_seconds": loaded - began,
         "compile_seconds": result.compile_seconds,
         "seconds": solved - loaded - result.compile_seconds,
         "save_seconds": saved - solved,
         "total_seconds": saved - began,
+        "input": inputs[0] if len(inputs) == 1 else inputs,
+        "effort": options.get("effort", "balanced"),
+        "seed": options.get("rng", 0),
+        "checkpoint": checkpoint,
+        "outputs": reports,
+        **_measured(result, shots),
     }
-    _print(options, shots, result, reports, about)
+    Output.current.result(document, _rows(document, result, shots))
     if stop.is_set():
         raise Cancelled("interrupted; the best model so far is saved (--start goes on from it)")
 
 
-def _check_files(options: FitOptions) -> None:
-    """Raise an InputError at once if an output could not be written after solving."""
-    check_outputs(options.outputs, options.write, sources=options.inputs)
-    others = [*options.inputs, *options.outputs]
-    for path in options.drawn:
-        check_file(path, "--output", others=others)
-        others.append(path)
-    checkpoint = options.checkpoint
-    if checkpoint is not None:
-        if checkpoint.suffix.lower() != ".npz":
-            raise InputError("--checkpoint", "a file ending in .npz", str(checkpoint))
-        check_file(checkpoint, "--checkpoint", others=others)
-
-
-def _read(options: FitOptions, output: Output) -> tuple[Shots, Any, dict[Path, dict[str, Any]]]:
-    """Read the inputs; return their clips, the solver's start, and options to save each output."""
-    names = ", ".join(map(str, options.inputs))
-    read = read_options(options.inputs, options)
-    with output.waiting(f"loading {names}"):
-        shots = read_clips(options.inputs, options.clip, read)
-        start = _start(options.start, shots[0].space)
+def _check_motion(shots: Sequence[MeshSequence], path: Path) -> None:
     if sum(map(len, shots)) == 1:
-        numbered = re.sub(r"\d+(?=\D*$)", "*", options.inputs[0].name)
-        hint = f": did you mean {numbered}?" if numbered != options.inputs[0].name else ""
-        raise InputError("IN", "an animation", f"one frame, {names} (no motion{hint})")
-    clips = names_of(shots)["clips"]
-    inputs, settings = dict(zip(options.inputs, read, strict=True)), {}
-    for path in options.outputs:
-        settings[path] = options_with_template(
-            path, options.write, inputs, clips=[clip.name for clip in clips]
-        )
-        try_format(path, settings[path], options, shots[0], clips)
-    return shots, start, settings
+        numbered = re.sub(r"\d+(?=\D*$)", "*", path.name)
+        hint = f": did you mean {numbered}?" if numbered != path.name else ""
+        raise InputError("inputs", "an animation", f"one frame, {path} (no motion{hint})")
 
 
-def _start(text: str | None, space: Space) -> Any:
-    """Read `--start`, a model to start from or a mesh as rest pose, in the inputs' `space`."""
-    import ssdr
-
-    if text is None:
-        return None
-    return ssdr.io.in_space(read_any(Path(text)), space)
-
-
-def _place(own: dict[str, Any], space: Space) -> None:
-    """Convert the skeleton in `own`, and the rest pose that `own` takes from it, to `space`."""
-    import ssdr
-
-    rig = own.get("rig")
-    if isinstance(rig, ssdr.Skeleton):
-        model = ssdr.io.in_space(rig.skinning, space)
-        own["rig"] = dataclasses.replace(rig, skinning=model)
-        if "start" in own:
-            own["start"] = dataclasses.replace(own["start"], rest=model.rest)
-
-
-def _solve(
-    solve: Solver, options: FitOptions, shots: Shots, stop: threading.Event, own: dict[str, Any]
-) -> Any:
-    """Run the solver until it ends or `stop` is set, show its progress, and return its result.
-
-    `own` holds the arguments that only this command has.
-    """
-    own |= {name: getattr(options, name) for name in _SHARED} | {"rng": options.seed}
-    with Output.current.progress_bar() as show:
-
-        def follow(progress: Any) -> bool:
-            rmse = f"RMSE {progress.rmse:.4g}" if math.isfinite(progress.rmse) else ""
-            show(progress.phase, progress.fraction, rmse)
-            return stop.is_set()
-
-        return solve(shots[0] if len(shots) == 1 else shots, callback=follow, **own)
-
-
-def _draw(path: Path, options: FitOptions, shots: Shots, result: Any) -> SaveReport:
-    """Write a page that shows the result beside the input, or a contact sheet."""
-    import ssdr
-
-    from ..render.figures import contact_sheet, write_picture
-
-    title = options.inputs[0].stem
-    with Output.current.waiting(f"drawing {path}"):
-        if path.suffix.lower() not in PAGES:
-            sheet = contact_sheet(result.skinning, reference=joined(shots), title=title)
-            write_picture(sheet, path)
-            return SaveReport(path=path, bytes=path.stat().st_size)
-        files = [file for file in options.outputs if file.is_file()]
-        page = ssdr.view(
-            result,
-            shots,
-            path,
-            title=title,
-            file=files[0] if files else None,
-            reference_name=", ".join(source.name for source in options.inputs),
-        )
-        return SaveReport(path=page.path, bytes=page.bytes, notes=tuple(page.notes))
-
-
-def _print(
-    options: FitOptions,
-    shots: Shots,
-    result: Any,
-    reports: list[SaveReport],
-    about: dict[str, Any],
-) -> None:
-    """Print the result: as a table or as JSON with the entries `about`."""
-    from .. import __version__
+def _measured(result: Any, shots: Sequence[MeshSequence]) -> dict[str, Any]:
+    """Entries of the JSON object about a result."""
     from ..frames.error import largest_error, motion_rms, share_of
-    from ..metrics.vertex_distances import distances
 
-    diagonal, clips = max(shot.diagonal() for shot in shots), names_of(shots)["clips"]
-    model = result.skinning
+    model, diagonal = result.skinning, max(shot.diagonal() for shot in shots)
     motion = motion_rms(shots)
     arrays = (model.rest, model.indices, model.weights, model.transforms)
-    if model.shapes is None:
-        largest = largest_error(shots, *arrays)
-    else:
-        largest = distances(joined(shots), model).max
-    document = {
-        **about,
-        "version": __version__,
-        "input": options.inputs[0] if len(options.inputs) == 1 else options.inputs,
+    largest = largest_error(shots, *arrays)
+    percent = 100 / diagonal if diagonal > 0 else math.nan
+    found = {
+        "version": ssdr.__version__,
         "frames": sum(map(len, shots)),
         "vertices": shots[0].n_vertices,
         "copies": result.copies,
         "triangles": len(shots[0].faces),
-        "clips": clips_document(clips),
+        "clips": clips_document(names_of(shots)["clips"]),
         "bones": model.n_bones,
         "influences": model.n_influences,
-        "effort": options.effort,
-        "seed": options.seed,
         "rmse": result.rmse,
-        "rmse_percent": 100 * result.rmse / diagonal if diagonal > 0 else math.nan,
+        "rmse_percent": percent * result.rmse,
         "motion": motion,
         "percent_of_motion": 100 * share_of(result.rmse, motion),
         "max_error": largest,
-        "max_error_percent": 100 * largest / diagonal if diagonal > 0 else math.nan,
+        "max_error_percent": percent * largest,
         "E": 1000 * result.rmse / math.sqrt(3),
         "diagonal": diagonal,
         "converged": result.converged,
         "stop_reason": result.stop_reason,
         "iterations": result.history[-1].iteration if result.history else 0,
-        "outputs": [dataclasses.asdict(report) for report in reports],
-        "checkpoint": options.checkpoint,
     }
-    of_motion = f", {document['percent_of_motion']:.3g} % of the motion" if motion > 0 else ""
-    rows = in_words(document | {"input": options.inputs, "of_motion": of_motion}, _ROWS)
     if result.normals is not None:
-        document["normals"] = result.normals.as_dict()
-        rows.insert(-1, ("normals", f"{result.normals}, as engines draw them"))
-    if len(clips) > 1:
-        rows.insert(1, ("clips", clips_text(clips)))
-    if not any("meshes" in pair for pair in options.read or ()):
-        rows.insert(1, ("meshes", meshes_text(options.inputs[0])))
-    if result.copies:
-        rows.insert(
-            1, ("copies", f"{result.copies:,} vertices lie on others in every frame: solved as one")
-        )
-    parsimony = getattr(result, "parsimony", None)
-    if parsimony is not None:
-        found = dataclasses.asdict(parsimony) | {"bytes": parsimony.size.total}
-        document["parsimony"] = found
-        shown = {k: text for k, text in _PARSIMONY.items() if found.get(k, True)}
-        rows += [(name.replace("_", " "), text) for name, text in in_words(found, shown)]
-        rows += [(p["what"], _PRUNING.format_map(p)) for p in found["prunings"]]
+        found["normals"] = result.normals.as_dict()
+    if hasattr(result, "parsimony"):
+        parsimony = result.parsimony
+        found["parsimony"] = dataclasses.asdict(parsimony) | {"bytes": parsimony.size.total}
+    return found
+
+
+def _rows(
+    document: dict[str, Any], result: Any, shots: Sequence[MeshSequence]
+) -> list[tuple[str, str]]:
+    """Rows of the table about a result."""
+    motion = f", {document['percent_of_motion']:.3g} % of the motion"
+    given = document["input"] if isinstance(document["input"], list) else [document["input"]]
+    said = {"input": given, "of_motion": motion if document["motion"] > 0 else ""}
+    clips, rows = names_of(shots)["clips"], in_words(document | said, _ROWS)
+    rows[1:1] = [
+        ("clips", clips_text(clips) if len(clips) > 1 else ""),
+        ("copies", f"{result.copies:,} vertices lie on others in every frame: solved as one"),
+    ][: 2 if result.copies else 1]
+    if result.normals is not None:
+        rows.append(("normals", f"{result.normals}, as engines draw them"))
+    if "parsimony" in document:
+        rows += in_words(document["parsimony"], _PARSIMONY)
+        found = document["parsimony"]["prunings"]
+        rows += [(pruning["what"], _PRUNING.format_map(pruning)) for pruning in found]
     rows.append(("ended", _ENDINGS.get(result.stop_reason, result.stop_reason)))
-    rows += [("wrote", saved_line(report, diagonal)) for report in reports]
-    Output.current.result(document, rows)
+    return [*rows, *(("wrote", saved_line(r, document["diagonal"])) for r in document["outputs"])]
+
+
+def _draw(
+    path: Path, result: Any, shots: list[MeshSequence], inputs: Sequence[Path], model: Path
+) -> Any:
+    """Write a page that shows the result beside the input, or a contact sheet."""
+    from ..render import contact_sheet, write_picture
+
+    title = inputs[0].stem
+    if path.suffix.lower() not in PAGES:
+        sheet = contact_sheet(result.skinning, reference=joined(shots), title=title)
+        write_picture(sheet, path)
+        return SaveReport(path=path, bytes=path.stat().st_size)
+    name = ", ".join(source.name for source in inputs)
+    file = model if model.is_file() else None
+    page = ssdr.view(result, shots, path, title=title, file=file, reference_name=name)
+    return SaveReport(path=page.path, bytes=page.bytes, note=", ".join(page.notes))
+
+
+def _extra_bones(text: str) -> int | dict[str, int]:
+    """Parse `--extra-bones`: a number of bones to add, or ``NAME=N,...``.
+
+    The latter adds N bones below the rig's bone NAME.
+    """
+    try:
+        if "=" not in text:
+            return int(text)
+        pairs = [part.rpartition("=") for part in text.split(",")]
+        return {name.strip(): int(count) for name, _, count in pairs}
+    except ValueError as error:
+        expected = "a number, or NAME=N,... of bones of the rig"
+        raise InputError("--extra-bones", expected, repr(text)) from error

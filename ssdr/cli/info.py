@@ -1,10 +1,10 @@
-"""The command ``ssdr info``."""
+"""The command that says what a file holds."""
 
 from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +13,12 @@ from scipy.sparse.csgraph import connected_components
 
 from ..clips import Clip
 from ..hierarchy.transforms import RIGID, depths, rest_diagonal
+from ..io import list_clips, list_meshes, load, load_any
 from ..sequence import MeshSequence
 from ..skinning import Skinning
-from .format_options import read_options
-from .options import SpaceOptions, argument, takes
-from .output import Output, in_words
-from .reading import clips_document, clips_in, clips_text, meshes_text, read_any, read_model
+from .files import file_options, files_of
+from .output import Output, clips_document, clips_text, in_words
+from .parameters import passes
 
 _BONES = {
     "bones": "{bones} ({bone_model}), {bones_without_vertices} move nothing",
@@ -35,8 +35,7 @@ _TREE = {
 _MESH = {
     "frames": "{frames:,} at {fps:g} a second, {duration:.3g} s",
     "vertices": "{vertices:,}, {loose_vertices:,} of them in no triangle",
-    "seams": "{seams:,} vertices coincide with others in every frame "
-    "(--read weld=true merges them)",
+    "seams": "{seams:,} vertices coincide with others in every frame (--weld merges them)",
     "triangles": "{triangles:,} in {components:,} connected components, "
     "{degenerate_triangles:,} degenerate",
     "edges": "{boundary_edges:,} boundary, {nonmanifold_edges:,} non-manifold",
@@ -46,42 +45,39 @@ _MESH = {
 }
 
 
-@dataclasses.dataclass(kw_only=True)
-class InfoOptions(SpaceOptions):
-    """Arguments and options of ``ssdr info``."""
-
-    source: Annotated[Path, argument("FILE", "A sequence or a skinning.")]
-
-
-@takes
-def info(options: InfoOptions) -> None:
+@passes(file_options, load, without=["clip", "weld"])
+def info(source: Path, *, clip: list[str] | None = None, **options: Any) -> None:
     """Show what a file holds and what in it may cause problems.
 
     If a file without a skin has several clips, all of them are listed and the first is examined.
-    """
-    from ..io import list_meshes
 
-    output = Output.start(options)
-    source, clip = options.source, options.clip
-    (read,) = read_options([source], options)
-    with output.waiting(f"loading {source}"):
-        thing = read_any(source, **read) if clip is None else read_model(source, clip, read)
+    Parameters
+    ----------
+    source : Path
+        A sequence or a skinning.
+    clip : list of str, optional
+        Clip to examine; repeatable.
+    """
+    reading, _ = files_of(options, ())
+    with Output.current.waiting(f"loading {source}"):
+        thing = load_any(source, clip=clip, **reading)
     if isinstance(thing, Skinning):
         clips, kind, about, table = thing.clips, "skinning", _about_skinning(thing), _BONES
     else:
-        one = Clip(thing.clip or thing.name or source.stem, 0, thing.n_frames, thing.fps)
-        clips = (clips_in(source, read) if clip is None else ()) or (one,)
+        clips = (Clip(thing.clip or thing.name or source.stem, 0, thing.n_frames, thing.fps),)
+        if clip is None and len(list_clips(source)) > 1:
+            clips = list_clips(source, fps=reading.get("fps"))
         kind, about, table = "sequence", _about_sequence(thing), {}
     about |= _about_mesh(thing)
+    meshes = list_meshes(source)
+    several = f"{len(meshes)}, read as one (--meshes NAME takes one): {', '.join(meshes[:20])}"
     rows = [("file", f"{source}: a {kind}"), ("clips", clips_text(clips))]
-    rows += [("meshes", meshes_text(source)), ("space", str(thing.space))]
+    rows += [("meshes", several if len(meshes) > 1 else ""), ("space", str(thing.space))]
     rows += in_words(about, _MESH | table)
-    tree = about.get("hierarchy")
-    if tree is not None:
-        rows += in_words(tree, _TREE)
-    document = {"command": "info", "input": source, "kind": kind, **about}
-    document["meshes"] = list_meshes(source)
-    output.result({**document, "clips": clips_document(clips)}, rows)
+    if about.get("hierarchy") is not None:
+        rows += in_words(about["hierarchy"], _TREE)
+    document = {"command": "info", "input": source, "kind": kind, **about, "meshes": meshes}
+    Output.current.result({**document, "clips": clips_document(clips)}, rows)
 
 
 def _about_sequence(sequence: MeshSequence) -> dict[str, Any]:

@@ -7,29 +7,27 @@ import dataclasses
 import json
 import math
 import sys
-from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any, ClassVar
 
 import numpy as np
 from rich.filesize import decimal
 
-from ..io.save_report import SaveReport
-from .options import Options
-from .progress import Show, progress_bar, waiting
-
-if TYPE_CHECKING:
-    from ..viewer.page import Page
+from ..clips import Clip
 
 Rows = Iterable[tuple[str, str]]
+Show = Callable[[str, float, str], None]
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(kw_only=True)
 class Output:
     """Printer of the results and warnings of one command.
 
     Attributes
     ----------
-    options : Options
+    json, quiet : bool
+        Whether the result is printed as JSON, and whether nothing is printed.
+    program : str
     warnings : list of str
         All warnings so far, for the JSON object.
     printed : bool
@@ -38,20 +36,21 @@ class Output:
         Output of the command that is running.
     """
 
-    options: Options
+    json: bool = False
+    quiet: bool = False
+    program: str = "ssdr"
     warnings: list[str] = dataclasses.field(default_factory=list)
     printed: bool = False
     current: ClassVar[Output]
 
-    @classmethod
-    def start(cls, options: Options) -> Output:
-        """Set the options of the current output, and return this output."""
-        cls.current.options = options
-        return cls.current
-
     def waiting(self, text: str) -> contextlib.AbstractContextManager[Any]:
         """Context that shows `text` on a terminal while its block runs."""
-        return waiting(text) if self._live else contextlib.nullcontext()
+        if not self._live:
+            return contextlib.nullcontext()
+        from rich.console import Console
+        from rich.text import Text
+
+        return Console(file=sys.stderr).status(Text(text))
 
     def progress_bar(self) -> contextlib.AbstractContextManager[Show]:
         """Context that shows a progress bar on a terminal while its block runs."""
@@ -59,13 +58,13 @@ class Output:
 
     @property
     def _live(self) -> bool:
-        return sys.stderr.isatty() and not (self.options.json or self.options.quiet)
+        return sys.stderr.isatty() and not (self.json or self.quiet)
 
     def warn(self, message: Warning | str, *_: Any, **__: Any) -> None:
         """Print a warning on stderr and add it to `warnings`; replaces ``warnings.showwarning``."""
         text = " ".join(str(message).split())
         self.warnings.append(text)
-        sys.stderr.write(f"ssdr: warning: {text}\n")
+        sys.stderr.write(f"{self.program}: warning: {text}\n")
 
     def result(self, document: Mapping[str, Any], rows: Rows | str) -> None:
         """Print the result: with ``--json`` the `document`, otherwise `rows` (a table or a text).
@@ -77,13 +76,13 @@ class Output:
         OSError
             If stdout cannot be written.
         """
-        if self.options.json:
+        if self.json:
             text = json.dumps({**_plain(document), "warnings": self.warnings}, allow_nan=False)
         else:
             text = rows if isinstance(rows, str) else _table(rows)
         self.printed = True
         try:
-            if self.options.json or not self.options.quiet:
+            if self.json or not self.quiet:
                 self.write(text + "\n")
         except BrokenPipeError:
             if not {"output", "outputs"} & document.keys():
@@ -98,11 +97,25 @@ class Output:
             raise OSError(error.errno, error.strerror, "standard output") from error
 
 
-def _table(rows: Rows) -> str:
-    """Text with a line for each name and value; names without a value are left out."""
-    shown = [(name, value) for name, value in rows if value]
-    width = max(len(name) for name, _ in shown)
-    return "\n".join(f"{name:<{width}}  {value}" for name, value in shown)
+@contextlib.contextmanager
+def progress_bar() -> Iterator[Show]:
+    """Show a progress bar on stderr while the block runs.
+
+    Yields
+    ------
+    callable
+        Function that updates the bar with the name of the phase, the fraction of the work that is
+        done, and a text.
+    """
+    from rich.console import Console
+    from rich.progress import Progress, TextColumn
+
+    columns = *Progress.get_default_columns(), TextColumn("{task.fields[text]}")
+    with Progress(*columns, console=Console(file=sys.stderr), transient=True) as bar:
+        task = bar.add_task("preparing", total=1.0, text="")
+        yield lambda phase, fraction, text: bar.update(
+            task, description=phase, completed=fraction, text=text
+        )
 
 
 def in_words(document: Mapping[str, Any], texts: Mapping[str, str]) -> list[tuple[str, str]]:
@@ -117,24 +130,41 @@ def in_words(document: Mapping[str, Any], texts: Mapping[str, str]) -> list[tupl
     return [(name, text.format_map(said)) for name, text in texts.items()]
 
 
-def saved_line(report: SaveReport, diagonal: float = 0.0) -> str:
+def saved_line(report: Any, diagonal: float = 0.0) -> str:
     """Line of text on a save, with errors also in percent of the diagonal if this is given."""
     parts = [str(report.path), decimal(report.bytes)]
     lengths = {"error of storage": report.error, "between frames": report.between_frames}
     for name, length in lengths.items():
-        if length:
+        if length is not None:
             share = f" ({100 * length / diagonal:.3g} %)" if diagonal else ""
             parts.append(f"{name} {length:.4g}{share}")
-    return ", ".join([*parts, *report.notes])
+    return ", ".join([*parts, report.note] if report.note else parts)
 
 
-def page_row(page: Page) -> tuple[str, str]:
-    """Label and words for a page that was written: its file and size."""
-    return "page", " ".join([f"{page.path}, {decimal(page.bytes)}", *page.notes])
+def clips_document(clips: Sequence[Clip]) -> list[dict[str, Any]]:
+    """Clips as dicts for JSON."""
+    return [
+        {**dataclasses.asdict(clip), "frames": clip.n_frames, "duration": clip.n_frames / clip.fps}
+        for clip in clips
+    ]
+
+
+def clips_text(clips: Sequence[Clip]) -> str:
+    """Names, frame counts and frame rates of clips in one line."""
+    return ", ".join(f"{c.name or 'unnamed'} ({c.n_frames} at {c.fps:g} a second)" for c in clips)
+
+
+def _table(rows: Rows) -> str:
+    """Text with a line for each name and value; names without a value are left out."""
+    shown = [(name, value) for name, value in rows if value]
+    width = max(len(name) for name, _ in shown)
+    return "\n".join(f"{name:<{width}}  {value}" for name, value in shown)
 
 
 def _plain(value: Any) -> Any:
     """Copy of a value in the types that JSON has; NaN and infinity become None."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return _plain(vars(value))
     if isinstance(value, Mapping):
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):

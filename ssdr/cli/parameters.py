@@ -1,0 +1,139 @@
+"""Arguments and options of a command, made from the signatures and docstrings of functions.
+
+A command is a function. Its own parameters come first, those without a default that are not
+keyword-only as arguments. Where it takes ``**options``, the keyword arguments of the functions
+that it is said to pass them to (:func:`passes`) are its options, too, and are given to it only if
+the user chose another value than the default.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import re
+import types
+import typing
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from .output import Output
+
+_SHORT = {
+    "output": "-o",
+    "bones": "-b",
+    "influences": "-k",
+    "effort": "-e",
+    "reference": "-r",
+    "styles": "-s",
+    "quiet": "-q",
+}
+# Above all others in the help; these stand under "More".
+_FIRST = (
+    *("output", "tolerance", "measure", "bones", "influences", "effort", "bone_model", "rig"),
+    *("rest_pose", "start", "reference", "frames", "frame", "styles", "bake", "clip"),
+    *("json", "quiet"),
+)
+_FLAGS = {"rng": "--seed"}
+_ALL = {
+    "json": "Print one JSON object and nothing else.",
+    "quiet": "No progress and no table.",
+}
+_KINDS = (bool, Path, str, int, float)  # of several that a parameter takes, the first of these
+
+
+def passes(*functions: Callable[..., Any], without: Sequence[str] = ()) -> Callable[..., Any]:
+    """Decorator that says to which functions a command passes its ``**options``."""
+
+    def mark(function: Any) -> Any:
+        function.passes = functions, {*without, "callback"}
+        return function
+
+    return mark
+
+
+def command(function: Any) -> Callable[..., None]:
+    """The command of typer that calls a function."""
+    functions, without = getattr(function, "passes", ((), set()))
+    found: dict[str, inspect.Parameter] = {}
+    for source in (function, *functions):
+        hints = typing.get_type_hints(source)
+        for p in inspect.signature(source).parameters.values():
+            given = p.kind is p.KEYWORD_ONLY or (source is function and p.kind is not p.VAR_KEYWORD)
+            if given and p.name not in found and p.name not in without:
+                text = _help((source, *functions), p.name)
+                found[p.name] = _parameter(p, hints[p.name], text)
+    own = found.keys() & inspect.signature(function).parameters.keys()
+    for name, text in _ALL.items():
+        p = inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False)
+        found[name] = _parameter(p, bool, text)
+
+    @functools.wraps(function)
+    def call(**given: Any) -> None:
+        output = Output.current
+        output.json, output.quiet = given.pop("json"), given.pop("quiet")
+        function(**{k: v for k, v in given.items() if k in own or v != found[k].default})
+
+    def place(name: str) -> tuple[bool, int]:
+        """Sorting key: arguments, then the first options, then others as they were found."""
+        ranks = {name: rank for rank, name in enumerate(_FIRST)}
+        return not _is_argument(found[name]), ranks.get(name, len(ranks))
+
+    order = sorted(found, key=place)
+    call.__doc__ = (inspect.getdoc(function) or "").partition("\n\nParameters\n")[0]
+    call.__annotations__ = {name: found[name].annotation for name in order}
+    call.__signature__ = inspect.Signature([found[name] for name in order])  # type: ignore[attr-defined]
+    return call
+
+
+def _parameter(p: inspect.Parameter, hint: Any, text: str) -> inspect.Parameter:
+    """Parameter of a command of typer, with its type, its flags and its help."""
+    kind, optional = _kind(hint)
+    path = kind is Path
+    if p.kind is p.POSITIONAL_OR_KEYWORD:
+        info = typer.Argument(help=text, metavar=p.name.upper())
+    else:
+        flags = [_FLAGS.get(p.name, "--" + p.name.replace("_", "-"))]
+        flags += [_SHORT[p.name]] if p.name in _SHORT else []
+        if kind is bool and (p.default is not False):
+            flags[0] += "/--no-" + flags[0][2:]
+        panel = None if p.name in _FIRST else "More"
+        metavar = "FILE" if path else None
+        info = typer.Option(*flags, help=text, rich_help_panel=panel, metavar=metavar)
+    annotation = Annotated[kind | None if optional else kind, info]
+    return p.replace(kind=p.KEYWORD_ONLY, annotation=annotation)
+
+
+def _is_argument(p: inspect.Parameter) -> bool:
+    return isinstance(p.annotation.__metadata__[0], typer.models.ArgumentInfo)
+
+
+def _kind(hint: Any) -> tuple[Any, bool]:
+    """Type that the command line knows of a hint, and whether None is allowed as well.
+
+    What is neither a text nor a number, such as a model, is given as a file.
+    """
+    union = typing.get_origin(hint) in (typing.Union, types.UnionType)
+    kinds = list(typing.get_args(hint)) if union else [hint]
+    optional = type(None) in kinds
+    for kind in kinds:
+        if typing.get_origin(kind) is Literal:
+            return kind, optional
+        if isinstance(typing.get_origin(kind), type) and issubclass(
+            typing.get_origin(kind), Sequence
+        ):
+            return list[typing.get_args(kind)[0]], optional  # type: ignore[misc]
+    return next((kind for kind in _KINDS if kind in kinds), Path), optional
+
+
+def _help(functions: Sequence[Callable[..., Any]], name: str) -> str:
+    """First sentence on a parameter in the first docstring that does not point to another."""
+    for function in functions:
+        doc = inspect.getdoc(function) or ""
+        match = re.search(rf"^(?:\w+, )*{name}(?:, \w+)* :[^\n]*\n((?:    .*\n)+)", doc, re.M)
+        text = re.sub(r":\w+:", "", " ".join(match[1].split()) if match else "")
+        if text and not text.startswith("As in"):
+            return re.split(r"(?<=[.:])\s", text)[0].rstrip(":").replace("``", "`")
+    return ""
