@@ -85,12 +85,13 @@ def decompose(
         Positive; scales each frame's squared error.  Values below 1e-4 of the largest are raised
         to that.
     smoothness : float
-        Length in the mesh's units: a difference of 1 in a weight between the ends of an edge
-        costs as much as an error of this length at one vertex in every frame.  0: no such cost.
+        Smoothness of the weights, as a length in the mesh's units.  A difference of 1 in a weight
+        between the ends of an edge costs as much as an error of this length at one vertex in every
+        frame.  0: no such cost.
     rest_pose : {"surface", "free"}
-        "surface": a rest pose that resembles one of the frames, on which weights can be painted
-        and cloth bound, and which every program lights well.  "free": the rest pose of least error,
-        which is a crumpled mesh.
+        Whether the rest pose resembles one of the frames ("surface") or only has the least error
+        ("free").  On a surface, weights can be painted and cloth bound, and every program lights it
+        well; a free rest pose is a crumpled mesh.
     rest_frame : int, optional
         Index of the frame from which the solve of the rest pose starts, and whose surface the
         result resembles.  By default the frame whose edges are nearest to the mean edges of all
@@ -100,7 +101,7 @@ def decompose(
         by the bones) to the normals of the animation.  If False, they are fitted only after the
         model is found.
     rng : int or numpy.random.Generator
-        Seed; the same seed gives the same bits, whatever the number of threads.
+        Seed: the same seed gives the same bits, whatever the number of threads.
     time_limit : float, optional
         Seconds of this call, without compilation, after which the best model so
         far is returned; at least one model is always made.

@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 
-from ssdr.cli import progress
+from ssdr.cli import output
 
 from ..io.files import Progress
 
@@ -42,7 +42,7 @@ def progress_bar() -> Iterator[Progress]:
     if not sys.stderr.isatty():
         yield _seldom()
         return
-    with progress.progress_bar() as show:
+    with output.progress_bar() as show:
         yield lambda text, fraction: show(text, fraction, "")
 
 

@@ -7,19 +7,19 @@ import math
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 import ssdr
 
 from ..clips import one_rate
 from ..errors import InputError
-from ..io import check_outputs, in_space, load_any, load_clips, save_all
+from ..hierarchy.transforms import rest_diagonal
+from ..io import SaveReport, check_outputs, in_space, load_any, load_clips, save_all
 from ..io.inputs import clips_in
 from ..io.outputs import check_file
 from ..render import Style
 from ..sequence import MeshSequence, joined
 from ..skinning import Skinning
-from .output import Output, saved_line
+from .files import check_page, file_options, files_of, storage_options
+from .output import Output, clips_document, saved_line
 from .parameters import passes
 
 
@@ -60,7 +60,7 @@ def convert(source: Path, target: Path, *, bake: bool = False, **options: Any) -
     Output.current.result(document, rows)
 
 
-@passes(ssdr.metrics.compare, file_options, load_clips, ssdr.load)
+@passes(ssdr.metrics.compare, file_options, load_clips, ssdr.load, without=["weld"])
 def compare(
     reference: Path, other: Path, *, output: Path | None = None, scale: float = 1.0, **options: Any
 ) -> None:
@@ -87,9 +87,8 @@ def compare(
     with Output.current.waiting(f"loading {reference}, {other}"):
         several = [len(clips_in(path, fps=reading.get("fps"))) > 1 for path in (reference, other)]
         # A file with one clip has no choice where the other has several.
-        chosen = [
-            (names or ["all"]) if many else None if any(several) else names for many in several
-        ]
+        alone = None if any(several) else names
+        chosen = [(names or ["all"]) if many else alone for many in several]
         first = load_clips(reference, clip=chosen[0], **reading)
         whole = load_any(other, clip=chosen[1], scale=scale, **reading)
         if (stated := whole.space) != first[0].space:
@@ -120,9 +119,8 @@ def compare(
     if output is not None:
         title = f"{other.name} beside {reference.name}"
         with Output.current.waiting("writing the page"):
-            page = ssdr.view(
-                whole, first, output, title=title, file=other, reference_name=reference.name
-            )
+            about = {"title": title, "file": other, "reference_name": reference.name}
+            page = ssdr.view(whole, first, output, **about)
         document["output"] = page.path
         text += f"\npage  {_page_text(page)}"
     Output.current.result({**document, **result.as_dict()}, text)
@@ -139,10 +137,7 @@ def _shots(thing: MeshSequence | Skinning) -> dict[str, Any]:
 
 def _hint_at_units(a: MeshSequence, b: MeshSequence | Skinning, scale: float) -> None:
     """Warn if the sizes of two meshes differ by about a power of ten."""
-    sizes = (
-        a.diagonal(),
-        float(np.linalg.norm(np.ptp(b.rest, axis=0))) if isinstance(b, Skinning) else b.diagonal(),
-    )
+    sizes = a.diagonal(), rest_diagonal(b.rest) if isinstance(b, Skinning) else b.diagonal()
     if min(sizes) <= 0:
         return
     tens = math.log10(sizes[1] / sizes[0])
@@ -241,8 +236,10 @@ def render(
     Output.current.result(document, [("wrote", str(output))])
 
 
-@passes(ssdr.view, file_options, load_clips, ssdr.load,
-        without=["file", "reference_name", "units", "weld"])  # fmt: skip
+@passes(
+    *(ssdr.view, file_options, load_clips, ssdr.load),
+    without=["file", "reference_name", "units", "weld"],
+)
 def view(
     model: Path, reference: Path | None = None, *, output: Path | None = None, **options: Any
 ) -> None:

@@ -51,7 +51,10 @@ _ENDINGS = {
 }
 
 
-@passes(ssdr.decompose, storage_options, file_options, load_clips, ssdr.load)
+@passes(
+    *(ssdr.decompose, storage_options, file_options, load_clips, ssdr.load),
+    without=["joints_alone"],
+)
 def decompose(
     inputs: list[Path],
     *,
@@ -118,8 +121,10 @@ def decompose(
     _fit(ssdr.decompose, inputs, output, start, options, kept)
 
 
-@passes(ssdr.smallest, ssdr.decompose, storage_options, file_options, load_clips, ssdr.load,
-        without=["smoothness"])  # fmt: skip
+@passes(
+    *(ssdr.smallest, ssdr.decompose, storage_options, file_options, load_clips, ssdr.load),
+    without=["joints_alone", "smoothness"],
+)
 def smallest(
     inputs: list[Path],
     *,
@@ -191,7 +196,9 @@ def _fit(
         shots = load_clips(inputs, **reading)
         options |= arguments(shots[0].space)
         if start is not None:
-            options["start"] = in_space(load_any(start), shots[0].space)
+            model = in_space(load_any(start), shots[0].space)
+            skinned = isinstance(model, ssdr.Skinning)
+            options["start"] = model if skinned else ssdr.Start(rest=model.frames(0))
     _check_motion(shots, inputs[0])
     tried = {k: options[k] for k in ("bones", "influences", "bone_model") if k in options}
     try_outputs(models, shots, **tried, **writing)

@@ -41,6 +41,7 @@ _ALL = {
     "json": "Print one JSON object and nothing else.",
     "quiet": "No progress and no table.",
 }
+_METAVARS = {Path: "FILE", list[Path]: "FILE", list[str]: "NAME", int: "N", float: "X", str: "TEXT"}
 _KINDS = (bool, Path, str, int, float)  # of several that a parameter takes, the first of these
 
 
@@ -48,7 +49,7 @@ def passes(*functions: Callable[..., Any], without: Sequence[str] = ()) -> Calla
     """Decorator that says to which functions a command passes its ``**options``."""
 
     def mark(function: Any) -> Any:
-        function.passes = functions, {*without, "callback"}
+        function.passes = functions, {*without, "callback", "vertex_importance", "frame_importance"}
         return function
 
     return mark
@@ -91,16 +92,16 @@ def command(function: Any) -> Callable[..., None]:
 def _parameter(p: inspect.Parameter, hint: Any, text: str) -> inspect.Parameter:
     """Parameter of a command of typer, with its type, its flags and its help."""
     kind, optional = _kind(hint)
-    path = kind is Path
     if p.kind is p.POSITIONAL_OR_KEYWORD:
-        info = typer.Argument(help=text, metavar=p.name.upper())
+        several = "..." if kind == list[Path] else ""
+        info = typer.Argument(help=text, metavar=p.name.upper() + several)
     else:
         flags = [_FLAGS.get(p.name, "--" + p.name.replace("_", "-"))]
         flags += [_SHORT[p.name]] if p.name in _SHORT else []
         if kind is bool and (p.default is not False):
             flags[0] += "/--no-" + flags[0][2:]
         panel = None if p.name in _FIRST else "More"
-        metavar = "FILE" if path else None
+        metavar = _METAVARS.get(kind)
         info = typer.Option(*flags, help=text, rich_help_panel=panel, metavar=metavar)
     annotation = Annotated[kind | None if optional else kind, info]
     return p.replace(kind=p.KEYWORD_ONLY, annotation=annotation)
@@ -131,9 +132,9 @@ def _kind(hint: Any) -> tuple[Any, bool]:
 def _help(functions: Sequence[Callable[..., Any]], name: str) -> str:
     """First sentence on a parameter in the first docstring that does not point to another."""
     for function in functions:
-        doc = inspect.getdoc(function) or ""
+        doc = (inspect.getdoc(function) or "") + "\n"
         match = re.search(rf"^(?:\w+, )*{name}(?:, \w+)* :[^\n]*\n((?:    .*\n)+)", doc, re.M)
         text = re.sub(r":\w+:", "", " ".join(match[1].split()) if match else "")
         if text and not text.startswith("As in"):
-            return re.split(r"(?<=[.:])\s", text)[0].rstrip(":").replace("``", "`")
+            return re.split(r"(?<=[.])\s", text)[0].replace("``", "`")
     return ""

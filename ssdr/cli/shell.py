@@ -30,8 +30,14 @@ def run_app(
     app: Callable[[], Callable[..., Any]],
     words: Callable[[], Sequence[str]],
     output: Output,
+    *,
+    interrupted: str = "interrupted",
+    raises: bool = False,
 ) -> int:
     """Run an app of typer and return its exit code; an error becomes a line on stderr.
+
+    Exit codes: 0 done, 1 unexpected, 2 wrong usage or input, 3 a file that cannot be read, 4 a
+    missing package, 130 interrupted.
 
     Parameters
     ----------
@@ -41,21 +47,35 @@ def run_app(
         Functions that make the app and the arguments, whose errors are reported as well.
     output : Output
         Where warnings go, and errors as JSON.
+    interrupted : str
+        What is said after Ctrl-C.
+    raises : bool
+        Whether an error that is not expected is raised, instead of being reported in a line.
     """
     output.program = program
     with safe_streams(), interrupt_on_signals(), warnings.catch_warnings():
         warnings.showwarning = output.warn
+        warnings.simplefilter("default", errors.SsdrWarning)
         try:
             code = app()(list(words()), prog_name=program, standalone_mode=False)
             if code == 130:  # what the parser makes of a KeyboardInterrupt
                 raise KeyboardInterrupt
             return code if isinstance(code, int) else 0
-        except (Exception, KeyboardInterrupt) as error:
-            return _report(error, output)
+        except KeyboardInterrupt as error:
+            return _report(error, interrupted, output)
+        except Exception as error:
+            text = _message(error)
+            if raises and not text:
+                raise
+            if not text:
+                logging.getLogger("ssdr").debug("traceback", exc_info=error)
+                where = f"({program} -vv COMMAND shows where)"
+                text = f"unexpected {type(error).__name__}: {error} {where}"
+            return _report(error, text, output)
 
 
-def _report(error: BaseException, output: Output) -> int:
-    """Print an error in one line, and return the exit code."""
+def _report(error: BaseException, text: str, output: Output) -> int:
+    """Print an error and return its exit code."""
     code = _exit_code(error)
     if isinstance(error, BrokenPipeError):  # the reader of stdout has gone
         return code
@@ -63,7 +83,7 @@ def _report(error: BaseException, output: Output) -> int:
     context = getattr(error, "ctx", None)
     if context is not None and not as_json:
         sys.stderr.write(context.get_usage() + "\n")
-    line = " ".join(_message(error, output.program).split())
+    line = " ".join(text.split())
     if as_json:
         document = {"error": line, "kind": type(error).__name__, "exit_code": code}
         with contextlib.suppress(OSError):  # without stdout, stderr gets the error
@@ -80,16 +100,13 @@ def _exit_code(error: BaseException) -> int:
     return next((code for kinds, code in _CODES if isinstance(error, kinds)), 1)
 
 
-def _message(error: BaseException, program: str) -> str:
-    """Text of an error for the user."""
-    if isinstance(error, KeyboardInterrupt):
-        return "interrupted"
+def _message(error: BaseException) -> str:
+    """Text of an error for the user; empty if it is of no expected kind."""
     if _is_usage(error):
         return str(error.format_message())  # type: ignore[attr-defined]
     if isinstance(error, (errors.SsdrError, OSError, MemoryError)):
         return errors.error_text(error)
-    logging.getLogger("ssdr").debug("traceback", exc_info=error)
-    return f"unexpected {type(error).__name__}: {error} ({program} -vv COMMAND shows where)"
+    return ""
 
 
 def _is_usage(error: BaseException) -> bool:

@@ -238,7 +238,9 @@ def _settings(
     known = []
     for path in files:
         functions = format_of(path).functions()
-        known.append(option_names(functions.write_skinning or functions.write_sequence))
+        skinned = None if isinstance(model, MeshSequence) else functions.write_skinning
+        writer = skinned or functions.write_sequence
+        known.append(option_names(writer) if writer else frozenset())
     for name in options:
         if name != "meshes" and not any(name in one for one in known):
             wanted = ", ".join(sorted(set().union(*known))) or "no options"
