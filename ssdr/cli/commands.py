@@ -90,7 +90,7 @@ def compare(
         alone = None if any(several) else names
         chosen = [(names or ["all"]) if many else alone for many in several]
         first = load_clips(reference, clip=chosen[0], **reading)
-        whole = load_any(other, clip=chosen[1], scale=scale, **reading)
+        whole: Any = load_any(other, clip=chosen[1], scale=scale, **reading)
         if (stated := whole.space) != first[0].space:
             whole = in_space(whole, first[0].space)
             said = f"REFERENCE is in {first[0].space}, OTHER in {stated}"
@@ -119,7 +119,7 @@ def compare(
     if output is not None:
         title = f"{other.name} beside {reference.name}"
         with Output.current.waiting("writing the page"):
-            about = {"title": title, "file": other, "reference_name": reference.name}
+            about: Any = {"title": title, "file": other, "reference_name": reference.name}
             page = ssdr.view(whole, first, output, **about)
         document["output"] = page.path
         text += f"\npage  {_page_text(page)}"

@@ -197,8 +197,10 @@ def _fit(
         options |= arguments(shots[0].space)
         if start is not None:
             model = in_space(load_any(start), shots[0].space)
-            skinned = isinstance(model, ssdr.Skinning)
-            options["start"] = model if skinned else ssdr.Start(rest=model.frames(0))
+            if isinstance(model, MeshSequence):
+                options["start"] = ssdr.Start(rest=model.frames(0))
+            else:
+                options["start"] = model
     _check_motion(shots, inputs[0])
     tried = {k: options[k] for k in ("bones", "influences", "bone_model") if k in options}
     try_outputs(models, shots, **tried, **writing)
