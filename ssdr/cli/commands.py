@@ -49,7 +49,6 @@ def convert(source: Path, target: Path, *, bake: bool = False, **options: Any) -
     with Output.current.waiting(f"saving {target}"):
         (report,) = save_all(thing, [target], **writing)
     document = {
-        "command": "convert",
         "input": source,
         "kind": "skinning" if isinstance(thing, Skinning) else "sequence",
         "frames": thing.n_frames,
@@ -106,7 +105,7 @@ def compare(
             raise InputError("OTHER", expected, ", ".join(second))
     pairs = [(a, second[a.clip] if len(first) > 1 else next(iter(second.values()))) for a in first]
     _hint_at_units(first[0], whole, scale)
-    document: dict[str, Any] = {"command": "compare", "reference": reference, "other": other}
+    document: dict[str, Any] = {"reference": reference, "other": other}
     with Output.current.waiting("measuring"):
         found = [ssdr.metrics.compare(a, b, **options) for a, b in pairs]
         result, text = found[0], str(found[0])
@@ -232,7 +231,7 @@ def render(
                 size = (width or 1000,) * 2
                 picture = render_frame(subject, frame, style=style, size=size, **look)
             write_picture(picture, output)
-    document = {"command": "render", "input": source, "output": output}
+    document = {"input": source, "output": output}
     Output.current.result(document, [("wrote", str(output))])
 
 
@@ -266,7 +265,7 @@ def view(
     name = "" if reference is None else reference.name
     with Output.current.waiting("writing the page"):
         page = ssdr.view(thing, truth, output, file=model, reference_name=name, **look)
-    document = {"command": "view", "input": model, **vars(page), "output": page.path}
+    document = {"input": model, **vars(page), "output": page.path}
     Output.current.result(document, [("page", _page_text(page))])
 
 
@@ -284,7 +283,7 @@ def _pair(source: Path, reference: Path | None, options: dict[str, Any]) -> Any:
 
 
 def _page_text(page: Any) -> str:
-    return saved_line(SaveReport(path=page.path, bytes=page.bytes, note=", ".join(page.notes)))
+    return saved_line(SaveReport(path=page.path, bytes=page.bytes, notes=tuple(page.notes)))
 
 
 def _one(shots: list[MeshSequence]) -> MeshSequence:

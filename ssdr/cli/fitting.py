@@ -14,9 +14,11 @@ from typing import Any
 import ssdr
 
 from ..clips import names_of
+from ..decomposition import decompose as _decompose
 from ..errors import Cancelled, InputError
 from ..io import SaveReport, check_outputs, in_space, load_any, load_clips, save_all, try_outputs
 from ..io.outputs import check_file
+from ..parsimony.smallest import smallest as _smallest
 from ..sequence import MeshSequence, joined
 from ..signals import stop_on_signals
 from ..start import JointKind
@@ -52,7 +54,7 @@ _ENDINGS = {
 
 
 @passes(
-    *(ssdr.decompose, storage_options, file_options, load_clips, ssdr.load),
+    *(_decompose, storage_options, file_options, load_clips, ssdr.load),
     without=["joints_alone"],
 )
 def decompose(
@@ -122,7 +124,7 @@ def decompose(
 
 
 @passes(
-    *(ssdr.smallest, ssdr.decompose, storage_options, file_options, load_clips, ssdr.load),
+    *(_smallest, _decompose, storage_options, file_options, load_clips, ssdr.load),
     without=["joints_alone", "smoothness"],
 )
 def smallest(
@@ -222,7 +224,6 @@ def _fit(
                 reports.append(_draw(path, result, shots, inputs, models[0]))
     saved = time.perf_counter()
     document = {
-        "command": solve.__name__,
         "load_seconds": loaded - began,
         "compile_seconds": result.compile_seconds,
         "seconds": solved - loaded - result.compile_seconds,
@@ -321,7 +322,7 @@ def _draw(
     name = ", ".join(source.name for source in inputs)
     file = model if model.is_file() else None
     page = ssdr.view(result, shots, path, title=title, file=file, reference_name=name)
-    return SaveReport(path=page.path, bytes=page.bytes, note=", ".join(page.notes))
+    return SaveReport(path=page.path, bytes=page.bytes, notes=tuple(page.notes))
 
 
 def _extra_bones(text: str) -> int | dict[str, int]:

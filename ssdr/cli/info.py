@@ -76,7 +76,7 @@ def info(source: Path, *, clip: list[str] | None = None, **options: Any) -> None
     rows += in_words(about, _MESH | table)
     if about.get("hierarchy") is not None:
         rows += in_words(about["hierarchy"], _TREE)
-    document = {"command": "info", "input": source, "kind": kind, **about, "meshes": meshes}
+    document = {"input": source, "kind": kind, **about, "meshes": meshes}
     Output.current.result({**document, "clips": clips_document(clips)}, rows)
 
 

@@ -135,10 +135,10 @@ def saved_line(report: Any, diagonal: float = 0.0) -> str:
     parts = [str(report.path), decimal(report.bytes)]
     lengths = {"error of storage": report.error, "between frames": report.between_frames}
     for name, length in lengths.items():
-        if length is not None:
+        if length:
             share = f" ({100 * length / diagonal:.3g} %)" if diagonal else ""
             parts.append(f"{name} {length:.4g}{share}")
-    return ", ".join([*parts, report.note] if report.note else parts)
+    return ", ".join([*parts, *report.notes])
 
 
 def clips_document(clips: Sequence[Clip]) -> list[dict[str, Any]]:

@@ -239,8 +239,7 @@ def _settings(
     for path in files:
         functions = format_of(path).functions()
         skinned = None if isinstance(model, MeshSequence) else functions.write_skinning
-        writer = skinned or functions.write_sequence
-        known.append(option_names(writer) if writer else frozenset())
+        known.append(option_names(skinned or functions.write_sequence))
     for name in options:
         if name != "meshes" and not any(name in one for one in known):
             wanted = ", ".join(sorted(set().union(*known))) or "no options"

@@ -38,7 +38,7 @@ def model_of(sequence, bones=2, influences=4):
     )
 
 
-def fake_decompose(sequence, *, bones, influences, callback, steps=3, pause=0.0, **options):
+def fake_decompose(sequence, *, bones, callback, influences=4, steps=3, pause=0.0, **options):
     """Replacement for the solver with its arguments and results, in this many steps."""
     fake_decompose.options = options
     reason = "converged"
