@@ -33,7 +33,7 @@ _SHORT = {
 # Above all others in the help; these stand under "More".
 _FIRST = (
     *("output", "tolerance", "measure", "bones", "influences", "effort", "bone_model", "rig"),
-    *("rest_pose", "start", "reference", "frames", "frame", "styles", "bake", "clip"),
+    *("start", "reference", "frames", "frame", "styles", "bake", "clip"),
     *("json", "quiet"),
 )
 _FLAGS = {"rng": "--seed"}
@@ -62,11 +62,12 @@ def command(function: Any) -> Callable[..., None]:
     for source in (function, *functions):
         hints = typing.get_type_hints(source)
         for p in inspect.signature(source).parameters.values():
-            given = p.kind is p.KEYWORD_ONLY or (source is function and p.kind is not p.VAR_KEYWORD)
-            if given and p.name not in found and p.name not in without:
+            own = source is function and p.kind is not p.VAR_KEYWORD
+            passed = p.kind is p.KEYWORD_ONLY and p.name not in without
+            if (own or passed) and p.name not in found:
                 text = _help((source, *functions), p.name)
                 found[p.name] = _parameter(p, hints[p.name], text)
-    own = found.keys() & inspect.signature(function).parameters.keys()
+    kept = found.keys() & inspect.signature(function).parameters.keys()
     for name, text in _ALL.items():
         p = inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False)
         found[name] = _parameter(p, bool, text)
@@ -75,12 +76,12 @@ def command(function: Any) -> Callable[..., None]:
     def call(**given: Any) -> None:
         output = Output.current
         output.json, output.quiet = given.pop("json"), given.pop("quiet")
-        function(**{k: v for k, v in given.items() if k in own or v != found[k].default})
+        function(**{k: v for k, v in given.items() if k in kept or v != found[k].default})
 
     def place(name: str) -> tuple[bool, int]:
         """Sorting key: arguments, then the first options, then others as they were found."""
         ranks = {name: rank for rank, name in enumerate(_FIRST)}
-        return not _is_argument(found[name]), ranks.get(name, len(ranks))
+        return (True, ranks.get(name, len(ranks))) if not _is_argument(found[name]) else (False, 0)
 
     order = sorted(found, key=place)
     call.__doc__ = (inspect.getdoc(function) or "").partition("\n\nParameters\n")[0]
@@ -93,8 +94,7 @@ def _parameter(p: inspect.Parameter, hint: Any, text: str) -> inspect.Parameter:
     """Parameter of a command of typer, with its type, its flags and its help."""
     kind, optional = _kind(hint)
     if p.kind is p.POSITIONAL_OR_KEYWORD:
-        several = "..." if kind == list[Path] else ""
-        info = typer.Argument(help=text, metavar=p.name.upper() + several)
+        info = typer.Argument(help=text, metavar=p.name.upper())
     else:
         flags = [_FLAGS.get(p.name, "--" + p.name.replace("_", "-"))]
         flags += [_SHORT[p.name]] if p.name in _SHORT else []
@@ -122,10 +122,10 @@ def _kind(hint: Any) -> tuple[Any, bool]:
     for kind in kinds:
         if typing.get_origin(kind) is Literal:
             return kind, optional
-        if isinstance(typing.get_origin(kind), type) and issubclass(
-            typing.get_origin(kind), Sequence
-        ):
-            return list[typing.get_args(kind)[0]], optional  # type: ignore[misc]
+        origin = typing.get_origin(kind)
+        if isinstance(origin, type) and issubclass(origin, Sequence):
+            several = typing.get_args(kind)[0]
+            return list[Path] if several is Path else list[str], optional
     return next((kind for kind in _KINDS if kind in kinds), Path), optional
 
 

@@ -2,30 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import pytest
 
 import ssdr
 from helpers.command import fake_decompose
-from ssdr import cli
+from helpers.rig_model import tube
+from ssdr import Clip, cli
 
 
 @pytest.fixture
 def faked(monkeypatch):
     # Into the dictionary: the name is lazy, and setattr would import the solver.
     monkeypatch.setitem(vars(ssdr), "decompose", fake_decompose)
-
-
-@pytest.fixture
-def never(monkeypatch):
-    """Neither a file is read nor the solver called."""
-
-    def fail(*_, **__):
-        raise AssertionError("the work has started")
-
-    monkeypatch.setitem(vars(ssdr), "decompose", fail)
-    return fail
 
 
 @pytest.fixture
@@ -53,20 +44,17 @@ def done(run):
 
 
 @pytest.fixture
-def refused(run):
-    """Run the command, which must refuse its arguments; the line on stderr."""
-
-    def call(*arguments, code=2):
-        found, out, err = run(*arguments)
-        assert (found, out) == (code, ""), (arguments, err)
-        assert "Traceback" not in err
-        return err
-
-    return call
-
-
-@pytest.fixture
 def clip(wave, tmp_path):
     path = tmp_path / "clip.npz"
     ssdr.save(wave, path)
     return path
+
+
+@pytest.fixture
+def rigged(tmp_path):
+    """A model with clips of two frame rates."""
+    clips = (Clip("walk", 0, 9, 24.0), Clip("jump", 9, 19, 60.0))
+    model = tube(bones=3, frames=19, rings=7, sides=6)
+    model = dataclasses.replace(model, clips=clips, surface=None, name="horse")
+    ssdr.save(model, tmp_path / "rigged.glb")
+    return tmp_path / "rigged.glb"
