@@ -262,7 +262,7 @@ def _settings(
 
 def _template(target: Path, sources: Sequence[Path]) -> Path | None:
     """First file that can be the template of a glTF file, or None if there is none."""
-    from .gltf.template import template_problem
+    from .gltf.gltf_template import template_problem
 
     for source in sources:
         if source.suffix.lower() in _GLTF and source.is_file():

@@ -31,7 +31,7 @@ from .builder import (
     skeleton_nodes,
     state_targets,
 )
-from .template import Template
+from .gltf_template import Template
 
 
 def write_skinning(
