@@ -57,33 +57,6 @@ def values(data: Any, name: str, dtype: Any, width: int = 1) -> Any:
     return flat if width == 1 else flat.reshape(-1, width)
 
 
-def load_gltf(path: str, **options: Any) -> None:
-    bpy.ops.import_scene.gltf(filepath=path, merge_vertices=False, **options)
-
-
-def meshes(needed: bool = True) -> list[Any]:
-    """Mesh objects that are shown in the scene, sorted by name.
-
-    An error is raised if a mesh is `needed` and there is none.
-    """
-    found = [
-        o
-        for o in bpy.context.scene.objects
-        if o.type == "MESH" and not (o.hide_render or o.hide_viewport) and len(o.data.vertices)
-    ]
-    found = [o for o in found if not is_bone_shape(o)] or found
-    if not found and needed:
-        raise ValueError("no mesh that is shown, one at least was expected")
-    return sorted(found, key=lambda o: o.name)
-
-
-def is_bone_shape(item: Any) -> bool:
-    """Whether a mesh is the sphere that Blender's glTF importer adds to draw bones."""
-    held = item.parent or item.modifiers or item.constraints
-    alone = not (held or item.animation_data or item.material_slots)
-    return item.name.startswith("Icosphere") and len(item.data.vertices) == 42 and alone
-
-
 def vertex_numbers(items: list[Any]) -> Any:
     """Model vertex index (n,) of each vertex of all meshes, one mesh after the other.
 

@@ -31,13 +31,36 @@ def load(path: str, fps: float) -> None:
             if item.type == "ARMATURE" and any(bone.use_connect for bone in item.data.bones):
                 edit(item, lambda bone: setattr(bone, "use_connect", False))
     elif suffix in (".glb", ".gltf"):
-        in_blender.load_gltf(path)
+        bpy.ops.import_scene.gltf(filepath=path, merge_vertices=False)
     else:
         options: dict[str, Any] = {}
         known = bpy.ops.wm.usd_import.get_rna_type().properties.keys()
         if "apply_unit_conversion_scale" in known:  # Blender 4.2 never applies it
             options["apply_unit_conversion_scale"] = False
         bpy.ops.wm.usd_import(filepath=path, set_frame_range=True, **options)
+
+
+def meshes(needed: bool = True) -> list[Any]:
+    """Mesh objects that are shown in the scene, sorted by name.
+
+    An error is raised if a mesh is `needed` and there is none.
+    """
+    found = [
+        o
+        for o in bpy.context.scene.objects
+        if o.type == "MESH" and not (o.hide_render or o.hide_viewport) and len(o.data.vertices)
+    ]
+    found = [o for o in found if not is_bone_shape(o)] or found
+    if not found and needed:
+        raise ValueError("no mesh that is shown, one at least was expected")
+    return sorted(found, key=lambda o: o.name)
+
+
+def is_bone_shape(item: Any) -> bool:
+    """Whether a mesh is the sphere that Blender's glTF importer adds to draw bones."""
+    held = item.parent or item.modifiers or item.constraints
+    alone = not (held or item.animation_data or item.material_slots)
+    return item.name.startswith("Icosphere") and len(item.data.vertices) == 42 and alone
 
 
 def edit(item: Any, change: Any) -> None:
@@ -98,7 +121,7 @@ def read(job: dict[str, Any]) -> None:
     """
     load(job["path"], job["fps"])
     armatures = [o for o in bpy.context.scene.objects if o.type == "ARMATURE"]
-    items = in_blender.meshes(not (job.get("joints_alone") and armatures))
+    items = meshes(not (job.get("joints_alone") and armatures))
     known, wanted = [names_of(item) for item in items], job.get("meshes")
     if wanted is not None:
         pairs = zip(items, known, strict=True)

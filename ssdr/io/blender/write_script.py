@@ -91,19 +91,21 @@ def copies(faces: Any) -> Any:
 def write(job: dict[str, Any]) -> None:
     bpy.ops.wm.read_factory_settings(use_empty=True)
     in_blender.set_rate(job["import_fps"])
-    in_blender.load_gltf(job["source"], **job["options"])
+    bpy.ops.import_scene.gltf(filepath=job["source"], merge_vertices=False, **job["options"])
     in_blender.set_rate(job["fps"])
-    items = in_blender.meshes()
+    found = list(bpy.context.scene.objects)
+    # without the sphere that the importer adds to draw bones
+    items = [o for o in found if o.type == "MESH" and "_VERTEX" in o.data.attributes]
     for item in items:
         merge_copies(item)
     triangles = sum(len(item.data.polygons) for item in items)
     np.savez(job["out"], vertex=in_blender.vertex_numbers(items), triangles=np.array(triangles))
-    armatures = [item for item in bpy.context.scene.objects if item.type == "ARMATURE"]
+    armatures = [item for item in found if item.type == "ARMATURE"]
     for item in armatures:
         if item.animation_data:
             put_strips(item, job["clips"])
     bpy.context.scene.unit_settings.scale_length = job["unit"]
-    for item in bpy.context.scene.objects:
+    for item in found:
         item.select_set(item in items or item in armatures)
     bpy.ops.export_scene.fbx(
         filepath=job["path"],
