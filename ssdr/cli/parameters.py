@@ -103,7 +103,7 @@ def _parameter(p: inspect.Parameter, hint: Any, text: str) -> inspect.Parameter:
         panel = None if p.name in _FIRST else "More"
         metavar = _METAVARS.get(kind)
         info = typer.Option(*flags, help=text, rich_help_panel=panel, metavar=metavar)
-    annotation: Any = Annotated[kind | None if optional else kind, info]  # type: ignore[valid-type]
+    annotation: Any = Annotated[kind | None if optional else kind, info]
     return p.replace(kind=p.KEYWORD_ONLY, annotation=annotation)
 
 
