@@ -25,8 +25,7 @@ _BONES = {
     "influences": "at most {influences}; vertices by number: {influence_histogram}",
     "weights": "sums off 1 by at most {weight_sum_error:.2g}",
     "rotations": "off orthonormal by at most {orthonormality_error:.2g} once the uniform scale is "
-    "divided out; stretch {smallest_stretch:.4g} to {largest_stretch:.4g}, determinant from "
-    "{smallest_determinant:.6g}",
+    "divided out; stretch {smallest_stretch:.4g} to {largest_stretch:.4g}",
 }
 _TREE = {
     "hierarchy": "{joints} joints, {depth} deep, roots: {roots}; "
@@ -41,7 +40,6 @@ _MESH = {
     "edges": "{boundary_edges:,} boundary, {nonmanifold_edges:,} non-manifold",
     "surface": "UVs: {uv}, normals: {normals}, materials: {materials}",
     "size": "diagonal {diagonal:.4g}",
-    "memory": "{memory:,} bytes of {dtype}, all in memory: {in_memory}",
 }
 
 
@@ -82,12 +80,8 @@ def info(source: Path, *, clip: list[str] | None = None, **options: Any) -> None
 
 def _about_sequence(sequence: MeshSequence) -> dict[str, Any]:
     _, weld = sequence.weld()
-    dtype = np.dtype(sequence.vertices.dtype)
     return {
         "duration": sequence.n_frames / sequence.fps,
-        "dtype": str(dtype),
-        "memory": sequence.n_frames * sequence.n_vertices * 3 * dtype.itemsize,
-        "in_memory": not sequence.is_lazy,
         "diagonal": sequence.diagonal(),
         "seams": weld.before - weld.after,
     }
@@ -101,12 +95,8 @@ def _about_skinning(skinning: Skinning) -> dict[str, Any]:
     scale = 1.0 if skinning.bone_model == "rigid" else np.cbrt(np.abs(determinant))
     rotation = linear / np.where(scale > 0, scale, 1)[..., None, None]
     off = np.swapaxes(rotation, -1, -2) @ rotation - np.eye(3)
-    arrays = (skinning.rest, skinning.indices, skinning.weights, skinning.transforms)
     return {
         "duration": sum(clip.n_frames / clip.fps for clip in skinning.clips),
-        "dtype": str(skinning.transforms.dtype),
-        "memory": sum(array.nbytes for array in arrays),
-        "in_memory": True,
         "diagonal": rest_diagonal(skinning.rest),
         "seams": _seams(skinning, weights),
         "bones": skinning.n_bones,
@@ -116,7 +106,6 @@ def _about_skinning(skinning: Skinning) -> dict[str, Any]:
         "bones_without_vertices": int((weights.sum(axis=0) == 0).sum()),
         "weight_sum_error": float(np.abs(weights.sum(axis=1) - 1).max()),
         "orthonormality_error": float(np.abs(off).max()),
-        "smallest_determinant": float(determinant.min()),
         "smallest_stretch": float(stretch.min()),
         "largest_stretch": float(stretch.max()),
         "hierarchy": None if skinning.parents is None else _about_tree(skinning, skinning.parents),
