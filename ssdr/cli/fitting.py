@@ -34,7 +34,7 @@ _ROWS = {
     "RMSE": "{rmse:.4g} in the mesh's units, {rmse_percent:.3g} % of the diagonal{of_motion}",
     "largest": "{max_error:.4g}, {max_error_percent:.3g} % of the diagonal, of any vertex",
     "E": "{E:.4g} = 1000 RMSE / sqrt(3)",
-    "time": "{total_seconds:.1f} s, of which compiling {compile_seconds:.1f}, solving {seconds:.1f}",
+    "time": "{total_seconds:.1f} s: compiling {compile_seconds:.1f}, solving {seconds:.1f}",
 }
 _PARSIMONY = {
     "tolerance": "{measure} {error:.4g} of {tolerance:.4g}, held: {held}",

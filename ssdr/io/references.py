@@ -17,7 +17,7 @@ from typing import Any
 from ..errors import InputError
 
 OUTSIDE = "lies outside its folder"
-HINT = "folder= (--read folder=..) names a folder that may be read, too"
+HINT = "folder= names a folder that may be read, too"
 _trusted: ContextVar[tuple[Path, ...]] = ContextVar("trusted", default=())
 _log = logging.getLogger(__name__)
 

@@ -94,7 +94,7 @@ def tell(
     text = (
         f"{path}: {count} keys of the clip {clip.name} lie between its frames, which are "
         f"{clip.fps:g} a second: vertices are up to {distance:.3g}{share} from where the file has "
-        "them (fps= or --read fps= samples at another rate)"
+        "them (fps= samples at another rate)"
     )
     if own:
         warnings.warn(text, SsdrWarning, stacklevel=2)

@@ -490,7 +490,7 @@ def test_names_of_meshes_are_listed(tmp_path, capsys):
     assert cli.main(["info", str(path)]) == 0
     shown = " ".join(capsys.readouterr().out.split())
     assert "5 at 25 a second" in shown
-    assert "3, read as one (--read meshes=NAME takes one): ape, plate, zebra" in shown
+    assert "3, read as one (--meshes NAME takes one): ape, plate, zebra" in shown
 
 
 def test_a_surface_of_one_material_is_written(tmp_path, seam):

@@ -100,7 +100,7 @@ def test_meshes_have_names_that_info_lists_and_meshes_takes(tmp_path, capsys):
         assert ssdr.load(path, meshes=name).n_vertices == 3
     assert ssdr.load(path, meshes="shoe").n_vertices == 6
     assert cli.main(["info", str(path)]) == 0
-    assert "4, read as one (--read meshes=NAME takes one): left, right" in capsys.readouterr().out
+    assert "4, read as one (--meshes NAME takes one): left, right" in capsys.readouterr().out
     assert cli.main(["info", str(path), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["meshes"] == list(names)
     known = r"meshes: expected one of \['hat', 'left', 'node_3', 'right', 'shoe'\], got 'cap'"
@@ -121,7 +121,7 @@ def test_a_buffer_below_a_folder_that_the_user_names_is_read(tmp_path):
     document["buffers"][0]["uri"] = "../" + document["buffers"][0]["uri"]
     moved = tmp_path / "scene" / "a.gltf"
     moved.write_text(json.dumps(document))
-    with pytest.raises(ssdr.FormatError, match="--read folder="):
+    with pytest.raises(ssdr.FormatError, match="folder= names"):
         ssdr.load(moved)
     np.testing.assert_array_equal(ssdr.load(moved, folder=tmp_path).vertices[0], TRIANGLE)
 
@@ -277,7 +277,7 @@ def test_keys_with_one_odd_gap_are_sampled_at_their_own_rate(tmp_path):
     item["max"] = [float(times[-1])]
     (tmp_path / "run.bin").write_bytes(blob)
     (tmp_path / "run.gltf").write_text(json.dumps(document))
-    said = r"8 keys of the clip .* lie between .*, which are 24 a second: .* \(2.5 %.*--read fps="
+    said = r"8 keys of the clip .* lie between .*, which are 24 a second: .* \(2.5 %.*fps= samples"
     with pytest.warns(ssdr.SsdrWarning, match=said):
         found = ssdr.load(tmp_path / "run.gltf")
     assert (found.fps, len(found)) == (24, 29)

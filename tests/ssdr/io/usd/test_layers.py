@@ -89,7 +89,7 @@ def test_layers_of_a_folder_that_the_user_names_are_read(stage, case, tmp_path):
     assert len(ssdr.list_clips(path, folder=tmp_path)) == 1
     assert ssdr.io.list_meshes(path, folder=tmp_path) == ("Mesh",)
     assert ssdr.load_skinning(path, folder=tmp_path).n_vertices == 11
-    with pytest.raises(ssdr.FormatError, match="--read folder="):
+    with pytest.raises(ssdr.FormatError, match="folder= names"):
         ssdr.load(path)  # the permission was for one call
     for wrong in (path, "none", 3):
         with pytest.raises(ssdr.InputError, match="folder: expected a folder that exists"):

@@ -260,14 +260,14 @@ def test_a_chosen_mesh_becomes_a_model_and_the_rest_is_said(tmp_path, capsys):
     stage.GetRootLayer().Save()
     line = ["decompose", str(tmp_path / "a.usda"), "-b", "1", "-e", "fast"]
     line += ["-o", str(tmp_path / "b.glb")]
-    assert cli.main([*line, "--read", "meshes=hat"]) == 0
+    assert cli.main([*line, "--meshes", "hat"]) == 0
     model = ssdr.load_skinning(tmp_path / "b.glb")
     assert model.n_vertices == 3
     capsys.readouterr()
-    assert cli.main([*line, "--read", "meshes=shoe"]) == 2
+    assert cli.main([*line, "--meshes", "shoe"]) == 2
     assert "meshes: expected one of ['coat', 'hat', 'top'], got 'shoe'" in capsys.readouterr().err
     assert cli.main(["info", str(tmp_path / "a.usda")]) == 0
-    assert "meshes=NAME takes one): hat, coat" in capsys.readouterr().out
+    assert "--meshes NAME takes one): hat, coat" in capsys.readouterr().out
 
 
 def _many_of_one(path):
