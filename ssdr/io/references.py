@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
@@ -70,25 +70,15 @@ def locate(path: Path, name: str) -> tuple[Path, str]:
         return file, "is missing"
 
 
-def find_inside(path: Path, what: str, spellings: Iterable[str]) -> Path | None:
-    """First existing file of several names in the folder of `path` or below it, or None.
+def find_inside(path: Path, what: str, name: str) -> Path | None:
+    """File that `path` refers to as `name`, or None, with a warning in the log, if it is not read.
 
-    If there is none, or only one outside that folder, a warning is logged.
-
-    Parameters
-    ----------
-    path : Path
-        File that refers to the other.
-    what : str
-        Kind of the other file, for the warning.
-    spellings : iterable of str
-        Names to try, in this order.
+    `what` is the kind of the file, for the warning.
     """
-    names = list(spellings)
-    found = [locate(path, name) for name in names]
-    for file, problem in found:
-        if not problem:
-            return file
-    problem = next((p for f, p in found if p != "is missing" and f.is_file()), "is missing")
-    _log.warning("%s: its %s %s %s and is left out", path, what, names[0][:200], problem)
+    file, problem = locate(path, name)
+    if not problem:
+        return file
+    if problem == OUTSIDE and not file.is_file():
+        problem = "is missing"
+    _log.warning("%s: its %s %s %s and is left out", path, what, name[:200], problem)
     return None

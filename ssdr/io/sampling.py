@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 
 from ..clips import Clip
 from ..errors import SsdrWarning
+from ..lbs import skin
 from .frame_rates import Frames, Times
+from .save_report import frame_blocks
 
 _log = logging.getLogger(__name__)
 _MOST_LOOKS, _MOST_BYTES = 256, 64 << 20  # limits of the key times at which vertices are compared
@@ -49,16 +51,11 @@ class Sample:
     path: Path
     own: bool
 
-    def tell_missed(self, vertices_of: Callable[..., NDArray[np.floating]]) -> None:
+    def tell_missed(self) -> None:
         """Warn of keys between frames, with the largest error of vertices at these keys.
 
         The error is the distance between the vertices at a key and those interpolated linearly
         between the two frames around it, as players do. At most 256 keys are compared.
-
-        Parameters
-        ----------
-        vertices_of : callable
-            The function :func:`ssdr.io.scene.vertices_of`.
         """
         frames, width = self.frames, sum(len(part.indices) for part in self.parts)
         missed = frames.missed
@@ -79,6 +76,27 @@ class Sample:
         distance = np.linalg.norm(there - shown, axis=2).max()
         diagonal = np.linalg.norm(np.ptp(there, axis=1), axis=1).max()
         tell(self.path, self.clip, len(missed), distance, diagonal, own=self.own)
+
+
+def part_starts(parts: Sequence[Any]) -> NDArray[np.int64]:
+    """Index of each part's first vertex in the joined vertices, then the number of all vertices."""
+    return np.cumsum([0, *(len(part.indices) for part in parts)])
+
+
+def vertices_of(parts: Sequence[Any], time: Any, n_frames: int) -> NDArray[np.float32]:
+    """Skinned vertices (F, V, 3) of all parts at the `n_frames` frames of `time`."""
+    starts = part_starts(parts)
+    frames = np.empty((n_frames, starts[-1], 3), dtype=np.float32)
+    for part, start in zip(parts, starts[:-1], strict=True):
+        shape, moved = part.shape(time), part.transforms(time)
+        out = frames[:, start : start + len(part.indices)]
+        blocks = frame_blocks(0, n_frames, out.shape[1])
+        if callable(shape):
+            blocks = (slice(k, k + 1) for k in range(n_frames))
+        for block in blocks:
+            rest = shape(block.start) if callable(shape) else shape
+            out[block] = skin(rest, part.indices, part.weights, moved[block], dtype=np.float64)
+    return frames
 
 
 def tell(

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..clips import in_order, unique_names
-from ..lbs import skin
 from ..normals import corner_normals
 from ..sequence import MeshSequence
 from ..shapes import Shapes
@@ -20,8 +19,7 @@ from ..skinning import BoneModel, Skinning
 from ..space import Space
 from ..surface import Material, Surface
 from .file_errors import MOST_BYTES, afford, check
-from .sampling import Sample
-from .save_report import frame_blocks
+from .sampling import Sample, part_starts, vertices_of
 
 _log = logging.getLogger(__name__)
 
@@ -178,11 +176,6 @@ def facing(linear: NDArray[np.floating]) -> tuple[int, bool]:
     return int(np.argmax(signs == (-1 if mirrored else 1))), mirrored
 
 
-def part_starts(parts: Sequence[ScenePart]) -> NDArray[np.int64]:
-    """Index of each part's first vertex in the joined vertices, then the number of all vertices."""
-    return np.cumsum([0, *(len(part.indices) for part in parts)])
-
-
 def join_faces(parts: Sequence[ScenePart]) -> NDArray[np.int32]:
     """Triangles (T, 3) of all parts, as indices into their concatenated vertices."""
     starts = part_starts(parts)[:-1]
@@ -233,24 +226,8 @@ def join_sequence(
     rest_poses = [shape(0) if callable(shape) else shape for shape in shapes]
     surface = _join_surface(parts, rest_poses, materials)
     named: dict[str, Any] = {"name": name, "clip": clip.name, "surface": surface, "space": space}
-    sample.tell_missed(vertices_of)
+    sample.tell_missed()
     return MeshSequence(frames, join_faces(parts), clip.fps, **named)
-
-
-def vertices_of(parts: Sequence[ScenePart], time: Any, n_frames: int) -> NDArray[np.float32]:
-    """Skinned vertices (F, V, 3) of all parts at the `n_frames` frames of `time`."""
-    starts = part_starts(parts)
-    frames = np.empty((n_frames, starts[-1], 3), dtype=np.float32)
-    for part, start in zip(parts, starts[:-1], strict=True):
-        shape, moved = part.shape(time), part.transforms(time)
-        out = frames[:, start : start + len(part.indices)]
-        blocks = frame_blocks(0, n_frames, out.shape[1])
-        if callable(shape):
-            blocks = (slice(k, k + 1) for k in range(n_frames))
-        for block in blocks:
-            rest = shape(block.start) if callable(shape) else shape
-            out[block] = skin(rest, part.indices, part.weights, moved[block], dtype=np.float64)
-    return frames
 
 
 def join_skinning(
@@ -290,7 +267,7 @@ def join_skinning(
         np.concatenate([one.transforms for one in found], axis=1),
     )
     for one in samples:
-        one.tell_missed(vertices_of)
+        one.tell_missed()
     return make_skinning(
         np.concatenate(rest),
         np.concatenate([widened(part, part.indices + first[part.skeleton]) for part in parts]),

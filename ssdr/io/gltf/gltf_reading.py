@@ -18,8 +18,8 @@ from ...space import METRES_Y_UP
 from ...surface import Material
 from ..file_clips import pick_clip
 from ..file_errors import reading
-from ..sampling import Sample
-from ..scene import join_sequence, join_skinning, part_starts
+from ..sampling import Sample, part_starts
+from ..scene import join_sequence, join_skinning
 from ..signatures import picture_type
 from .animation import (
     Nodes,

@@ -23,7 +23,8 @@ from ...surface import Surface
 from ..corners import carry_tangents
 from ..file_errors import check, reading
 from ..rig import Rig
-from ..scene import join_faces, part_starts
+from ..sampling import part_starts
+from ..scene import join_faces
 from .animation import Nodes, descendants, read_animations
 from .builder import ARRAY, ELEMENTS, Builder, add_animation, add_skin, add_weights, skeleton_nodes
 from .compression import DRACO

@@ -105,7 +105,7 @@ class _Materials:
         holder = picture.GetInput("file")
         asset = holder.Get() if holder else None
         name = str(asset.resolvedPath or asset.path) if asset else ""
-        file = find_inside(self.path, "texture", [name]) if name else None
+        file = find_inside(self.path, "texture", name) if name else None
         return None if file is None else file.read_bytes()
 
 
