@@ -10,7 +10,6 @@ import pytest
 import ssdr
 from helpers.rig_model import largest_distance
 from helpers.rig_tree import NAMES, PARENTS, creature, differences, tree_of
-from ssdr.io.gltf.gltf_writing import write_along_bones
 
 
 class Edited:
@@ -134,10 +133,3 @@ def test_joints_without_bind_matrices_and_without_size(edited):
     assert tree_of(bare) == tree_of(creature())
     edited["leg"]["scale"] = [0, 0, 0]
     assert np.isfinite(edited.read().joint_gaps()).all()
-
-
-def test_joints_along_their_bones_come_back(tmp_path):
-    write_along_bones(creature(), tmp_path / "b.glb")
-    back = ssdr.load_skinning(tmp_path / "b.glb")
-    assert tree_of(back) == tree_of(creature())
-    assert max(differences(creature(), back).values()) < 1e-6
