@@ -55,33 +55,10 @@ def body():
     """A closed barrel with two legs' worth of joints."""
     names = ("root", "leg_l", "leg_r")
     skeleton = Skeleton(names, [-1, 0, 0], [[0, 1.0, 0], [0.08, 0.95, 0], [-0.08, 0.95, 0]])
-    columns, rings = 10, 6
-    height = np.linspace(1.15, 0.45, rings)
-    rest = np.concatenate(
-        [0.12 * _ring(columns) + np.array([0, h, 0]) for h in height]
-        + [[[0, 1.2, 0]], [[0, 0.4, 0]]]
-    )
-    faces = []
-    for a, b, c, d in _quads(columns, rings):
-        faces += [[a, c, b], [b, c, d]]
-    top, bottom, last = len(rest) - 2, len(rest) - 1, (rings - 1) * columns
-    for c in range(columns):
-        n = (c + 1) % columns
-        faces += [[top, c, n], [bottom, last + n, last + c]]
-    low = np.clip((0.95 - rest[:, 1]) / 0.3, 0, 1)
-    side = np.clip(0.5 + rest[:, 0] / 0.24, 0, 1)
-    weights = np.stack([1 - low, low * side, low * (1 - side)], axis=1)
-    joints = np.tile(np.arange(3), (len(rest), 1))
+    barrel = np.load(Path(__file__).with_name("barrel.npz"))
+    joints = np.tile(np.arange(3), (len(barrel["rest"]), 1))
     still = np.tile(np.eye(3, 4), (1, 3, 1, 1))
-    rig = Skinning(
-        rest.astype(np.float32),
-        joints,
-        weights.astype(np.float32),
-        still,
-        faces=np.array(faces),
-        fps=FPS,
-        bone_names=names,
-    )
+    rig = Skinning(**barrel, indices=joints, transforms=still, fps=FPS, bone_names=names)
     return rig, skeleton
 
 

@@ -12,7 +12,6 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,7 @@ import pytest
 
 import ssdr
 from helpers import motions
-from helpers.measures import bits_on_threads, check, diagonal, rmse_of
+from helpers.measures import check, diagonal, rmse_of
 
 SEEDS = 3
 
@@ -446,18 +445,3 @@ def test_tables_of_vertices_times_frames_fit(size: tuple[str, str]) -> None:
     assert done.returncode == 0, done.stderr
     times, used = map(float, done.stdout.split())
     assert times < 6 or used < 2**28  # times the positions in float64
-
-
-def test_the_same_bits_on_one_thread_and_two() -> None:
-    assert len(bits_on_threads(plain().solve)) == 1
-
-
-def test_what_was_cancelled_is_taken_up_from_its_file(tmp_path: Path) -> None:
-    path = tmp_path / "model.npz"
-    part = plain().solve(callback=lambda p: p.fraction >= 0.5, checkpoint=path)
-    assert part.stop_reason == "cancelled"
-    start = ssdr.load_skinning(path)
-    again = plain().solve(start=start)
-    # by one function, since sums in another order round differently
-    before, after = (rmse_of(s, plain().positions()) for s in (start, again.skinning))
-    assert after <= before
