@@ -7,6 +7,8 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import ssdr
 
 from ..clips import one_rate
@@ -107,11 +109,11 @@ def compare(
     _hint_at_units(first[0], whole, scale)
     document: dict[str, Any] = {"reference": reference, "other": other}
     with Output.current.waiting("measuring"):
-        found = [ssdr.metrics.compare(a, b, **options) for a, b in pairs]
+        found = [_measure(a, b, **options) for a, b in pairs]
         result, text = found[0], str(found[0])
         if len(pairs) > 1:
             whole = whole.select(*(a.clip for a in first))
-            result = ssdr.metrics.compare(joined(first), whole, hausdorff=False, sted=False)
+            result = _measure(joined(first), whole, hausdorff=False, sted=False)
             named = [(a.clip, one) for a, one in zip(first, found, strict=True)]
             document["clips"] = [{"name": name, **one.as_dict()} for name, one in named]
             text = "\n\n".join([*(f"{n}: {one}" for n, one in named), f"all clips: {result}"])
@@ -129,9 +131,15 @@ def _shots(thing: MeshSequence | Skinning) -> dict[str, Any]:
     """Clips of a skinning, or the one of a sequence, by name."""
     if isinstance(thing, MeshSequence):
         return {thing.clip: thing}
-    if len(thing.clips) == 1:
-        return {thing.clips[0].name: thing}
-    return {clip.name: thing.select(clip.name) for clip in thing.clips}
+    several = len(thing.clips) > 1
+    return {c.name: thing.select(c.name) if several else thing for c in thing.clips}
+
+
+def _measure(a: MeshSequence, b: Any, **options: Any) -> Any:
+    """Compare with a model or, if its triangles are others, with its vertices alone."""
+    if isinstance(b, Skinning) and b.vertex_map is None and not np.array_equal(b.faces, a.faces):
+        b = MeshSequence(b.skin(), b.faces, b.fps, validate=False)
+    return ssdr.metrics.compare(a, b, **options)
 
 
 def _hint_at_units(a: MeshSequence, b: MeshSequence | Skinning, scale: float) -> None:

@@ -220,6 +220,17 @@ def test_compare_measures_clip_by_clip_and_writes_a_page(run, done, rigged, tmp_
     assert (one["rmse"] < 1e-6, "clips" in one) == (True, False)
 
 
+def test_compare_reads_a_welded_mesh_and_other_triangles(done, seam, tmp_path):
+    welded, _ = seam.weld()
+    paths = [tmp_path / f"{name}.npz" for name in ("seam", "welded", "turned")]
+    turned = dataclasses.replace(model_of(seam), faces=seam.faces[::-1])
+    for thing, path in zip((seam, welded, turned), paths, strict=True):
+        ssdr.save(thing, path)
+    for pair in (paths[:2], paths[1::-1]):
+        assert done("compare", *pair, *QUICK)["rmse"] == 0
+    done("compare", paths[0], paths[2], *QUICK)
+
+
 def test_compare_hints_at_other_units_and_says_what_it_converts(done, rigged, clip, wave):
     other = clip.with_name("large.npz")
     ssdr.save(dataclasses.replace(wave, vertices=wave.vertices * np.float32(100)), other)
