@@ -1,6 +1,6 @@
-"""Passes over frames that do not fit into memory, one span of frames at a time.
+"""Walks over frames that do not fit into memory, one span of frames at a time.
 
-A pass calls one function for every span, and the caller adds up the results in the order of the
+A walk calls one function for every span, and the caller uses the results in the order of the
 spans.  An executor makes the calls: this process, or the workers of a Dask cluster if a client is
 active and the workers can open every shot themselves.  The spans do not depend on the executor,
 so that the result does not either.
@@ -13,7 +13,6 @@ import dataclasses
 import functools
 import logging
 import mmap
-import operator
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -111,17 +110,6 @@ class Local:
             frames = Frames(tuple(task.pieces(k)), task.n_vertices)
             yield task.function(frames, *task.arguments(k), *task.shared)
 
-    def total(self, task: SpanTask, take: Callable[[int, Any], None]) -> tuple[Any, ...]:
-        """Run a task whose function returns (own, arrays), and return the sums of the arrays.
-
-        ``take(k, own)`` is called for each span k in order, and the arrays are added in this order.
-        """
-        total: tuple[Any, ...] = ()
-        for k, (own, arrays) in enumerate(self.map(task)):
-            total = _added(total, arrays)
-            take(k, own)
-        return total
-
 
 class Cluster:
     """Executor that runs a task on the workers of a Dask client.
@@ -134,44 +122,18 @@ class Cluster:
         self.client = client
 
     def map(self, task: SpanTask) -> Iterator[Any]:
-        """Results in the order of the spans; some are computed before the iterator reaches them."""
-        return self._results(self._calls(task))
-
-    def total(self, task: SpanTask, take: Callable[[int, Any], None]) -> tuple[Any, ...]:
-        """Run a task and return the sums of its arrays, as :meth:`Local.total`; the workers add."""
-        total: Any = ()
-
-        def own_parts() -> Iterator[Any]:
-            nonlocal total
-            for call in self._calls(task):
-                total = self._submit(_with_arrays, total, call)
-                yield self._submit(operator.itemgetter(0), call)
-
-        for k, own in enumerate(self._results(own_parts())):
-            take(k, own)
-        return tuple(total.result())
-
-    def _submit(self, *call: Any) -> Any:
-        return self.client.submit(*call, pure=False, retries=2)
-
-    def _calls(self, task: SpanTask) -> Iterator[Any]:
-        """Submit the calls of a task one by one, as iteration proceeds, and yield their futures."""
-        common = self.client.submit(_same, task.shared, pure=False)
-        for k in range(len(task.spans)):
-            pieces = [self._portable(*p) for p in task.pieces(k)]
-            yield self._submit(
-                _remote, task.function, pieces, task.n_vertices, task.arguments(k), common
-            )
-
-    def _results(self, futures: Iterator[Any]) -> Iterator[Any]:
+        """Yield the results in the order of the spans; some are computed before they are needed."""
         import dask
 
+        common = self.client.submit(_same, task.shared, pure=False)
         waiting: collections.deque[Any] = collections.deque()
         # Results are large: no more of them wait to be used than are being computed.
         most_waiting = 1 + sum(self.client.nthreads().values())
         with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 GiB"}):
-            for future in futures:
-                waiting.append(future)
+            for k in range(len(task.spans)):
+                pieces = [self._portable(*p) for p in task.pieces(k)]
+                call = _remote, task.function, pieces, task.n_vertices, task.arguments(k), common
+                waiting.append(self.client.submit(*call, pure=False, retries=2))
                 if len(waiting) >= most_waiting:
                     yield waiting.popleft().result()
             while waiting:
@@ -190,14 +152,6 @@ Executor = Local | Cluster
 
 def _same(shared: tuple[Any, ...]) -> tuple[Any, ...]:
     return shared
-
-
-def _added(total: tuple[Any, ...], arrays: tuple[Any, ...]) -> tuple[Any, ...]:
-    return tuple(a + b for a, b in zip(total, arrays, strict=True)) if total else arrays
-
-
-def _with_arrays(total: tuple[Any, ...], result: tuple[Any, tuple[Any, ...]]) -> tuple[Any, ...]:
-    return _added(total, result[1])
 
 
 def _remote(

@@ -14,7 +14,7 @@ from ..problem.answer import with_normals
 from ..problem.problem import Problem
 from ..progress import Record, Stop
 from ..search.descent import Descent
-from ..search.solve import PASSES, SCANNED
+from ..search.solve import SCANNED
 from ..search.starts import start_from_model
 from ..search.tree_steps import attach_unattached
 from ..skinning import Skinning
@@ -33,12 +33,7 @@ _LOOSE = 10.0  # largest tolerance in use, relative to the scale of the frames
 _RETRIES = 4  # most searches on representative frames, each with a stricter tolerance
 
 
-def find_smallest(
-    problem: Problem,
-    *,
-    asked: float,
-    measure: Measure,
-) -> Smallest:
+def find_smallest(problem: Problem, *, asked: float, measure: Measure) -> Smallest:
     """Find the smallest model that holds a tolerance; if none does, that of least error.
 
     Parameters
@@ -76,7 +71,7 @@ def find_smallest(
 
     def pruned(model: Model, data: Trajectories) -> Skinning:
         report("pruning")
-        return frames.skinning_of_all(model, passes=1, entering=0, report=on_all_frames, data=data)
+        return frames.skinning_of_all(model, entering=0, report=on_all_frames, data=data)
 
     models = ModelsByBones(frames, report, tolerance=tolerance)
     models.fraction = 0.0 if frames.scan is None else SCANNED
@@ -90,12 +85,12 @@ def find_smallest(
         # stricter tolerance until the model holds the tolerance on all frames.
         for _ in range(_RETRIES):
             fewest_bones(models, bounds, problem.effort)
-            held, passes = models.fewest, PASSES[problem.effort]
+            held = models.fewest
             if held is None:
                 break
             polish_fewest(models, problem.effort)
             model = models.best[held].model
-            skinning = frames.skinning_of_all(model, passes=passes, report=on_all_frames)
+            skinning = frames.skinning_of_all(model, report=on_all_frames)
             monitor.raise_if_stopped()
             error = frames.error_of_all(skinning)
             if error <= tolerance or frames.scan is None:
@@ -114,7 +109,7 @@ def find_smallest(
     if skinning is None:
         if models.smallest is None:
             raise Cancelled("stopped by the callback before there was any model")
-        skinning = frames.skinning_of_all(models.smallest, passes=1, report=on_all_frames)
+        skinning = frames.skinning_of_all(models.smallest, report=on_all_frames)
     return _result(frames, models, skinning, reason, prunings, asked, tolerance, least)
 
 

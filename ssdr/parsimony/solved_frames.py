@@ -16,9 +16,9 @@ from ..frames.error import largest_error, rmse
 from ..problem.answer import skinning_of
 from ..problem.problem import Initial, Problem
 from ..problem.scan import needs_streaming
+from ..search.all_frames import ENTERING, fit_all_frames
 from ..search.descent import Descent
-from ..search.passes import ENTERING, AllFrames
-from ..search.solve import read_frames, scan_of
+from ..search.solve import gathered, scan_of
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.model import Model
@@ -38,20 +38,25 @@ class SolvedFrames:
 
     Attributes
     ----------
-    sequences : list of MeshSequence
+    solved : Problem
+        The problem with the solved frames alone.
     data : Trajectories
-        Compressed trajectories of the frames in `sequences`.
+        Compressed trajectories of these frames.
     initial : Initial
-        Parts that the caller gave, in the solver's space and for the frames in `sequences`.
+        Parts that the caller gave, in the solver's space and for these frames.
     scan : Scan or None
         None if all frames are in memory.
     """
 
     def __init__(self, problem: Problem, measure: Measure) -> None:
-        self.problem, self.measure = problem, measure
-        self.scan = scan_of(problem) if needs_streaming(problem.sequences) else None
-        self.sequences, data, initial = read_frames(problem, self.scan)
-        data, self.initial = problem.with_rest_surface(data, initial)
+        self.problem = self.solved = problem
+        self.measure, self.scan = measure, None
+        if needs_streaming(problem.sequences):
+            self.scan = scan_of(problem, spread=False)
+            # each representative frame counts as often as there are frames like it
+            counts = np.bincount(self.scan.nearest, weights=problem.frame_importance)
+            self.solved = problem.of_frames(self.scan.chosen, counts.astype(np.float64))
+        data, self.initial = gathered(self.solved)
         self.data = data.compressed(problem.bones)
 
     def squared(self, rmse: float) -> float:
@@ -83,13 +88,10 @@ class SolvedFrames:
         """Error of a model on the frames that the search solves, in the mesh's units."""
         measure = measure or self.measure
         if self.scan is not None and measure == "rmse":
-            # each representative frame counts as often as there are frames like it
             return math.sqrt(max(model.weighted_error(self.data), 0.0) / self.squared(1.0))
         rest, transforms = self.data.alignment.to_world(model.rest, model.transforms)
-        skin = rest, model.indices, model.weights
-        if self.scan is not None:
-            return _error(measure, self.sequences, *skin, transforms)
-        return _error(measure, self.problem.inputs, *self.problem.for_inputs(*skin), transforms)
+        skin = self.solved.for_inputs(rest, model.indices, model.weights)
+        return _error(measure, self.solved.inputs, *skin, transforms)
 
     def error_of_all(self, s: Skinning, measure: Measure | None = None) -> float:
         """Error of a skinning, measured on all frames."""
@@ -99,48 +101,38 @@ class SolvedFrames:
 
     def skinning(self, model: Model) -> Skinning:
         """Convert a model to a skinning of the frames that the search solves."""
-        return _trimmed(skinning_of(self.problem, self.data.alignment, model, self.sequences))
+        return _trimmed(skinning_of(self.solved, self.data.alignment, model))
 
     def skinning_of_all(
         self,
         model: Model,
         *,
-        passes: int,
         entering: int = ENTERING,
         report: Callable[[], None],
         data: Trajectories | None = None,
     ) -> Skinning:
-        """Convert a model to a skinning of all frames; streamed frames are solved in passes.
+        """Convert a model to a skinning of all frames, to which it is fitted if they are streamed.
 
         Parameters
         ----------
         model : Model
             Model of the frames that the search solves.
-        passes : int
-            Most passes over all frames; they end when one gains little.
-        entering : int
-            Number of bones that may enter the support of a vertex in a pass.
-        report : callable
-            Called within each pass; one in which it raises Stop is the last.
+        entering, report
+            As in :func:`~ssdr.search.all_frames.fit_all_frames`.
         data : Trajectories, optional
             Copy of the trajectories with which the model was solved.
         """
-        problem, data = self.problem, data or self.data
         if self.scan is None:
             return self.skinning(model)
-        frames = AllFrames(
-            problem.sequences,
+        alignment, model = fit_all_frames(
+            self.problem,
             self.scan,
-            data,
+            data or self.data,
             model,
-            constraints=problem.constraints,
-            initial=Initial(),
-            importance=problem.frame_importance,
-            executor=problem.executor,
+            entering=entering,
+            report=lambda _: report(),
         )
-        for _ in frames.improve(passes, entering=entering, report=lambda _: report()):
-            pass
-        return _trimmed(skinning_of(problem, frames.alignment, frames.model))
+        return _trimmed(skinning_of(self.problem, alignment, model))
 
     def bytes(self, model: Model) -> int:
         """Bytes of a model for all frames, in which every bone has a key at every frame."""

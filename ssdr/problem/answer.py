@@ -19,7 +19,6 @@ from ..metrics.normal_angles import NormalErrors, errors_of_model
 from ..normals import corner_normals
 from ..progress import Record
 from ..result import Decomposition
-from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.alignment import Alignment
 from ..solver.alternation import normalise_gauge
@@ -41,12 +40,11 @@ def skinning_of(
     problem: Problem,
     alignment: Alignment,
     model: Model,
-    sequences: list[MeshSequence] | None = None,
 ) -> Skinning:
     """Convert a model to a skinning in the input's space, with the faces and names of the input.
 
-    `sequences` are the frames of the model, by default all frames.  The skinning's normals are
-    those of the rest pose, if the input has any: :func:`with_normals` fits better ones.
+    The skinning's normals are those of the rest pose, if the input has any: :func:`with_normals`
+    fits better ones.
     """
     skin = dataclasses.replace(model, transforms=model.transforms[:0])
     padded = skin.with_influences(problem.influences)
@@ -71,7 +69,7 @@ def skinning_of(
         bone_model=problem.constraints.bone_model,
         surface=surface,
         vertex_map=first.vertex_map,
-        **names_of(problem.sequences if sequences is None else sequences),
+        **names_of(problem.sequences),
     )
     return skinning if problem.rig == "none" else _with_tree(skinning, problem, model, alignment)
 

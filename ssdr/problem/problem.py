@@ -18,7 +18,7 @@ from ..solver.alignment import Alignment
 from ..solver.model import Constraints, Skin
 from ..solver.rest_surface import RestPose, RestSurface, central_frame
 from ..solver.trajectories import Array, Trajectories
-from .scan import needs_streaming
+from .scan import needs_streaming, subset
 
 Effort = Literal["fast", "balanced", "best"]
 RigKind = Literal["none", "loose", "rigid"]
@@ -198,6 +198,24 @@ class Problem:
     def offsets(self) -> NDArray[np.int64]:
         """First frame of each of the S shots, followed by the number of frames, (S + 1,)."""
         return np.cumsum([0, *[len(s) for s in self.sequences]])
+
+    def of_frames(self, chosen: NDArray[np.int64], importance: Array | None) -> Problem:
+        """A copy for the frames `chosen` alone, ascending, which are read into memory.
+
+        `importance` (S,) is theirs.
+        """
+        few = subset(self.sequences, chosen, executor=self.executor)
+        (vertices,) = self.for_inputs(few.frames(slice(None)).swapaxes(0, 1))
+        whole = dataclasses.replace(
+            self.inputs[0], vertices=vertices.swapaxes(0, 1), validate=False
+        )
+        return dataclasses.replace(
+            self,
+            sequences=[few],
+            inputs=[few if self.rows is None else whole],
+            initial=self.initial.of_frames(chosen),
+            frame_importance=importance,
+        )
 
     def for_inputs(self, *arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
         """Expand arrays (V, ...) of the vertices of `sequences` to those (V0, ...) of `inputs`."""

@@ -19,8 +19,6 @@ class Numbers:
     ----------
     polish : int
         Polish steps at the end if the caller gave bones or weights.
-    settle : int
-        Polish steps after a streamed model has been carried over to more frames.
     smooth : int
         Most alternations under a smoothness penalty.
     trees : int
@@ -34,7 +32,6 @@ class Numbers:
     """
 
     polish: int
-    settle: int
     smooth: int
     trees: int
     limbs: int
@@ -43,13 +40,9 @@ class Numbers:
 
 
 NUMBERS: dict[Effort, Numbers] = {
-    "fast": Numbers(polish=10, settle=6, smooth=20, trees=1, limbs=1, weight_trials=0, rounds=0),
-    "balanced": Numbers(
-        polish=40, settle=20, smooth=100, trees=3, limbs=1, weight_trials=4, rounds=1
-    ),
-    "best": Numbers(
-        polish=120, settle=60, smooth=400, trees=6, limbs=4, weight_trials=16, rounds=3
-    ),
+    "fast": Numbers(polish=10, smooth=20, trees=1, limbs=1, weight_trials=0, rounds=0),
+    "balanced": Numbers(polish=40, smooth=100, trees=3, limbs=1, weight_trials=4, rounds=1),
+    "best": Numbers(polish=120, smooth=400, trees=6, limbs=4, weight_trials=16, rounds=3),
 }
 
 

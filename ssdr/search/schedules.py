@@ -27,7 +27,6 @@ from .efforts import (
 )
 from .starts import (
     first_model,
-    fit_copied_bones,
     merged_start,
     polish_model,
     quick_start,
@@ -333,15 +332,4 @@ def follow_effort(
             free_bones(d, effort, stretching=stretching)
     if tries_model:
         beside(d, partial(polish_model, effort=effort))
-    unfold(d)
-
-
-def settle(d: Descent, *, effort: Effort) -> None:
-    """Fit a model that was found on some frames and carried over to more frames."""
-    steps = NUMBERS[effort].settle
-    fit_copied_bones(d)
-    if d.smoothness is None:
-        last_polish(d, steps=steps, gain=0.002)
-    else:
-        alternate(d, steps=steps, gain=0.002)
     unfold(d)

@@ -105,13 +105,6 @@ def start_from_model(d: Descent) -> Iterator[None]:
     yield
 
 
-@step("spread", cost=12)
-def fit_copied_bones(d: Descent) -> Iterator[None]:
-    """Fit bones whose transforms were copied from other frames."""
-    _fit_motion(d, d.model)
-    yield
-
-
 def _initial_model(d: Descent, bones: Array | None) -> Model:
     initial = d.initial
     assert initial.rest is not None

@@ -10,9 +10,9 @@ from ssdr.problem import scan
 
 @pytest.fixture
 def tiny_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Everything counts as too large; forty frames are solved first, then some ninety."""
+    """Everything counts as too large; some eighty frames are chosen, forty by what they tell."""
     monkeypatch.setattr(scan, "_IN_MEMORY", 1)
-    monkeypatch.setattr(scan, "_MOST_SETTLED", 80)
+    monkeypatch.setattr(scan, "_MOST_SPREAD", 80)
     monkeypatch.setattr(scan, "_FEWEST", 40)
     monkeypatch.setattr(scan, "_MOST", 40)
     monkeypatch.setattr(executor, "_BLOCK", 24 * 200 * 7)
