@@ -7,13 +7,14 @@ import functools
 import inspect
 import math
 import re
+import warnings
 from collections.abc import Callable
 from typing import Any, Literal, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import InputError, check_choice, is_real, is_whole
+from .errors import InputError, SsdrWarning, check_choice, is_real, is_whole
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -110,7 +111,10 @@ def check_callback(callback: Any) -> Any:
 
 
 def names_arguments(function: Callable[P, R]) -> Callable[P, R]:
-    """Decorator that makes a function raise InputError, not TypeError, for an unknown keyword."""
+    """Decorator of a public function: an InputError for an unknown keyword, and result.warnings.
+
+    The warnings name the line at which the user called the function.
+    """
     known = list(inspect.signature(function).parameters)
 
     @functools.wraps(function)
@@ -120,7 +124,10 @@ def names_arguments(function: Callable[P, R]) -> Callable[P, R]:
                 near = difflib.get_close_matches(name, known, 1) or known
                 unknown = f"an argument that {function.__name__} does not have"
                 raise InputError(name, ", ".join(near), unknown)
-        return function(*args, **kwargs)
+        result = function(*args, **kwargs)
+        for note in getattr(result, "warnings", ()):
+            warnings.warn(note, SsdrWarning, stacklevel=2)
+        return result
 
     return checked
 

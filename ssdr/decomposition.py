@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from .checks import BoneModel, names_arguments
-from .problem.answer import finished
 from .problem.check import check_problem
+from .problem.outcome import finished
 from .problem.problem import Effort
 from .progress import Callback
 from .result import Decomposition

@@ -15,8 +15,8 @@ from .clips import Clip, unique_names
 from .errors import InputError
 from .frames.vector_fit import fit_vectors
 from .hierarchy.transforms import rest_diagonal
-from .problem.answer import finished
 from .problem.check import check_problem
+from .problem.outcome import finished
 from .problem.problem import Effort
 from .representation import short_repr
 from .search.schedules import follow_effort

@@ -10,7 +10,7 @@ import numpy as np
 from ..checks import check_squarable
 from ..errors import Cancelled
 from ..frames.error import motion_rms
-from ..problem.answer import with_normals
+from ..problem.outcome import with_normals
 from ..problem.problem import Problem
 from ..progress import Record, Stop
 from ..search.descent import Descent

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..frames.error import largest_error, rmse
-from ..problem.answer import skinning_of
+from ..problem.outcome import skinning_of
 from ..problem.problem import Initial, Problem
 from ..problem.scan import needs_streaming
 from ..search.all_frames import ENTERING, fit_all_frames

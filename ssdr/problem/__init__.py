@@ -1,1 +1,1 @@
-"""Before and after the solver: argument checks, the problem, choice of frames, and the answer."""
+"""Before and after the solver: argument checks, the problem, choice of frames, and the outcome."""

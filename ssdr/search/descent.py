@@ -266,11 +266,6 @@ class Descent:
         finally:
             self.constraints = requested
 
-    def release(self) -> None:
-        """Free the memory of the trajectories, after which no step can be made."""
-        empty = self.data.z[:, :0].copy()
-        self.data = dataclasses.replace(self.data, z=empty, q=None, normals=None)
-
     # --- schedules -----------------------------------------------------------------------------
 
     def follow(self, schedule: Schedule, report: Callable[[str], None] | None = None) -> str:

@@ -15,7 +15,7 @@ import math
 from collections.abc import Callable
 from functools import partial
 
-from ..problem.answer import outcome_of, skinning_of
+from ..problem.outcome import outcome_of, skinning_of
 from ..problem.problem import Initial, Problem
 from ..problem.scan import Scan, needs_streaming, scan
 from ..result import Decomposition

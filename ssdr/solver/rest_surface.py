@@ -149,11 +149,6 @@ class RestSurface:
             reached += self.edges @ reached
         return np.flatnonzero(reached)
 
-    def scaled(self, ratio: float) -> RestSurface:
-        """The same surface in units of length that are 1/ratio times as large."""
-        edges = csr_array(self.edges / ratio**2)
-        return RestSurface(ratio * self.pose, edges, self.degree / ratio**2)
-
 
 @serial_blas()
 def central_frame(data: Trajectories, *, first: bool = False) -> int:

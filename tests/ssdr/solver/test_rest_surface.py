@@ -79,7 +79,8 @@ def test_without_edges_there_is_no_surface(rng: np.random.Generator) -> None:
 def test_the_unit_of_length_does_not_count(rng: np.random.Generator) -> None:
     surface, _ = _sheet(rng)
     rest = surface.pose + 0.2 * rng.standard_normal(surface.pose.shape)
-    assert surface.scaled(2.5).factor(2.5 * rest) == pytest.approx(surface.factor(rest), rel=1e-12)
+    larger = RestSurface(2.5 * surface.pose, surface.edges / 2.5**2, surface.degree / 2.5**2)
+    assert larger.factor(2.5 * rest) == pytest.approx(surface.factor(rest), rel=1e-12)
 
 
 def test_stiffer_edges_count_ten_times_as_much(rng: np.random.Generator) -> None:

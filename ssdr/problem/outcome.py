@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import warnings
 from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numpy as np
 
 from ..clips import names_of
-from ..errors import SsdrWarning
 from ..frames import error as frames_error
 from ..frames.error import motion_rms
 from ..frames.normals import with_fitted_normals
@@ -129,17 +127,11 @@ def with_normals(problem: Problem, skinning: Skinning) -> tuple[Skinning, Normal
 
 
 def finished(problem: Problem, solve: Callable[[Problem], Result]) -> Result:
-    """Make the whole run: compile, solve, write the last checkpoint, issue the warnings.
-
-    `stacklevel` makes the warnings name the line at which the user called ``decompose`` or
-    ``smallest``.
-    """
+    """Make the whole run: compile, solve, write the last checkpoint."""
     seconds = compile_kernels()
     problem.monitor.leave_out(seconds)
     result = dataclasses.replace(solve(problem), compile_seconds=seconds)
     problem.monitor.offer(lambda: result.skinning, now=True)
-    for note in result.warnings:
-        warnings.warn(note, SsdrWarning, stacklevel=4)
     return result
 
 
