@@ -111,7 +111,6 @@ def decompose(
     if keep_weights and start is not None:
         raise InputError("--start", "none beside --keep-weights", start)
     extra = _extra_bones(extra_bones or "0")
-    ssdr.Skeleton(model, joints=joints or "rigid", extra_bones=extra)
 
     def kept(space: ssdr.Space) -> dict[str, Any]:
         there = in_space(model, space)
@@ -193,15 +192,14 @@ def _fit(
         check_file(checkpoint, "checkpoint", others=[*inputs, *output])
     begin_compiling()  # while the files are read
     reading, writing = files_of(options, inputs)
+    model: Any
     with Output.current.waiting(f"loading {', '.join(map(str, inputs))}"):
         shots = load_clips(inputs, **reading)
         options |= arguments(shots[0].space)
         if start is not None:
             model = in_space(load_any(start), shots[0].space)
-            if isinstance(model, MeshSequence):
-                options["start"] = ssdr.Start(rest=model.frames(0))
-            else:
-                options["start"] = model
+            bare = isinstance(model, MeshSequence)
+            options["start"] = ssdr.Start(rest=model.frames(0)) if bare else model
     _check_motion(shots, inputs[0])
     tried = {k: options[k] for k in ("bones", "influences", "bone_model") if k in options}
     try_outputs(models, shots, **tried, **writing)
