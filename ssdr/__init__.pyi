@@ -12,7 +12,6 @@ from . import sequence as sequence
 from . import skinning as skinning
 from .clips import Clip as Clip
 from .decomposition import decompose as decompose
-from .driving import drive as drive
 from .errors import Cancelled as Cancelled
 from .errors import FormatError as FormatError
 from .errors import InputError as InputError
@@ -21,6 +20,7 @@ from .errors import SsdrError as SsdrError
 from .errors import SsdrWarning as SsdrWarning
 from .expressions import Expressions as Expressions
 from .expressions import decompose_expressions as decompose_expressions
+from .expressions import drive as drive
 from .fit.bones import fit_bones as fit_bones
 from .fit.rest_pose import fit_rest_pose as fit_rest_pose
 from .fit.ssdr2012 import ssdr2012 as ssdr2012
@@ -41,6 +41,7 @@ from .result import Decomposition as Decomposition
 from .rigid import kabsch as kabsch
 from .sequence import MeshSequence as MeshSequence
 from .sequence import WeldReport as WeldReport
+from .shapes import ShapedSkinning as ShapedSkinning
 from .shapes import Shapes as Shapes
 from .signals import stop_on_signals as stop_on_signals
 from .skinning import Skinning as Skinning

@@ -151,7 +151,12 @@ def as_array(value: Any, argument: str, expected: str) -> NDArray[Any]:
 
 
 def check_floats(
-    value: Any, argument: str, shape: tuple[int | str, ...], *, copy: bool = False
+    value: Any,
+    argument: str,
+    shape: tuple[int | str, ...],
+    *,
+    copy: bool = False,
+    empty: bool = False,
 ) -> NDArray[np.floating]:
     """Check that a value is real and finite; return it as a contiguous float32 or float64 array.
 
@@ -163,6 +168,8 @@ def check_floats(
         Expected shape; a letter stands for any size but 0.
     copy : bool
         Return a float64 copy, so that later writes to `value` do not change the result.
+    empty : bool
+        Whether a size may be 0.
     """
     wanted = f"shape ({', '.join(str(s) for s in shape)})"
     array = as_array(value, argument, f"numbers of {wanted}")
@@ -171,7 +178,7 @@ def check_floats(
         isinstance(s, int) and s != n for s, n in zip(shape, array.shape, strict=True)
     ):
         raise InputError(argument, wanted, f"shape {array.shape}")
-    if array.size == 0:
+    if array.size == 0 and not empty:
         raise InputError(argument, f"{wanted}, none of them 0", f"shape {array.shape}")
     if array.dtype.kind not in "fiu":
         raise InputError(argument, "real numbers", f"dtype {array.dtype}")

@@ -22,8 +22,8 @@ from .representation import short_repr
 from .search.schedules import follow_effort
 from .search.solve import solve
 from .sequence import MeshSequence
-from .shapes import Shapes
-from .skinning import Skinning
+from .shapes import ShapedSkinning, Shapes, Skinned, skinning_and_shapes
+from .skinning import Skinning, skinning_in
 from .start import Start
 
 Array = NDArray[np.float64]
@@ -40,8 +40,9 @@ class Expressions:
 
     Attributes
     ----------
-    skinning : Skinning
-        A clip of two frames for each expression: the neutral face, and the expression.
+    skinning : ShapedSkinning
+        A clip of two frames for each expression: the neutral face, and the expression.  Without a
+        tolerance it has no shapes.
     rmse : float
         Root mean square distance of the vertices from those of the expressions.
     max_error : float
@@ -57,7 +58,7 @@ class Expressions:
     (('shift',), True)
     """
 
-    skinning: Skinning
+    skinning: ShapedSkinning
     rmse: float
     max_error: float
     displaced: int
@@ -94,9 +95,9 @@ def decompose_expressions(
 
     Parameters
     ----------
-    neutral : (V, 3) array, MeshSequence or Skinning
-        The neutral face.  The shapes of a skinning, as :func:`load_skinning` reads them from the
-        morph targets of a file, are the expressions.
+    neutral : (V, 3) array, MeshSequence, Skinning or ShapedSkinning
+        The neutral face.  Shapes, as :func:`load_skinning` reads them from the morph targets of a
+        file, are the expressions.
     expressions : (S, V, 3) array, MeshSequence, or mapping of names to (V, 3) arrays
         Vertices of the face in each expression.
     bones : int
@@ -151,15 +152,17 @@ def decompose_expressions(
             model = _solved(frames, options, model)
     # mapping back from the solver's space has rounded the rest pose
     model = _at_rest(dataclasses.replace(model, rest=rest), _STILL * (limit or 0.0))
+    amounts = np.eye(count + 1)[:, 1:]
+    face: Skinned = model
     if limit is not None:
-        amounts = np.eye(count + 1)[:, 1:]
-        model = displaced(model, frames.vertices, amounts, limit, names)
-    gap = np.linalg.norm(model.skin(dtype=np.float64) - frames.vertices, axis=2)
+        face = displaced(model, frames.vertices, amounts, limit, names)
+    gap = np.linalg.norm(face.skin(dtype=np.float64) - frames.vertices, axis=2)
+    made = _as_clips(face, names)
     return Expressions(
-        skinning=_as_clips(model, names),
+        skinning=made,
         rmse=float(np.sqrt((gap[1:] ** 2).mean())),
         max_error=float(gap.max()),
-        displaced=0 if model.shapes is None else int(model.shapes.moved.sum()),
+        displaced=int(made.shapes.moved.sum()),
     )
 
 
@@ -168,12 +171,13 @@ def _frames(
 ) -> tuple[MeshSequence, tuple[str, ...]]:
     """Sequence of the neutral face and the expressions, and the names of the expressions."""
     surface, rest = None, neutral
-    if isinstance(neutral, Skinning):
-        surface, rest = neutral.surface, neutral.rest
-        faces = neutral.faces if faces is None else faces
-        if expressions is None and neutral.shapes is not None:
-            names = neutral.shapes.names if names is None else names
-            expressions = rest + neutral.shapes.displacements
+    if isinstance(neutral, Skinned):
+        model, shapes = skinning_and_shapes(neutral)
+        surface, rest = model.surface, model.rest
+        faces = model.faces if faces is None else faces
+        if expressions is None and shapes is not None:
+            names = shapes.names if names is None else names
+            expressions = rest + shapes.displacements
     elif isinstance(neutral, MeshSequence):
         surface, rest = neutral.surface, neutral.frames(0)
         faces = neutral.faces if faces is None else faces
@@ -237,8 +241,8 @@ def _at_rest(model: Skinning, least: float) -> Skinning:
 
 def displaced(
     model: Skinning, goal: Array, amounts: Array, limit: float, names: Any = None
-) -> Skinning:
-    """Copy of a model with shapes, which displace only vertices that would miss their goal.
+) -> ShapedSkinning:
+    """A model with shapes, which displace only vertices that would miss their goal.
 
     A shape displaces the vertices that are farther than `limit` from their goal (F, V, 3) in some
     frame where the shape's amount is not 0, as Kavan et al. 2024, section 2.
@@ -246,7 +250,6 @@ def displaced(
     Parameters
     ----------
     model : Skinning
-        Without shapes.
     goal : (F, V, 3) array
     amounts : (F, S) array
     limit : float
@@ -258,7 +261,7 @@ def displaced(
     start = np.zeros((1 + len(keep), model.n_vertices, 3))
     bare = Shapes(start[1:], amounts, names=names)
     found = fit_vectors(
-        dataclasses.replace(model, shapes=bare),
+        ShapedSkinning(model, bare),
         np.arange(model.n_frames),
         left,
         vertex=np.arange(model.n_vertices),
@@ -266,30 +269,76 @@ def displaced(
         start=start,
         pull=_PULL,
     )
-    return dataclasses.replace(model, shapes=dataclasses.replace(bare, displacements=found[1:]))
+    return ShapedSkinning(model, dataclasses.replace(bare, displacements=found[1:]))
 
 
-def _as_clips(model: Skinning, names: tuple[str, ...]) -> Skinning:
+def _as_clips(face: Skinned, names: tuple[str, ...]) -> ShapedSkinning:
     """Copy of a model in which each frame but the first becomes a clip: neutral frame, expression.
 
     Shapes that move no vertex are left out.
     """
     index = np.stack([np.zeros(len(names), dtype=int), 1 + np.arange(len(names))], axis=1).ravel()
-    shapes = model.shapes
-    if shapes is not None:
-        used = np.flatnonzero(shapes.moved.any(axis=1))
-        shapes = (
-            Shapes(
-                shapes.displacements[used],
-                shapes.amounts[np.ix_(index, used)],
-                names=[shapes.names[k] for k in used],
-            )
-            if len(used)
-            else None
-        )
-    return dataclasses.replace(
-        model,
-        transforms=model.transforms[index],
-        shapes=shapes,
-        clips=tuple(Clip(name, 2 * k, 2 * k + 2, model.fps) for k, name in enumerate(names)),
+    model, shapes = skinning_and_shapes(face)
+    if shapes is None:
+        shapes = Shapes(np.zeros((0, model.n_vertices, 3)), np.zeros((model.n_frames, 0)))
+    used = np.flatnonzero(shapes.moved.any(axis=1))
+    clips = tuple(Clip(name, 2 * k, 2 * k + 2, model.fps) for k, name in enumerate(names))
+    return ShapedSkinning(
+        dataclasses.replace(model, transforms=model.transforms[index], clips=clips),
+        Shapes(
+            shapes.displacements[used],
+            shapes.amounts[np.ix_(index, used)],
+            names=[shapes.names[k] for k in used],
+        ),
+        driven=True,
     )
+
+
+def drive(face: Any, weights: Any) -> ShapedSkinning:
+    """Pose a model by weights c of its expressions.
+
+    Bone j becomes I + Σ_k c_k N_kj, where I + N_kj is its transform in expression k. The amounts of
+    the shapes are summed with the same weights.
+
+    Parameters
+    ----------
+    face : ShapedSkinning, or a result that has one
+        Its `driven` is true: each clip is an expression.
+    weights : (F, S) array
+        Weight of each of the S expressions, in the order of the clips, in every frame.
+
+    Returns
+    -------
+    ShapedSkinning
+        One clip of F frames, whose bones are affine.
+
+    Raises
+    ------
+    InputError
+        If the model has no expressions, or the weights do not match.
+
+    Examples
+    --------
+    >>> rest = ssdr.samples.load("dancer_small").vertices[0]
+    >>> face = ssdr.decompose_expressions(rest, [rest + 1, rest - 1], bones=1)
+    >>> still = ssdr.drive(face, [[1, 1], [0, 0]]).skin()
+    >>> np.allclose(still[0], rest, atol=1e-5), np.array_equal(still[1], rest)
+    (True, True)
+    """
+    face = skinning_in(face)
+    if not (isinstance(face, ShapedSkinning) and face.driven):
+        raise InputError("face", "a ShapedSkinning whose clips are expressions", repr(face)[:80])
+    model, shapes = face.skinning, face.shapes
+    factors = check_floats(weights, "weights", ("F", len(model.clips)))
+    moves = np.asarray(model.transforms, dtype=np.float64)
+    identity = np.eye(3, 4)
+    moves = identity + np.tensordot(factors, moves[1::2] - identity, 1)
+    posed = dataclasses.replace(
+        model,
+        transforms=moves,
+        keyframes=None,
+        bone_model="affine",
+        clips=(Clip("driven", 0, len(moves), model.fps),),
+    )
+    amounts = factors @ shapes.amounts[1::2]
+    return ShapedSkinning(posed, dataclasses.replace(shapes, amounts=amounts))

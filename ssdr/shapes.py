@@ -1,4 +1,4 @@
-"""Displacements of a rest pose, added before it is skinned: morph targets, blend shapes."""
+"""Models with shapes (morph targets, blend shapes), added to the rest pose before it is skinned."""
 
 from __future__ import annotations
 
@@ -8,11 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .checks import check_floats
-from .clips import unique_names
+from .checks import check_floats, check_frames
+from .clips import Clip, unique_names
 from .errors import InputError
+from .lbs import skin_each
 from .parallel import serial_blas
-from .representation import short_repr
+from .representation import notebook_html, short_repr
+from .skinning import Skinning
+from .space import Space
+from .surface import Surface
+
+_AT_REST = 1e-5  # largest deviation from the identity of a bone at rest
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -38,11 +44,8 @@ class Shapes:
     Examples
     --------
     >>> smile = ssdr.Shapes(np.ones((1, 3, 3)), [[0], [0.5]], names=["smile"])
-    >>> model = ssdr.Skinning.from_dense(
-    ...     np.eye(3), np.ones((3, 1)), np.tile(np.eye(3, 4), (2, 1, 1, 1)), shapes=smile
-    ... )
-    >>> model.skin()[1, 0]
-    array([1.5, 0.5, 0.5])
+    >>> len(smile), smile.names
+    (1, ('smile',))
     """
 
     displacements: Any
@@ -51,8 +54,8 @@ class Shapes:
     names: Any = None
 
     def __post_init__(self) -> None:
-        moved = check_floats(self.displacements, "shapes.displacements", ("S", "V", 3))
-        amounts = check_floats(self.amounts, "shapes.amounts", ("F", "S"))
+        moved = check_floats(self.displacements, "shapes.displacements", ("S", "V", 3), empty=True)
+        amounts = check_floats(self.amounts, "shapes.amounts", ("F", "S"), empty=True)
         count = len(moved)
         if amounts.shape[1] != count:
             raise InputError("shapes.amounts", f"{count} columns", amounts.shape[1])
@@ -78,12 +81,143 @@ class Shapes:
         """Displacement ``(f, V, 3)`` of the rest pose in the given frames."""
         return np.asarray(np.tensordot(self.amounts[frames], self.displacements, 1))
 
-    def check(self, n_frames: int, n_vertices: int) -> None:
-        """Raise an InputError if the numbers of frames and vertices differ from a model's."""
-        found, text = (len(self.amounts), self.displacements.shape[1]), "{} frames, {} vertices"
-        if found != (n_frames, n_vertices):
-            raise InputError("shapes", text.format(n_frames, n_vertices), text.format(*found))
-
     def in_frames(self, frames: Any) -> Shapes:
         """Copy with only the amounts of the given frames, in the given order."""
         return dataclasses.replace(self, amounts=self.amounts[frames])
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ShapedSkinning:
+    """A skinned model with shapes, which are added to its rest pose in every frame.
+
+    Parameters
+    ----------
+    skinning : Skinning
+    shapes : Shapes
+        As many amounts as the skinning has frames, and displacements of its vertices; there may be
+        none.
+    driven : bool
+        Whether each clip is an expression that a weight drives (:func:`drive`): two frames, of
+        which the first is the rest pose.
+
+    Raises
+    ------
+    InputError
+        If the shapes are of another mesh or of other frames, or the clips are not expressions.
+
+    Examples
+    --------
+    >>> still = np.tile(np.eye(3, 4), (2, 1, 1, 1))
+    >>> one = ssdr.Skinning.from_dense(np.eye(3), np.ones((3, 1)), still)
+    >>> smile = ssdr.Shapes(np.ones((1, 3, 3)), [[0], [0.5]], names=["smile"])
+    >>> ssdr.ShapedSkinning(one, smile).skin()[1, 0]
+    array([1.5, 0.5, 0.5])
+    """
+
+    skinning: Skinning
+    shapes: Shapes
+    _: dataclasses.KW_ONLY
+    driven: bool = False
+
+    def __post_init__(self) -> None:
+        for name, kind in (("skinning", Skinning), ("shapes", Shapes)):
+            if not isinstance(getattr(self, name), kind):
+                raise InputError(name, kind.__name__, type(getattr(self, name)).__name__)
+        model, shapes, text = self.skinning, self.shapes, "{} frames, {} vertices"
+        size = len(shapes.amounts), shapes.displacements.shape[1]
+        if size != (model.n_frames, model.n_vertices):
+            wanted = text.format(model.n_frames, model.n_vertices)
+            raise InputError("shapes", wanted, text.format(*size))
+        if self.driven and not self._starts_at_rest():
+            wanted = "a clip of two frames for each expression, the first of them the rest pose"
+            raise InputError(
+                "skinning", wanted, f"{len(model.clips)} clips, {model.n_frames} frames"
+            )
+
+    def _starts_at_rest(self) -> bool:
+        """Whether each clip has two frames, of which the first is the rest pose."""
+        model = self.skinning
+        if any(clip.n_frames != 2 for clip in model.clips) or self.shapes.amounts[::2].any():
+            return False
+        return bool(np.abs(model.transforms[::2] - np.eye(3, 4)).max() <= _AT_REST)
+
+    @property
+    def n_frames(self) -> int:
+        return self.skinning.n_frames
+
+    @property
+    def n_vertices(self) -> int:
+        return self.skinning.n_vertices
+
+    @property
+    def faces(self) -> NDArray[np.int32]:
+        return np.asarray(self.skinning.faces)
+
+    @property
+    def surface(self) -> Surface | None:
+        return self.skinning.surface
+
+    @property
+    def vertex_map(self) -> Any:
+        return self.skinning.vertex_map
+
+    @property
+    def clips(self) -> tuple[Clip, ...]:
+        return self.skinning.clips
+
+    @property
+    def fps(self) -> float:
+        return self.skinning.fps
+
+    @property
+    def name(self) -> str:
+        return self.skinning.name
+
+    @property
+    def space(self) -> Space:
+        return self.skinning.space
+
+    def __repr__(self) -> str:
+        return f"ShapedSkinning(S={len(self.shapes)}, {self.skinning!r})"
+
+    _repr_html_ = notebook_html
+
+    def skin(self, frames: Any = None, *, dtype: Any = None) -> NDArray[np.floating]:
+        """Vertex positions ``(f, V, 3)`` in the given frames, by default in all."""
+        model = self.skinning
+        if not len(self.shapes):
+            return model.skin(frames, dtype=dtype)
+        index = slice(None) if frames is None else check_frames(frames, model.n_frames)
+        rests, moves = model.rest + self.shapes.added(index), model.transforms[index]
+        return skin_each(rests, model.indices, model.weights, moves, dtype=dtype)
+
+    def select(self, *clips: str | int) -> ShapedSkinning:
+        """A copy with only the given clips, as :meth:`Skinning.select` has them."""
+        _, index = self.skinning.frames_of(*clips)
+        shapes = self.shapes.in_frames(index)
+        return dataclasses.replace(self, skinning=self.skinning.select(*clips), shapes=shapes)
+
+
+Skinned = Skinning | ShapedSkinning
+
+
+def skinning_and_shapes(model: Skinned) -> tuple[Skinning, Shapes | None]:
+    """The skinning of a model, and its shapes, or None if it has none."""
+    if isinstance(model, Skinning) or not len(model.shapes):
+        return model.skinning, None
+    return model.skinning, model.shapes
+
+
+def without_shapes(model: Skinned, where: str) -> Skinning:
+    """The skinning of a model, which must have no shapes, since `where` cannot hold them.
+
+    Raises
+    ------
+    InputError
+        If it has shapes.
+    """
+    skinning, shapes = skinning_and_shapes(model)
+    if shapes is not None:
+        wanted = f"no shapes in {where} (thing.skinning leaves them out)"
+        raise InputError("thing", wanted, f"{len(shapes)} of them")
+    return skinning

@@ -14,10 +14,9 @@ from .clips import Clip, check_clips, in_order, pick
 from .errors import InputError, check_choice, is_whole
 from .hierarchy.articulated import Articulated
 from .hierarchy.transforms import check_parents
-from .lbs import skin, skin_each
+from .lbs import skin
 from .representation import notebook_html
 from .sequence import check_vertex_map
-from .shapes import Shapes
 from .space import UNKNOWN, Space, check_space
 from .surface import Surface, check_surface
 
@@ -25,23 +24,16 @@ __all__ = ["BoneModel", "Skinning", "skin"]
 
 
 def skinning_in(thing: Any) -> Any:
-    """The `skinning` of a result that has one; any other object unchanged."""
-    return thing if isinstance(thing, Skinning) else getattr(thing, "skinning", thing)
+    """The model of a result that has one; any other object, such as a model itself, unchanged."""
+    return thing if hasattr(thing, "skin") else getattr(thing, "skinning", thing)
 
 
 def check_skinning(model: Any) -> Skinning:
-    """Check that a model, or the `skinning` of a result, is a Skinning, and return it."""
+    """Check that a model, or that of a result, is a Skinning without shapes, and return it."""
     found = skinning_in(model)
     if not isinstance(found, Skinning):
         raise InputError("skinning", "a Skinning", type(model).__name__)
     return found
-
-
-def refuse_shapes(model: Skinning, argument: str, where: str) -> None:
-    """Raise an InputError if a model has shapes, which `where` cannot hold."""
-    if model.shapes is not None:
-        wanted = f"no shapes in {where} (dataclasses.replace(model, shapes=None) leaves them out)"
-        raise InputError(argument, wanted, f"{model.n_shapes} of them")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -85,9 +77,6 @@ class Skinning(Articulated):
     joint_positions : (B, 3) array, optional
         With `parents`: the point of the rest pose at which a bone is attached to its
         parent, and about which a root rotates.
-    shapes : Shapes, optional
-        Displacements that are added to the rest pose before it is skinned, and the amount of each
-        in every frame.
 
     Raises
     ------
@@ -95,8 +84,7 @@ class Skinning(Articulated):
         If shapes do not match, an index is out of range, a number is not
         finite, a weight is negative, a row of weights does not sum to 1
         within 1e-4, clips do not cover the frames, parents form a
-        cycle, one of `parents` and `joint_positions` is missing, or shapes are of another mesh or
-        of other frames.
+        cycle, or one of `parents` and `joint_positions` is missing.
 
     Examples
     --------
@@ -124,7 +112,6 @@ class Skinning(Articulated):
     clips: tuple[Clip, ...] = None  # type: ignore[assignment]  # one over all frames
     parents: Any = None
     joint_positions: Any = None
-    shapes: Shapes | None = None
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -164,10 +151,6 @@ class Skinning(Articulated):
             put(self, "parents", check_parents(self.parents, n_bones))
             positions = check_floats(self.joint_positions, "joint_positions", (n_bones, 3))
             put(self, "joint_positions", positions)
-        if self.shapes is not None:
-            if not isinstance(self.shapes, Shapes):
-                raise InputError("shapes", "Shapes or None", type(self.shapes).__name__)
-            self.shapes.check(len(transforms), n_vertices)
         parts = {"rest": rest, "indices": indices, "weights": weights, "transforms": transforms}
         for field, value in {**parts, "faces": faces, "fps": fps, "clips": clips}.items():
             put(self, field, value)
@@ -218,6 +201,11 @@ class Skinning(Articulated):
         return model.prune(used if influences is None else influences)
 
     @property
+    def skinning(self) -> Skinning:
+        """The model itself; a :class:`ShapedSkinning` has one, too."""
+        return self
+
+    @property
     def n_vertices(self) -> int:
         return int(self.rest.shape[0])
 
@@ -233,15 +221,10 @@ class Skinning(Articulated):
     def n_bones(self) -> int:
         return int(self.transforms.shape[1])
 
-    @property
-    def n_shapes(self) -> int:
-        return 0 if self.shapes is None else len(self.shapes)
-
     def __repr__(self) -> str:
-        shapes = f"S={self.n_shapes}, " if self.n_shapes else ""
         return (
             f"Skinning(V={self.n_vertices}, B={self.n_bones}, K={self.n_influences}, "
-            f"F={self.n_frames}, {shapes}{self.bone_model})"
+            f"F={self.n_frames}, {self.bone_model})"
         )
 
     _repr_html_ = notebook_html
@@ -258,10 +241,7 @@ class Skinning(Articulated):
     def skin(self, frames: Any = None, *, dtype: Any = None) -> NDArray[np.floating]:
         """Vertex positions ``(f, V, 3)`` in the given frames, by default in all."""
         index = slice(None) if frames is None else check_frames(frames, self.n_frames)
-        chosen, skinned = self.transforms[index], (self.indices, self.weights)
-        if self.shapes is None:
-            return skin(self.rest, *skinned, chosen, dtype=dtype)
-        return skin_each(self.rest + self.shapes.added(index), *skinned, chosen, dtype=dtype)
+        return skin(self.rest, self.indices, self.weights, self.transforms[index], dtype=dtype)
 
     def select(self, *clips: str | int) -> Skinning:
         """A copy of the model with only the given clips (names or indices), in the given order.
@@ -281,11 +261,7 @@ class Skinning(Articulated):
         >>> jump.n_frames, jump.fps, jump.clips
         (2, 60.0, (Clip(name='jump', start=0, stop=2, fps=60.0),))
         """
-        known = [clip.name for clip in self.clips]
-        chosen = [self.clips[pick(known, clip)] for clip in clips]
-        if not chosen or len(set(chosen)) < len(chosen):
-            raise InputError("clip", f"some of {known}, each once", list(clips))
-        index = np.concatenate([np.arange(clip.start, clip.stop) for clip in chosen])
+        chosen, index = self.frames_of(*clips)
         keyframes = self.keyframes
         if keyframes is not None:
             keyframes = keyframes.copy()
@@ -295,11 +271,24 @@ class Skinning(Articulated):
         return dataclasses.replace(
             self,
             transforms=self.transforms[index],
-            shapes=None if self.shapes is None else self.shapes.in_frames(index),
             keyframes=keyframes,
             fps=chosen[0].fps,
             clips=in_order(chosen),
         )
+
+    def frames_of(self, *clips: str | int) -> tuple[list[Clip], NDArray[np.int64]]:
+        """The clips that names or indices choose, and their frames in the given order.
+
+        Raises
+        ------
+        InputError
+            As :meth:`select`.
+        """
+        known = [clip.name for clip in self.clips]
+        chosen = [self.clips[pick(known, clip)] for clip in clips]
+        if not chosen or len(set(chosen)) < len(chosen):
+            raise InputError("clip", f"some of {known}, each once", list(clips))
+        return chosen, np.concatenate([np.arange(clip.start, clip.stop) for clip in chosen])
 
     def dense_weights(self) -> NDArray[np.floating]:
         """Weights as a ``(V, B)`` matrix."""

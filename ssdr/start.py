@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 from .representation import short_repr
-from .skinning import Skinning, skinning_in
+from .skinning import Skinning
 
 JointKind = Literal["rigid", "loose"]
 
@@ -73,4 +73,7 @@ class Skeleton:
     extra_bones: int | Mapping[str, int] = 0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "skinning", skinning_in(self.skinning))
+        found = getattr(
+            self.skinning, "skinning", self.skinning
+        )  # of a result, which may have shapes
+        object.__setattr__(self, "skinning", getattr(found, "skinning", found))

@@ -194,7 +194,7 @@ class ClipStore(Outfit):
                 if name in group or name != "mirror_vertices"
             }
             MeshSequence(arrays["rest"][None], arrays["faces"])
-            body = ssdr.load_skinning(target / "body.npz")
+            body = ssdr.load_skinning(target / "body.npz").skinning
             if list(attributes["classes"]) != list(CLASSES[: len(attributes["classes"])]):
                 raise FormatError(f"other classes of motion: {attributes['classes']}")
             joint_rest = np.asarray(attributes["joint_rest"])

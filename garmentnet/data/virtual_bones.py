@@ -187,7 +187,7 @@ def virtual_bones(
         with writing(skinning_file):
             ssdr.save(skinning, skinning_file)
         write_file(report_file, json.dumps(record | found, indent=1).encode())
-    skinning = ssdr.load_skinning(skinning_file)
+    skinning = ssdr.load_skinning(skinning_file).skinning
     if skinning.n_vertices != store.n_vertices or skinning.n_bones != options.count:
         raise FormatError(f"{skinning_file}: bones of another garment, {skinning!r}")
     with reading(report_file):

@@ -88,7 +88,7 @@ def read_rig(path: Path, source: Source, rate: float | None, take: str, say: Say
     alone: dict[str, Any] = {"joints_alone": True} if path.suffix.lower() in _SAMPLED else {}
 
     def read(fps: float | None) -> Skinning:
-        model = ssdr.load_skinning(path, fps=fps, **source.options(), **alone)
+        model = ssdr.load_skinning(path, fps=fps, **source.options(), **alone).skinning
         names = [clip.name for clip in model.clips]
         if len(names) > 1:
             model = model.select(take if take in names else 0)

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ssdr import Shapes, Skinning
+from ssdr import ShapedSkinning, Shapes, Skinning
 from ssdr.frames.vector_fit import fit_vectors
 from ssdr.parallel import serial_blas
 
@@ -21,8 +21,8 @@ _SETTLED = 1e-3  # relative fall of the error below which they end
 
 
 @serial_blas()
-def with_morph_targets(model: Skinning, truth: Array, count: int) -> Skinning:
-    """Copy of a model with at most `count` shapes, whose amounts are from 0 to 1.
+def with_morph_targets(model: Skinning, truth: Array, count: int) -> ShapedSkinning:
+    """A model with at most `count` shapes, whose amounts are from 0 to 1.
 
     Displacements and amounts are solved in turns.  They start from the principal components of the
     residual, mapped back to the rest pose (Kavan, Sloan and O'Sullivan, "Fast and efficient
@@ -34,9 +34,8 @@ def with_morph_targets(model: Skinning, truth: Array, count: int) -> Skinning:
     used = np.ones((1 + amounts.shape[1], model.n_vertices), dtype=bool)
     start = np.zeros((*used.shape, 3))
     for _ in range(_ROUNDS):
-        shaped = dataclasses.replace(model, shapes=Shapes(start[1:], amounts))
         rest, *moved = fit_vectors(
-            shaped,
+            ShapedSkinning(model, Shapes(start[1:], amounts)),
             np.arange(model.n_frames),
             left,
             vertex=np.arange(model.n_vertices),
@@ -57,7 +56,7 @@ def with_morph_targets(model: Skinning, truth: Array, count: int) -> Skinning:
     both = np.stack(moved)
     shapes = Shapes(scale[:, None, None] * both, (amounts - low) / scale)
     rest = np.asarray(model.rest) + rest + np.tensordot(low, both, 1)
-    return dataclasses.replace(model, rest=rest, shapes=shapes)
+    return ShapedSkinning(dataclasses.replace(model, rest=rest), shapes)
 
 
 def _blended(model: Skinning) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import ssdr
-from ssdr import Skinning
+from ssdr import ShapedSkinning, Skinning
 from ssdr.errors import InputError
 
 from ..data.skeleton import Skeleton
@@ -25,14 +25,14 @@ class Rigged:
 
     Attributes
     ----------
-    skinning : Skinning
+    skinning : ShapedSkinning
         The body's joints with their hierarchy, followed by the virtual bones as children of the
         first joint.  Its shapes, with amounts from 0 to 1, are what the skinned mesh lacks.
     error, still : float
         RMSE of the vertices, metres; and the same if the morph targets keep their mean amounts.
     """
 
-    skinning: Skinning
+    skinning: ShapedSkinning
     error: float
     still: float
 
@@ -58,11 +58,10 @@ def rigged(prediction: Prediction, skeleton: Skeleton, *, shapes: int = 8) -> Ri
     """
     if shapes < 1:
         raise InputError("shapes", "1 or more", shapes)
-    model = _on_skeleton(rigid(prediction.skinning), prediction.joints, skeleton)
+    bones = _on_skeleton(rigid(prediction.skinning), prediction.joints, skeleton)
     truth = np.asarray(prediction.cloth.vertices, np.float64)
-    model = with_morph_targets(model, truth, shapes)
+    model = with_morph_targets(bones, truth, shapes)
     moved = model.shapes
-    assert moved is not None
     still = np.broadcast_to(moved.amounts.mean(axis=0), moved.amounts.shape)
     stiff = dataclasses.replace(model, shapes=dataclasses.replace(moved, amounts=still))
     both = (ssdr.metrics.distances(truth, x).rmse for x in (model, stiff))
@@ -81,7 +80,7 @@ def save_rigged(model: Rigged, path: Path | str) -> str:
     with writing(file):
         report = ssdr.save(model.skinning, file)
     return (
-        f"{model.skinning.n_bones} joints, {model.skinning.n_shapes} morph targets, "
+        f"{model.skinning.skinning.n_bones} joints, {len(model.skinning.shapes)} morph targets, "
         f"{model.skinning.n_frames} frames, {report.bytes / 1e6:.1f} MB; RMSE to the prediction "
         f"{1e3 * model.error:.2f} mm, with the targets still {1e3 * model.still:.2f} mm"
     )

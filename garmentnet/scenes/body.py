@@ -70,7 +70,7 @@ def load_body(path: str | os.PathLike[str]) -> Body:
     FormatError
         If the file is damaged or does not hold a body.
     """
-    model = ssdr.load_skinning(path)
+    model = ssdr.load_skinning(path).skinning
     with reading(Path(path)):
         check(model.parents is not None, "bones without a skeleton")
         skeleton = Skeleton(model.names(), model.parents, model.joint_positions)

@@ -19,7 +19,7 @@ from ..io.inputs import clips_in
 from ..io.outputs import check_file
 from ..render import Style
 from ..sequence import MeshSequence, joined
-from ..skinning import Skinning
+from ..shapes import Skinned
 from .files import check_page, file_options, files_of, storage_options
 from .output import Output, clips_document, saved_line
 from .parameters import passes
@@ -52,9 +52,9 @@ def convert(source: Path, target: Path, *, bake: bool = False, **options: Any) -
         (report,) = save_all(thing, [target], **writing)
     document = {
         "input": source,
-        "kind": "skinning" if isinstance(thing, Skinning) else "sequence",
+        "kind": "skinning" if isinstance(thing, Skinned) else "sequence",
         "frames": thing.n_frames,
-        "clips": clips_document(thing.clips if isinstance(thing, Skinning) else ()),
+        "clips": clips_document(thing.clips if isinstance(thing, Skinned) else ()),
         "output": report,
     }
     rows = [("read", f"{source}: {thing!r}"), ("wrote", saved_line(report))]
@@ -127,7 +127,7 @@ def compare(
     Output.current.result({**document, **result.as_dict()}, text)
 
 
-def _shots(thing: MeshSequence | Skinning) -> dict[str, Any]:
+def _shots(thing: MeshSequence | Skinned) -> dict[str, Any]:
     """Clips of a skinning, or the one of a sequence, by name."""
     if isinstance(thing, MeshSequence):
         return {thing.clip: thing}
@@ -142,9 +142,9 @@ def _measure(a: MeshSequence, b: Any, **options: Any) -> Any:
     return ssdr.metrics.compare(a, b, **options)
 
 
-def _hint_at_units(a: MeshSequence, b: MeshSequence | Skinning, scale: float) -> None:
+def _hint_at_units(a: MeshSequence, b: MeshSequence | Skinned, scale: float) -> None:
     """Warn if the sizes of two meshes differ by about a power of ten."""
-    sizes = a.diagonal(), rest_diagonal(b.rest) if isinstance(b, Skinning) else b.diagonal()
+    sizes = a.diagonal(), rest_diagonal(b.skinning.rest) if isinstance(b, Skinned) else b.diagonal()
     if min(sizes) <= 0:
         return
     tens = math.log10(sizes[1] / sizes[0])
@@ -213,7 +213,7 @@ def render(
         expected = "a number, or frames such as 0,10,20"
         raise InputError("--frames", expected, repr(frames)) from None
     subject, truth = _pair(source, reference, options)
-    clips = subject.clips if isinstance(subject, Skinning) else ()
+    clips = subject.clips if isinstance(subject, Skinned) else ()
     if film and clips and not one_rate(clips):
         rates = ", ".join(f"{c.name} at {c.fps:g}" for c in clips)
         raise InputError("--clip", "a clip, or some of one frame rate, for a film", rates)
@@ -284,7 +284,7 @@ def _pair(source: Path, reference: Path | None, options: dict[str, Any]) -> Any:
         thing = load_any(source, **reading)
         if reference is None:
             return thing, None
-        clips = thing.clips if isinstance(thing, Skinning) else ()
+        clips = thing.clips if isinstance(thing, Skinned) else ()
         several = len(clips_in(reference, fps=reading.get("fps"))) > 1
         reading["clip"] = [clip.name for clip in clips] if several and clips else None
         return thing, joined(load_clips(reference, **reading))

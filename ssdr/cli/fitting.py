@@ -107,7 +107,7 @@ def decompose(
             raise InputError("--bones", "a number of bones, --rig FILE or --start MODEL", "none")
         _fit(ssdr.decompose, inputs, output, start, options, lambda space: {"rig": rig})
         return
-    model = ssdr.load_skinning(str(rig))
+    model = ssdr.load_skinning(str(rig)).skinning
     if keep_weights and start is not None:
         raise InputError("--start", "none beside --keep-weights", start)
     extra = _extra_bones(extra_bones or "0")

@@ -15,6 +15,7 @@ from ..clips import Clip
 from ..hierarchy.transforms import RIGID, depths, rest_diagonal
 from ..io import list_clips, list_meshes, load, load_any
 from ..sequence import MeshSequence
+from ..shapes import Skinned
 from ..skinning import Skinning
 from .files import file_options, files_of
 from .output import Output, clips_document, clips_text, in_words
@@ -59,8 +60,8 @@ def info(source: Path, *, clip: list[str] | None = None, **options: Any) -> None
     reading, _ = files_of(options, ())
     with Output.current.waiting(f"loading {source}"):
         thing = load_any(source, clip=clip, **reading)
-    if isinstance(thing, Skinning):
-        clips, kind, about, table = thing.clips, "skinning", _about_skinning(thing), _BONES
+    if isinstance(thing, Skinned):
+        clips, kind, about, table = thing.clips, "skinning", _about_skinning(thing.skinning), _BONES
     else:
         clips = (Clip(thing.clip or thing.name or source.stem, 0, thing.n_frames, thing.fps),)
         if clip is None and len(list_clips(source)) > 1:
@@ -135,10 +136,10 @@ def _seams(skinning: Skinning, weights: NDArray[np.float64]) -> int:
     return weld.before - weld.after
 
 
-def _about_mesh(thing: MeshSequence | Skinning) -> dict[str, Any]:
+def _about_mesh(thing: MeshSequence | Skinned) -> dict[str, Any]:
     """Entries for the report on a mesh: counts, defects, connected components and surface."""
     n, faces, surface = thing.n_vertices, thing.faces, thing.surface
-    first = thing.rest if isinstance(thing, Skinning) else thing.frames(0)
+    first = thing.skinning.rest if isinstance(thing, Skinned) else thing.frames(0)
     points = np.asarray(first, dtype=np.float64)
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     _, times = np.unique(edges, axis=0, return_counts=True)

@@ -24,7 +24,7 @@ from ..frames.error import rmse_of, squared_error
 from ..frames.normals import with_fitted_normals
 from ..representation import short_repr
 from ..sequence import MeshSequence, as_sequences, labels_of, without_copies
-from ..skinning import Skinning, refuse_shapes, skinning_in
+from ..skinning import Skinning, skinning_in
 from ..solver.trajectories import Array, Trajectories, gather
 
 _MOST_BONES = 1 << 16  # bound of the number that the largest index implies, as each takes memory
@@ -148,7 +148,6 @@ def checked(
                 raise InputError(name, "None beside a Skinning, which has its own", "an array")
         if model.n_vertices != n:
             raise InputError("skinning", f"{n} vertices, as the sequence has", model.n_vertices)
-        refuse_shapes(model, "skinning", "a fit of bones, weights or rest pose")
         model, prefix = dataclasses.replace(model, bone_model=kind or model.bone_model), "skinning."
     else:
         if as_array(rest, "rest", "an array (V, 3) or a Skinning").dtype.kind not in "fiu":

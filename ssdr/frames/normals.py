@@ -14,6 +14,7 @@ from ..lbs import skin, skin_each
 from ..normals import NormalHolders, normal_holders, normals_at_corners, surface_normals, unit
 from ..parallel import chunk_bounds, run_chunks
 from ..sequence import MeshSequence
+from ..shapes import ShapedSkinning, Skinned, skinning_and_shapes
 from ..skinning import Skinning
 from ..surface import Surface
 from .error import of_each_span
@@ -30,7 +31,7 @@ _BINS = 18001  # of the histogram of angles, each a hundredth of a degree
 
 
 def holders_of(
-    sequence: MeshSequence, model: MeshSequence | Skinning | None = None
+    sequence: MeshSequence, model: MeshSequence | Skinned | None = None
 ) -> NormalHolders:
     """Normals of a sequence, with its hard edges or, if it has no normals, those of `model`.
 
@@ -91,17 +92,19 @@ def with_fitted_normals(
 
 def drawn_angles(
     sequences: Sequence[MeshSequence],
-    skinning: Skinning,
+    model: Skinned,
     *,
     executor: Executor | None = None,
     most: int | None = None,
 ) -> tuple[NDArray[np.int64], Angles, Angles]:
-    """Angles between the surface normals of sequences and those that engines draw of a skinning.
+    """Angles between the surface normals of sequences and those that engines draw of a model.
 
     Parameters
     ----------
-    sequences, skinning, executor
-        As for :func:`with_fitted_normals`.  A skinning without normals has those of its rest pose.
+    sequences, executor
+        As for :func:`with_fitted_normals`.
+    model : Skinning or ShapedSkinning
+        A model without normals has those of its rest pose.
     most : int, optional
         If there are more frames, about this number of them is measured, in runs of eight that are
         evenly spread.
@@ -115,12 +118,13 @@ def drawn_angles(
     Angles
         To the normals of the skinning's own surface in each frame.
     """
-    holders = holders_of(sequences[0], skinning)
+    skinning, shapes = skinning_and_shapes(model)
+    holders = holders_of(sequences[0], model)
     position = np.asarray(skinning.rest, dtype=np.float64)[None]
-    rest, amounts = rest_vectors(skinning, holders), np.zeros((skinning.n_frames, 0))
-    if len(rest) > 1 and skinning.shapes is not None:
-        position = np.concatenate([position, skinning.shapes.displacements])
-        amounts = skinning.shapes.amounts
+    rest, amounts = rest_vectors(model, holders), np.zeros((skinning.n_frames, 0))
+    if len(rest) > 1 and shapes is not None:
+        position = np.concatenate([position, shapes.displacements])
+        amounts = shapes.amounts
     spans = spans_of(skinning.n_frames, most)
     shared = (
         *(position, rest, *_skin_of(skinning), holders),
@@ -132,17 +136,18 @@ def drawn_angles(
     return frames, Angles.joined(one for one, _ in found), Angles.joined(one for _, one in found)
 
 
-def rest_vectors(skinning: Skinning, holders: NormalHolders) -> Array:
+def rest_vectors(model: Skinned, holders: NormalHolders) -> Array:
     """Vectors ``(1 + S, N, 3)`` in the rest pose that engines skin to draw normals; of any norm.
 
     The first are those without shapes, the others what each shape adds.
     """
+    skinning, shapes = skinning_and_shapes(model)
     normals = None if skinning.surface is None else skinning.surface.normals
     if normals is None:
         normals = normals_at_corners(skinning.rest, holders)
     at_corners = normals[None]
-    if skinning.shapes is not None and len(skinning.faces):
-        fitted = shaped_normals(skinning)
+    if shapes is not None and len(skinning.faces):
+        fitted = shaped_normals(ShapedSkinning(skinning, shapes))
         at_corners = np.concatenate([fitted.rest[None], fitted.added])[:, fitted.corner]
     rest = np.zeros((len(at_corners), len(holders.vertex), 3))
     for row, some in zip(rest, at_corners, strict=True):

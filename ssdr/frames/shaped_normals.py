@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..normals import NormalHolders, corner_normals, normal_holders, surface_normals
-from ..skinning import Skinning
+from ..shapes import ShapedSkinning
 from .vector_fit import fit_vectors
 
 Array = NDArray[np.float64]
@@ -36,7 +36,7 @@ class ShapedNormals:
     added: Array
 
 
-def shaped_normals(model: Skinning) -> ShapedNormals:
+def shaped_normals(face: ShapedSkinning) -> ShapedNormals:
     """Fit rest normals n, and a vector d_s added by each shape, to the model's deformed surface.
 
     With a_t the amounts in frame t, an engine shades with A_t (n + Σ_s a_ts d_s), normalised, where
@@ -45,8 +45,7 @@ def shaped_normals(model: Skinning) -> ShapedNormals:
     is the model's own normal, and d is 0.  Where the frames leave d_s undetermined, it is the
     change that shape s makes to the rest surface's normal.
     """
-    assert model.shapes is not None
-    shapes, faces = model.shapes, model.faces
+    model, shapes, faces = face.skinning, face.shapes, face.faces
     holders = normal_holders(faces, model.n_vertices, model.surface)
     rest, count = np.asarray(model.rest, dtype=np.float64), len(holders.vertex)
     own = None if model.surface is None else model.surface.normals
@@ -60,9 +59,9 @@ def shaped_normals(model: Skinning) -> ShapedNormals:
         reached[s, holders.corner[np.isin(faces, touched).any(axis=1)]] = True
     found = np.concatenate([start[:1], np.where(reached[..., None], start[1:], 0.0)])
     frames = np.linspace(0, model.n_frames - 1, min(_MOST, model.n_frames)).astype(int)
-    targets = _targets(model, frames, holders)
+    targets = _targets(face, frames, holders)
     solved = fit_vectors(
-        model,
+        face,
         frames,
         targets,
         vertex=holders.vertex,
@@ -77,9 +76,9 @@ def shaped_normals(model: Skinning) -> ShapedNormals:
     return ShapedNormals(holders.corner, found[0], found[1:])
 
 
-def _targets(model: Skinning, frames: NDArray[np.int64], holders: NormalHolders) -> Array:
+def _targets(face: ShapedSkinning, frames: NDArray[np.int64], holders: NormalHolders) -> Array:
     """Normals ``(f, N, 3)`` of the model's deformed surface in some frames."""
     out = np.empty((len(frames), len(holders.vertex), 3))
     for k, frame in enumerate(frames):
-        out[k] = surface_normals(model.skin([frame], dtype=np.float64), holders)[0]
+        out[k] = surface_normals(face.skin([frame], dtype=np.float64), holders)[0]
     return out

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..parallel import chunk_bounds, run_chunks, serial_blas
-from ..skinning import Skinning
+from ..shapes import ShapedSkinning
 
 Array = NDArray[np.float64]
 
@@ -17,7 +17,7 @@ _NUMBERS = 1 << 22  # in an array of a task
 
 @serial_blas()
 def fit_vectors(
-    model: Skinning,
+    face: ShapedSkinning,
     frames: NDArray[np.int64],
     goal: Array,
     *,
@@ -34,8 +34,8 @@ def fit_vectors(
 
     Parameters
     ----------
-    model : Skinning
-        With shapes, of which only the amounts are used.
+    face : ShapedSkinning
+        Of its shapes only the amounts are used.
     frames : (f,) int array
     goal : (f, N, 3) array
     vertex : (N,) int array
@@ -49,8 +49,8 @@ def fit_vectors(
     known : (f, N) bool array, optional
         Whether a goal is known; all by default.
     """
-    assert model.shapes is not None
-    factors = np.concatenate([np.ones((len(frames), 1)), model.shapes.amounts[frames]], axis=1)
+    model, amounts = face.skinning, face.shapes.amounts
+    factors = np.concatenate([np.ones((len(frames), 1)), amounts[frames]], axis=1)
     squares = (factors**2).sum(axis=0)
     pulls = pull * np.where(squares > 0, squares, 1.0)
     transforms = np.asarray(model.transforms, dtype=np.float64)[frames]

@@ -112,7 +112,7 @@ class Articulated:
         Returns
         -------
         Skinning
-            With f frames, all of them keys of one clip, and without shapes.
+            With f frames, all of them keys of one clip.
 
         Raises
         ------
@@ -136,8 +136,9 @@ class Articulated:
         moved = from_local(local, parents, positions).astype(self.transforms.dtype)
         one = (Clip(self.name, 0, len(moved), self.fps),)
         model: Any = self  # a dataclass, as the classes derived from this one are
-        free = {"keyframes": None, "clips": one, "shapes": None}
-        return dataclasses.replace(model, transforms=moved, **free)  # type: ignore[no-any-return]
+        return dataclasses.replace(  # type: ignore[no-any-return]
+            model, transforms=moved, keyframes=None, clips=one
+        )
 
     def _hierarchy(self, what: str) -> tuple[NDArray[np.int32], NDArray[np.floating]]:
         if self.parents is None:

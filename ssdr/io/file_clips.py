@@ -16,7 +16,7 @@ from ..errors import InputError
 from ..sequence import MeshSequence
 
 if TYPE_CHECKING:
-    from ..skinning import Skinning
+    from ..shapes import Skinned
 
 
 _log = logging.getLogger(__name__)
@@ -40,7 +40,7 @@ def check_one_rate(clips: Sequence[Clip], where: str) -> None:
         raise InputError("thing", f"clips of one frame rate {where}", rates)
 
 
-def bake(skinning: Skinning) -> MeshSequence:
+def bake(skinning: Skinned) -> MeshSequence:
     """Sequence of a skinning's vertices in every frame.
 
     Raises

@@ -24,7 +24,7 @@ from .file_errors import refuse_device
 from .save_report import SaveReport
 
 if TYPE_CHECKING:
-    from ..skinning import Skinning
+    from ..shapes import Skinned
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -36,7 +36,7 @@ class Functions:
     """
 
     read: Callable[..., MeshSequence]
-    read_skinning: Callable[..., Skinning] | None = None
+    read_skinning: Callable[..., Skinned] | None = None
     write_sequence: Callable[..., SaveReport] | None = None
     write_skinning: Callable[..., SaveReport] | None = None
     list_clips: Callable[..., tuple[Clip, ...]] | None = None

@@ -20,7 +20,7 @@ from .load_save import list_clips, load, load_skinning
 from .spaces import in_space
 
 if TYPE_CHECKING:
-    from ..skinning import Skinning
+    from ..shapes import Skinned
 
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 
@@ -94,7 +94,7 @@ def load_clips(
 
 def load_any(
     path: str | os.PathLike[str], *, clip: str | Sequence[str] | None = None, **options: Any
-) -> MeshSequence | Skinning:
+) -> MeshSequence | Skinned:
     """Read the skinning of a file or, if it holds none, the sequence of one clip.
 
     Parameters

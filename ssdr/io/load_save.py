@@ -30,7 +30,7 @@ from .save_report import SaveReport
 from .spaces import ready_to_write, scaled, with_space
 
 if TYPE_CHECKING:
-    from ..skinning import Skinning
+    from ..shapes import Skinned
 
 
 _log = logging.getLogger(__name__)
@@ -227,7 +227,7 @@ def load_skinning(
     up: Up | None = None,
     folder: str | os.PathLike[str] | None = None,
     **options: Any,
-) -> Skinning:
+) -> Skinned:
     """Read a skinning: rest pose, skin weights and bone transforms.
 
     Parameters
@@ -243,6 +243,10 @@ def load_skinning(
         translations of the bones.
     units, up, folder
         As in :func:`load`.
+
+    Returns
+    -------
+    Skinning, or ShapedSkinning if the file has morph targets or blend shapes
 
     Raises
     ------
@@ -292,8 +296,8 @@ def save(
 
     Parameters
     ----------
-    thing : MeshSequence, Skinning or Decomposition
-        Of a decomposition, its skinning is written.
+    thing : MeshSequence, Skinning, ShapedSkinning or a result
+        Of a result, such as a Decomposition, the model is written.
     path : path
         File to write, whose suffix chooses the format. For numbered meshes, a pattern such as
         ``folder/frame_%04d.obj``.
@@ -328,6 +332,7 @@ def save(
     >>> np.array_equal(again.vertices, dancer.vertices)
     True
     """
+    from ..shapes import ShapedSkinning, Skinned
     from ..skinning import Skinning, skinning_in
 
     target = as_path(path)
@@ -339,17 +344,17 @@ def save(
         ) from error
     check_beside(target)
     thing = skinning_in(thing)
-    if not isinstance(thing, (MeshSequence, Skinning)):
+    if not isinstance(thing, (MeshSequence, Skinning, ShapedSkinning)):
         raise InputError("thing", "a MeshSequence, Skinning or Decomposition", type(thing).__name__)
-    if not (format_.sequences or isinstance(thing, Skinning)):
+    if not (format_.sequences or isinstance(thing, Skinned)):
         able = ", ".join(sorted(suffix for suffix, f in FORMATS.items() if f.sequences))
         raise InputError("path", f"a suffix of {able} for a MeshSequence", target.suffix)
     functions, notes = format_.functions(), []
-    rigged = isinstance(thing, Skinning) and functions.write_skinning is not None
+    rigged = isinstance(thing, Skinned) and functions.write_skinning is not None
     write = functions.write_skinning if rigged else functions.write_sequence
     assert write is not None  # as the format says
     check_options(write, format_.title, options)
-    if isinstance(thing, Skinning) and not rigged:
+    if isinstance(thing, Skinned) and not rigged:
         if len(thing.clips) > 1:
             names = ", ".join(f"{c.name} from frame {c.start}" for c in thing.clips)
             notes.append(f"clips are not kept apart: {names}")

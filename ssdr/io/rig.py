@@ -29,7 +29,7 @@ from ..hierarchy.transforms import (
 from ..lbs import skin, skin_each
 from ..quantisation import WeightStorage, quantise, weight_values
 from ..rigid import matrix_from_quaternion, quaternion_from_matrix, slerp, unflip_quaternions
-from ..shapes import Shapes
+from ..shapes import Shapes, Skinned, skinning_and_shapes
 from ..skinning import Skinning
 from ..storage.stretch import steady_axes
 from .save_report import SaveReport, StorageError, frame_blocks
@@ -143,7 +143,7 @@ class Rig:
         share = (times - np.floor(times))[:, None, None]
         return skin_each(rest + (1 - share) * before + share * after, *skinned, moves)
 
-    def error(self, model: Skinning, *, between: bool = False) -> tuple[float, float]:
+    def error(self, model: Skinned, *, between: bool = False) -> tuple[float, float]:
         """Root mean square and largest distance between the vertices of this rig and of `model`.
 
         The stored arrays are skinned in float64. Both numbers are 0 if there are no frames to
@@ -151,7 +151,7 @@ class Rig:
 
         Parameters
         ----------
-        model : Skinning
+        model : Skinning or ShapedSkinning
         between : bool
             Compare halfway between consecutive frames, where engines interpolate, with the mean of
             the model's vertices in the two frames. A rotating vertex moves on an arc, but this mean
@@ -168,7 +168,7 @@ class Rig:
                 error.add(stored, (truth[1:] + truth[:-1]) / 2 if between else truth)
         return error.rmse, error.largest
 
-    def report(self, model: Skinning, **fields: Any) -> SaveReport:
+    def report(self, model: Skinned, **fields: Any) -> SaveReport:
         """Report on saving `model` as this rig: its errors, and further `fields`."""
         rmse, largest = self.error(model)
         return SaveReport(
@@ -180,7 +180,7 @@ class Rig:
 
 
 def build_rig(
-    skinning: Skinning,
+    model: Skinned,
     *,
     influences: int | None = None,
     most: int | None = None,
@@ -194,7 +194,7 @@ def build_rig(
 
     Parameters
     ----------
-    skinning : Skinning
+    model : Skinning or ShapedSkinning
     influences : int, optional
         Number of largest weights to keep for each vertex; all by default.
     most : int, optional
@@ -210,6 +210,7 @@ def build_rig(
         If a vertex has more than `most` weights, a bone stretches and may not, or mirrors, or
         coordinates are too large for float32.
     """
+    skinning, shapes = skinning_and_shapes(model)
     if influences is not None:
         skinning = skinning.prune(influences)
     indices, weights = quantise(*_sorted_weights(skinning), storage)
@@ -267,7 +268,7 @@ def build_rig(
         keys=_stored_frames(skinning),
         names=unique_names(skinning.names()),
         clips=skinning.clips,
-        shapes=None if skinning.shapes is None else _in_float32(skinning.shapes),
+        shapes=None if shapes is None else _in_float32(shapes),
     )
     return rig if within is None else _with_inner(rig, within)
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..clips import in_order, unique_names
 from ..normals import corner_normals
 from ..sequence import MeshSequence
-from ..shapes import Shapes
+from ..shapes import ShapedSkinning, Shapes, Skinned
 from ..skinning import BoneModel, Skinning
 from ..space import Space
 from ..surface import Material, Surface
@@ -232,7 +232,7 @@ def join_sequence(
 
 def join_skinning(
     samples: Sequence[Sample], materials: list[Material], name: str, space: Space
-) -> Skinning:
+) -> Skinned:
     """Skinning called `name` of all parts, with one clip for each sample.
 
     Raises
@@ -268,7 +268,7 @@ def join_skinning(
     )
     for one in samples:
         one.tell_missed()
-    return make_skinning(
+    model = make_skinning(
         np.concatenate(rest),
         np.concatenate([widened(part, part.indices + first[part.skeleton]) for part in parts]),
         np.concatenate([widened(part, part.weights) for part in parts]),
@@ -278,10 +278,9 @@ def join_skinning(
         name=name,
         clips=in_order(one.clip for one in samples),
         space=space,
-        shapes=_join_shapes(
-            [[shapes for _, shapes in one] for one in held], part_starts(parts), name
-        ),
     )
+    shapes = _join_shapes([[shapes for _, shapes in one] for one in held], part_starts(parts), name)
+    return model if shapes is None else ShapedSkinning(model, shapes)
 
 
 def _join_shapes(

@@ -8,9 +8,10 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..sequence import MeshSequence
+from ..shapes import ShapedSkinning
 from ..space import UNKNOWN, Space
 
-Thing = TypeVar("Thing", bound=Any)  # MeshSequence or Skinning
+Thing = TypeVar("Thing", bound=Any)  # MeshSequence, Skinning or ShapedSkinning
 
 # rotation by 90° about x, which maps z up to y up
 _Y_FROM_Z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
@@ -66,18 +67,19 @@ def transformed(thing: Thing, factor: float, turn: Any = np.eye(3)) -> Thing:  #
     if isinstance(thing, MeshSequence):
         vertices = np.concatenate([at(block) for _, block in thing.chunks()])
         return dataclasses.replace(thing, vertices=vertices, surface=surface)
+    if isinstance(thing, ShapedSkinning):
+        shapes = dataclasses.replace(thing.shapes, displacements=at(thing.shapes.displacements))
+        bones = transformed(thing.skinning, factor, turn)
+        return dataclasses.replace(thing, skinning=bones, shapes=shapes)
     m = np.asarray(thing.transforms, dtype=np.float64)
     moved = np.concatenate([turn @ m[..., :3] @ turn.T, at(m[..., 3])[..., None]], axis=-1)
-    joints, shapes = thing.joint_positions, thing.shapes
-    if shapes is not None:
-        shapes = dataclasses.replace(shapes, displacements=at(shapes.displacements))
+    joints = thing.joint_positions
     return dataclasses.replace(
         thing,
         rest=at(thing.rest),
         joint_positions=None if joints is None else at(joints),
         transforms=moved.astype(thing.transforms.dtype),
         surface=surface,
-        shapes=shapes,
     )
 
 
@@ -93,8 +95,12 @@ def scaled(thing: Thing, factor: float, space: Space) -> Thing:
 
 def with_space(thing: Thing, space: Space) -> Thing:
     """Sequence or skinning with the same coordinates, stated to be in another space."""
+    if space == thing.space:
+        return thing
+    if isinstance(thing, ShapedSkinning):
+        return dataclasses.replace(thing, skinning=with_space(thing.skinning, space))
     unread = {"validate": False} if isinstance(thing, MeshSequence) else {}
-    return thing if space == thing.space else dataclasses.replace(thing, space=space, **unread)
+    return dataclasses.replace(thing, space=space, **unread)
 
 
 def ready_to_write(thing: Thing, title: str, space: Space | None) -> tuple[Thing, str]:

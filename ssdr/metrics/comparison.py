@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from ..errors import check_flag
 from ..representation import short_repr
-from ..skinning import Skinning, skinning_in
+from ..shapes import Skinned
+from ..skinning import skinning_in
 from .edge_difference import Sted
 from .edge_difference import sted as _sted
 from .hausdorff_distance import Hausdorff
@@ -140,7 +141,7 @@ def compare(
         n_vertices=first.n_vertices,
         hausdorff=_hausdorff(first, second) if hausdorff else None,
         sted=_sted(first, second) if sted else None,
-        normals=_normals(first, model if isinstance(model, Skinning) else second),
+        normals=_normals(first, model if isinstance(model, Skinned) else second),
     )
 
 

@@ -12,17 +12,18 @@ from ..checks import LARGEST
 from ..errors import InputError
 from ..parallel import chunk_bounds
 from ..sequence import MeshSequence
-from ..skinning import Skinning, skinning_in
+from ..shapes import Skinned
+from ..skinning import skinning_in
 
 
 class _Result(Protocol):
     """Result of a function that makes a model."""
 
     @property
-    def skinning(self) -> Skinning: ...
+    def skinning(self) -> Skinned: ...
 
 
-Frames = MeshSequence | Skinning | _Result | ArrayLike
+Frames = MeshSequence | Skinned | _Result | ArrayLike
 _CHUNK_BYTES = 16 << 20  # bytes of float64 compared at a time, to bound memory
 
 
@@ -33,7 +34,7 @@ def as_sequence(frames: Frames, faces: ArrayLike | None, argument: str) -> MeshS
     errors.
     """
     frames = skinning_in(frames)
-    if isinstance(frames, Skinning):
+    if isinstance(frames, Skinned):
         rows = frames.vertex_map
         frames = MeshSequence(
             frames.skin(), frames.faces, frames.fps, vertex_map=rows, validate=False
@@ -64,7 +65,7 @@ def as_pair(
 
 def matched(
     reference: MeshSequence,
-    model: MeshSequence | Skinning,
+    model: MeshSequence | Skinned,
     argument: str = "reference",
     whose: str = "the model",
 ) -> MeshSequence:
@@ -85,7 +86,7 @@ def matched(
     return found
 
 
-def _at_vertices_of(model: MeshSequence | Skinning, sequence: MeshSequence) -> MeshSequence:
+def _at_vertices_of(model: MeshSequence | Skinned, sequence: MeshSequence) -> MeshSequence:
     """The first of the vertices that were welded into each of a model; else all, unchanged."""
     rows = model.vertex_map
     if rows is None or not len(rows) == sequence.n_vertices != model.n_vertices:
@@ -95,7 +96,7 @@ def _at_vertices_of(model: MeshSequence | Skinning, sequence: MeshSequence) -> M
     return dataclasses.replace(chosen, faces=model.faces, surface=model.surface, validate=False)
 
 
-def check_finite(first: MeshSequence, second: MeshSequence | Skinning, *results: Any) -> None:
+def check_finite(first: MeshSequence, second: MeshSequence | Skinned, *results: Any) -> None:
     """Raise an InputError if a result is not finite.
 
     Raises
@@ -122,13 +123,13 @@ def edges_of(first: MeshSequence, second: MeshSequence) -> NDArray[np.int32]:
     return np.unique(ends[ends[:, 0] != ends[:, 1]], axis=0)
 
 
-def chunk_size(sequence: MeshSequence | Skinning, per_frame: int = 0) -> int:
+def chunk_size(sequence: MeshSequence | Skinned, per_frame: int = 0) -> int:
     """Number of frames in a chunk, if a frame takes `per_frame` numbers (at least 3 V)."""
     return max(1, _CHUNK_BYTES // (8 * max(per_frame, 3 * sequence.n_vertices)))
 
 
-def read(frames: MeshSequence | Skinning, start: int, stop: int) -> NDArray[np.float64]:
+def read(frames: MeshSequence | Skinned, start: int, stop: int) -> NDArray[np.float64]:
     """Read or skin the frames ``start:stop`` as a float64 array ``(n, V, 3)``."""
     some = slice(start, stop)
-    block = frames.skin(some) if isinstance(frames, Skinning) else frames.frames(some)
+    block = frames.skin(some) if isinstance(frames, Skinned) else frames.frames(some)
     return np.asarray(block, dtype=np.float64)

@@ -15,7 +15,8 @@ from ..normals import surface_normals
 from ..parallel import chunk_bounds
 from ..representation import short_repr
 from ..sequence import MeshSequence
-from ..skinning import Skinning, skinning_in
+from ..shapes import Skinned
+from ..skinning import skinning_in
 from .inputs import Frames, as_pair, as_sequence, chunk_size, matched, read
 
 _MOST = 500  # frames measured of a result of the solver, or a few less
@@ -116,7 +117,7 @@ def normals(reference: Frames, model: Frames, faces: ArrayLike | None = None) ->
     """
     first = as_sequence(reference, faces, "reference")
     model = skinning_in(model)
-    if isinstance(model, Skinning):
+    if isinstance(model, Skinned):
         first = matched(first, model)
     else:
         first, model = as_pair(first, model, faces)
@@ -126,12 +127,12 @@ def normals(reference: Frames, model: Frames, faces: ArrayLike | None = None) ->
     return result
 
 
-def known_errors(reference: MeshSequence, model: Skinning | MeshSequence) -> NormalErrors | None:
+def known_errors(reference: MeshSequence, model: Skinned | MeshSequence) -> NormalErrors | None:
     """Angles as by :func:`normals`, for a model with the reference's frames and vertices.
 
     The result is None if no angle can be measured.
     """
-    if not isinstance(model, Skinning):
+    if not isinstance(model, Skinned):
         holders, parts = holders_of(reference, model), []
         for span in chunk_bounds(reference.n_frames, chunk_size(reference)):
             one, other = (surface_normals(read(x, *span), holders) for x in (reference, model))
@@ -146,7 +147,7 @@ def known_errors(reference: MeshSequence, model: Skinning | MeshSequence) -> Nor
 
 def errors_of_model(
     sequences: Sequence[MeshSequence],
-    model: Skinning,
+    model: Skinned,
     *,
     executor: Executor | None = None,
     most: int | None = _MOST,

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from ..frames.error import motion_rms, rmse_of, share_of
 from ..parallel import chunk_bounds
 from ..representation import short_repr
-from ..skinning import Skinning, skinning_in
+from ..shapes import Skinned
+from ..skinning import skinning_in
 from .inputs import Frames, as_pair, as_sequence, check_finite, chunk_size, matched, read
 
 
@@ -97,7 +98,7 @@ def distances(reference: Frames, other: Frames) -> Distances:
     """
     model = skinning_in(other)
     first, second = as_sequence(reference, None, "reference"), model
-    if isinstance(model, Skinning):
+    if isinstance(model, Skinned):
         first = matched(first, model)
     else:
         first, second = as_pair(first, model)

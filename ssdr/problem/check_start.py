@@ -20,7 +20,7 @@ from ..hierarchy.tree import Tree
 from ..joints.limb_matching import limb_distances
 from ..joints.placement import move_onto_joints
 from ..sequence import MeshSequence
-from ..skinning import Skinning, refuse_shapes
+from ..skinning import Skinning
 from ..solver.model import Constraints, Skin
 from ..solver.trajectories import Array
 from ..start import JointKind, Skeleton, Start
@@ -48,7 +48,6 @@ def _from_model(
     model: Skinning, shape: tuple[int, int, int, int], bone_model: BoneModel
 ) -> Initial:
     n_frames, n, bones, influences = shape
-    refuse_shapes(model, "start", "a search for bones")
     if model.n_vertices != n:
         raise InputError("start", f"a model of {n} vertices, as the sequence has", model.n_vertices)
     if model.n_bones != bones:

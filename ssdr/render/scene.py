@@ -18,6 +18,7 @@ from ..frames.normals import Angles, holders_of, posed, rest_vectors
 from ..metrics.inputs import matched
 from ..normals import NormalHolders, normal_holders, surface_normals
 from ..sequence import MeshSequence
+from ..shapes import ShapedSkinning, Skinned, skinning_and_shapes
 from ..skinning import Skinning, skinning_in
 from .camera import Float
 from .palette import CLAY, NEUTRAL, bone_colors, heat, linear_from_srgb, mix
@@ -43,7 +44,7 @@ class Scene:
         The vertices whose errors are measured; the others are grey.
     """
 
-    subject: MeshSequence | Skinning
+    subject: MeshSequence | Skinned
     reference: MeshSequence | None
     colors: Float
     measured: NDArray[np.bool_]
@@ -60,7 +61,7 @@ class Scene:
             If the subject is of an unknown type, or another argument does not match it.
         """
         subject = skinning_in(subject)
-        if not isinstance(subject, (MeshSequence, Skinning)):
+        if not isinstance(subject, (MeshSequence, Skinning, ShapedSkinning)):
             kind = type(subject).__name__
             raise InputError("subject", "a MeshSequence, Skinning or Decomposition", kind)
         if reference is not None:
@@ -84,13 +85,13 @@ class Scene:
     @property
     def has_bones(self) -> bool:
         """Whether the subject is a skinning."""
-        return isinstance(self.subject, Skinning)
+        return isinstance(self.subject, Skinned)
 
     @property
     def model(self) -> Skinning:
-        """The subject, which must be a Skinning (see `has_bones`)."""
-        assert isinstance(self.subject, Skinning)
-        return self.subject
+        """The skinning of the subject, which must have one (see `has_bones`)."""
+        assert isinstance(self.subject, Skinned)
+        return skinning_and_shapes(self.subject)[0]
 
     @functools.cached_property
     def _lit(self) -> tuple[NormalHolders, Float | None]:
@@ -105,7 +106,8 @@ class Scene:
         return self._held(holders_of(self.reference, self.subject))
 
     def _held(self, holders: NormalHolders) -> tuple[NormalHolders, Float | None]:
-        return holders, rest_vectors(self.model, holders) if self.has_bones else None
+        subject = self.subject
+        return holders, rest_vectors(subject, holders) if isinstance(subject, Skinned) else None
 
     @functools.cached_property
     def _used(self) -> tuple[NDArray[np.integer], NDArray[np.int32]]:
@@ -133,10 +135,11 @@ class Scene:
         return np.asarray(self._normals(frame, *self._lit)[self._used[0]])
 
     def _normals(self, frame: int, holders: NormalHolders, vectors: Float | None) -> Float:
-        if vectors is None:
+        if vectors is None or isinstance(self.subject, MeshSequence):
             return np.asarray(surface_normals(self.positions(frame)[None], holders)[0])
-        model, rows, some = self.model, holders.vertex, slice(frame, frame + 1)
-        amounts = np.zeros((1, 0)) if model.shapes is None else model.shapes.amounts[some]
+        (model, shapes), rows = skinning_and_shapes(self.subject), holders.vertex
+        some = slice(frame, frame + 1)
+        amounts = np.zeros((1, 0)) if shapes is None else shapes.amounts[some]
         turns = model.transforms[some] * [1, 1, 1, 0]
         skin = model.indices[rows], model.weights[rows]
         return np.asarray(posed(vectors, *skin, turns, amounts)[0])
@@ -163,7 +166,7 @@ class Scene:
         truth, subject, chosen = self.reference, self.subject, self.measured
         if chosen.all():
             return metrics.distances(truth, subject)
-        vertices = subject.skin() if isinstance(subject, Skinning) else subject.frames(slice(None))
+        vertices = subject.skin() if isinstance(subject, Skinned) else subject.frames(slice(None))
         return metrics.distances(truth.frames(slice(None))[:, chosen], vertices[:, chosen])
 
     def errors(self, frame: int, style: Style = "error") -> Float:

@@ -7,9 +7,10 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import InputError
 from ..hierarchy.transforms import rest_diagonal, translating
-from ..shapes import Shapes
-from ..skinning import Skinning, check_skinning
+from ..shapes import Shapes, Skinned, skinning_and_shapes
+from ..skinning import Skinning, skinning_in
 
 # In float32: rotation and translation; also a scale; two rotations, translation and three scales.
 _KEY_BYTES = {"rigid": 28, "similarity": 32, "affine": 56}
@@ -58,12 +59,12 @@ class Size:
         return self.rest + self.weights + self.joints + self.keys + self.shapes
 
 
-def size(skinning: Skinning) -> Size:
+def size(model: Skinned) -> Size:
     """Bytes of a model: rest pose, nonzero weights, joints, and keys.
 
     Parameters
     ----------
-    skinning : Skinning
+    model : Skinning or ShapedSkinning, or a result that has one
         If its `keyframes` are None, every frame is a key of every bone.
 
     Returns
@@ -82,7 +83,10 @@ def size(skinning: Skinning) -> Size:
     >>> size.rest == 12 * 799, size.joints == 12 * 4
     (True, True)
     """
-    skinning = check_skinning(skinning)
+    found = skinning_in(model)
+    if not isinstance(found, Skinned):
+        raise InputError("model", "a Skinning", type(model).__name__)
+    skinning, shapes = skinning_and_shapes(found)
     frames, bones = skinning.transforms.shape[:2]
     keys = np.full(bones, frames)
     if skinning.keyframes is not None:
@@ -95,7 +99,7 @@ def size(skinning: Skinning) -> Size:
         weights=skinning.n_vertices + influence * int(np.count_nonzero(skinning.weights)),
         joints=(12 + parent) * bones,
         keys=int((keys * key_bytes(skinning) + times).sum()),
-        shapes=0 if skinning.shapes is None else _shape_bytes(skinning.shapes),
+        shapes=0 if shapes is None else _shape_bytes(shapes),
     )
 
 

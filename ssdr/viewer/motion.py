@@ -11,7 +11,7 @@ from ..checks import check_squarable
 from ..metrics.inputs import chunk_size, read
 from ..parallel import chunk_bounds
 from ..sequence import MeshSequence
-from ..skinning import Skinning
+from ..shapes import Skinned
 
 Float = NDArray[np.float64]
 _OUTLINES = 64  # frames whose outermost vertices are looked for
@@ -54,7 +54,7 @@ class Motion:
 
 
 def walk(
-    model: Skinning, truth: MeshSequence | None, vertical: Float, *, hidden: bool = False
+    model: Skinned, truth: MeshSequence | None, vertical: Float, *, hidden: bool = False
 ) -> Motion:
     """Extent and path of a model over all frames, and its errors against a reference.
 

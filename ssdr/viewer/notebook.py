@@ -10,6 +10,7 @@ import logging
 from typing import Any
 
 from ..sequence import MeshSequence
+from ..shapes import ShapedSkinning, Skinned
 from ..skinning import Skinning, skinning_in
 
 _PAGE_BYTES = 3_000_000  # of a page in a frame: the notebook keeps it in its file
@@ -39,7 +40,7 @@ def notebook_html(thing: Any) -> str:
     return f'<div style="max-width:1100px">{shown}<div>{words}</div></div>'
 
 
-def _frame(subject: MeshSequence | Skinning) -> str:
+def _frame(subject: MeshSequence | Skinned) -> str:
     """The page as the source of an ``<iframe>``; empty if it is too large."""
     from .page import page_text
 
@@ -55,7 +56,7 @@ def _frame(subject: MeshSequence | Skinning) -> str:
     )
 
 
-def _picture(subject: MeshSequence | Skinning) -> str:
+def _picture(subject: MeshSequence | Skinned) -> str:
     """An ``<img>`` of the middle frame; empty if drawing it would take long."""
     from ..render import render_frame
 
@@ -66,6 +67,8 @@ def _picture(subject: MeshSequence | Skinning) -> str:
     if isinstance(subject, Skinning):
         one = {"transforms": subject.transforms[[middle]], "keyframes": None, "clips": None}
         still: Any = dataclasses.replace(subject, **one)
+    elif isinstance(subject, ShapedSkinning):
+        still = MeshSequence(subject.skin([middle]), subject.faces)
     else:
         still = MeshSequence(subject.frames([middle]), subject.faces)
     stored = io.BytesIO()

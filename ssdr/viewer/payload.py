@@ -19,7 +19,6 @@ from rich.filesize import decimal
 from .. import metrics
 from ..checks import check_whole
 from ..clips import Clip
-from ..driving import is_driven
 from ..errors import InputError, check_flag
 from ..frames.normals import holders_of
 from ..hierarchy.bone_ends import limb_ends
@@ -30,6 +29,7 @@ from ..metrics.normal_angles import known_errors
 from ..render.camera import up_axes
 from ..render.palette import bone_colors, mix, srgb_from_linear
 from ..sequence import MeshSequence, as_sequences, joined
+from ..shapes import ShapedSkinning, Shapes, Skinned, skinning_and_shapes
 from ..skinning import Skinning, skinning_in
 from ..storage.size import size
 from ..surface import Surface
@@ -82,7 +82,7 @@ def payload(
         too large for a page.
     """
     subject = skinning_in(model)
-    if not isinstance(subject, (Skinning, MeshSequence)):
+    if not isinstance(subject, (Skinning, ShapedSkinning, MeshSequence)):
         expected = "a Skinning, Decomposition or MeshSequence"
         raise InputError("model", expected, type(model).__name__)
     basis = np.stack([up_axes(up)[k] for k in (2, 0, 1)])
@@ -90,9 +90,9 @@ def payload(
     check_whole(max_bytes, "max_bytes", 1)
     file = None if file is None else Path(file)
     truth = None if reference is None else joined(as_sequences(reference))
-    skinned, alone = isinstance(subject, Skinning), False
-    if isinstance(subject, Skinning):
-        model = subject
+    skinned, alone, shapes = isinstance(subject, Skinned), False, None
+    if isinstance(subject, Skinned):
+        model, shapes = skinning_and_shapes(subject)
     elif truth is not None:
         model = _of_vertices(subject)
     else:
@@ -105,11 +105,13 @@ def payload(
     if truth is not None:
         own = {"faces": model.faces, "surface": model.surface, "vertex_map": None}
         truth = dataclasses.replace(matched(truth, model), **own, validate=False)
-    motion = walk(model, truth, basis[1], hidden=alone)
+    # what is drawn: the model, or it with its shapes
+    shown = model if shapes is None else ShapedSkinning(model, shapes)
+    motion = walk(shown, truth, basis[1], hidden=alone)
     errors = angles = None
     if truth is not None and not alone:
-        errors = metrics.distances(truth, model)
-        angles = known_errors(truth, model if skinned else subject)
+        errors = metrics.distances(truth, shown)
+        angles = known_errors(truth, shown if skinned else subject)
     scale = motion.diagonal or 1.0
     surface = model.surface
     if skinned:
@@ -140,7 +142,7 @@ def payload(
             turned=skinned,
             holders=None if truth is None else holders_of(truth, model),
         ),
-        **_shape_entries(model, scale, blocks),
+        **_shape_entries(shapes, scale, blocks),
         "rig": _rig(model, rest_center, scale, blocks) if skinned else None,
     }
     held = truth if keep_input else None
@@ -155,10 +157,11 @@ def payload(
     transforms = model.transforms[frames].astype(np.float64)
     moved = transforms[..., 3] + transforms[..., :3] @ rest_center - motion.center
     transforms[..., 3] = moved / scale
-    if model.shapes is not None:
-        document["amounts"] = blocks.array(model.shapes.amounts[frames].astype(np.float32))
+    if shapes is not None:
+        document["amounts"] = blocks.array(shapes.amounts[frames].astype(np.float32))
+    driven = isinstance(subject, ShapedSkinning) and subject.driven
     document |= {
-        "expressions": [c.name for c in model.clips] if step == 1 and is_driven(model) else None,
+        "expressions": [c.name for c in model.clips] if driven and step == 1 else None,
         "step": step,
         "frames": len(frames),
         "clips": _clips(model.clips, step),
@@ -167,10 +170,16 @@ def payload(
         "follow": bool(np.linalg.norm(np.ptp(motion.path, axis=0)) > _TRAVELS * scale),
         "error": errors and _error(motion, errors, frames),
         "angles": angles and {"mean": angles.mean, "top": max(angles.p95, _LEAST_ANGLE)},
-        "input": held and _input(model, held, motion.reach, frames, scale, blocks),
+        "input": held and _input(shown, held, motion.reach, frames, scale, blocks),
         "summary": _summary(model, skinned, errors, file),
         "figures": _figures(
-            model, skinned, motion.diagonal, errors, angles, file, reference_name or "the input"
+            shown,
+            skinned,
+            motion.diagonal,
+            errors,
+            angles,
+            file,
+            reference_name or "the input",
         ),
         "notes": notes,
     }
@@ -227,17 +236,17 @@ def _rig(model: Skinning, center: Float, scale: float, blocks: Blocks) -> dict[s
     }
 
 
-def _shape_entries(model: Skinning, scale: float, blocks: Blocks) -> dict[str, Any]:
+def _shape_entries(shapes: Shapes | None, scale: float, blocks: Blocks) -> dict[str, Any]:
     """Append the displacements of shapes to `blocks`; return their document entries.
 
     Normals are not displaced.
     """
-    if model.shapes is None:
+    if shapes is None:
         return {"shapes": None}
-    shape, vertex = np.nonzero(model.shapes.moved)
-    moves = model.shapes.displacements[shape, vertex] / scale
+    shape, vertex = np.nonzero(shapes.moved)
+    moves = shapes.displacements[shape, vertex] / scale
     return {
-        "shapes": np.searchsorted(shape, np.arange(len(model.shapes) + 1)).tolist(),
+        "shapes": np.searchsorted(shape, np.arange(len(shapes) + 1)).tolist(),
         "shapeVertices": blocks.array(vertex.astype(np.uint32), delta=True),
         "shapeMoves": blocks.array(moves.astype(np.float32)),
     }
@@ -288,7 +297,7 @@ def _error(motion: Motion, errors: metrics.Distances, frames: NDArray[np.int64])
 
 
 def _input(
-    model: Skinning,
+    model: Skinned,
     truth: MeshSequence,
     reach: float,
     frames: NDArray[np.int64],
@@ -305,7 +314,7 @@ def _input(
 
 
 def _figures(
-    model: Skinning,
+    shown: Skinned,
     skinned: bool,
     diagonal: float,
     errors: metrics.Distances | None,
@@ -314,6 +323,7 @@ def _figures(
     reference_name: str,
 ) -> list[tuple[str, str, str]]:
     """Rows of a table: name, value, and where the value comes from."""
+    model = shown.skinning
     cache = 12 * model.n_frames * model.n_vertices
     cached = "every vertex of every frame in float32"
     seconds = sum(clip.n_frames / clip.fps for clip in model.clips)
@@ -322,7 +332,7 @@ def _figures(
         ("Frames", f"{model.n_frames:,}", f"{seconds:.3g} seconds"),
     ]
     if skinned:
-        held = size(model)
+        held = size(shown)
         tree = "without a hierarchy" if model.parents is None else "in a hierarchy"
         used = int((model.weights > 0).sum(axis=1).max())
         rows += [

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ...clips import Clip, pick
 from ...errors import InputError
 from ...sequence import MeshSequence
-from ...shapes import Shapes
+from ...shapes import ShapedSkinning, Shapes, Skinned
 from ...skinning import Skinning
 from ...space import Space
 from ...surface import Material, Surface
@@ -82,7 +82,7 @@ def read(
         index = pick_clip(names, clip, path)
         skinning = skinning.select(index)
         count, n = skinning.n_frames, skinning.n_vertices
-        size = count * n * 3 * skinning.rest.itemsize
+        size = count * n * 3 * skinning.skinning.rest.itemsize
         afford(size, f"baking {count} frames of {n} vertices", path, max_bytes)
         with reading(path):
             return bake(skinning)
@@ -147,16 +147,14 @@ def write_sequence(sequence: MeshSequence, path: Path, *, compress: bool = True)
     return _write(sequence, path, {"vertices": sequence.vertices}, compress)
 
 
-def read_skinning(
-    path: Path, *, fps: float | None = None, max_bytes: int | None = None
-) -> Skinning:
+def read_skinning(path: Path, *, fps: float | None = None, max_bytes: int | None = None) -> Skinned:
     """Read a file of :func:`write_skinning`; `fps`, if given, becomes the rate of every clip."""
     arrays = read_arrays(
         path,
         required=_SKINNING,
         optional=(
             *("indices", "joints", "bone_model", "bone_names", "name", *_WHERE_GIVEN, *_SURFACE),
-            *("clip_names", "clip_offsets", "clip_fps", *_SPACE, *_SHAPES),
+            *("clip_names", "clip_offsets", "clip_fps", *_SPACE, *_SHAPES, "driven"),
         ),
         max_bytes=max_bytes,
     )
@@ -170,7 +168,7 @@ def read_skinning(
         clips = _clips_from(arrays)
         if fps is not None and clips is not None:
             clips = [dataclasses.replace(clip, fps=fps) for clip in clips]
-        return Skinning(
+        skinning = Skinning(
             arrays["rest"],
             arrays[indices],
             arrays["weights"],
@@ -183,27 +181,32 @@ def read_skinning(
             bone_names=tuple(json.loads(names)) if names else None,
             name=_text(arrays, "name"),
             space=_space(arrays),
-            shapes=_shapes_from(arrays, path, max_bytes),
             **{key: arrays.get(key) for key in _WHERE_GIVEN},
         )
+        shapes = _shapes_from(arrays, path, max_bytes)
+        if shapes is None:
+            return skinning
+        return ShapedSkinning(skinning, shapes, driven=bool(_number(arrays, "driven", 0)))
 
 
-def write_skinning(skinning: Skinning, path: Path, *, compress: bool = True) -> SaveReport:
-    """Write a skinning without loss, with all its fields."""
+def write_skinning(model: Skinned, path: Path, *, compress: bool = True) -> SaveReport:
+    """Write a model without loss, with all its fields."""
+    skinning = model.skinning
     arrays: dict[str, Any] = {
         "rest": skinning.rest,
         "indices": skinning.indices,
         "weights": skinning.weights,
         "transforms": skinning.transforms,
-        "format_version": np.int64(2 if skinning.shapes is None else FORMAT_VERSION),
+        "format_version": np.int64(2 if model is skinning else FORMAT_VERSION),
         "bone_model": np.array(skinning.bone_model),
     }
-    if skinning.shapes is not None:
-        shapes, (s, v) = skinning.shapes, np.nonzero(skinning.shapes.moved)
+    if isinstance(model, ShapedSkinning):
+        shapes, (s, v) = model.shapes, np.nonzero(model.shapes.moved)
         names = np.array(json.dumps(shapes.names))
         rows = np.stack([s, v], axis=1).astype(np.int32)
         found = shapes.displacements[s, v], rows, shapes.amounts, names
         arrays |= dict(zip(_SHAPES, found, strict=True))
+        arrays |= {"driven": np.int64(1)} if model.driven else {}
     if skinning.bone_names is not None:
         arrays["bone_names"] = np.array(json.dumps(skinning.bone_names))
     clips = skinning.clips

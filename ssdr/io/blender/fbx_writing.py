@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import InputError, SsdrError
-from ...skinning import Skinning, refuse_shapes
+from ...shapes import Skinned, without_shapes
 from ..atomic import atomic_path
 from ..file_clips import check_one_rate
 from ..gltf.gltf_writing import write_rig
@@ -25,7 +25,7 @@ _LONGEST_NAME = 63  # bytes in the name of anything in Blender
 
 
 def write_skinning(
-    skinning: Skinning,
+    thing: Skinned,
     path: Path,
     *,
     influences: int | None = None,
@@ -41,7 +41,8 @@ def write_skinning(
 
     Parameters
     ----------
-    skinning : Skinning
+    thing : Skinning or ShapedSkinning
+        Without shapes.
         In metres with y up.
     path : Path
     influences, name
@@ -62,7 +63,7 @@ def write_skinning(
     SsdrError
         If Blender stops with an error or takes too long, or its file does not hold the model.
     """
-    refuse_shapes(skinning, "thing", "FBX; glTF and USD hold them")
+    skinning = without_shapes(thing, "FBX; glTF and USD hold them")
     title = name or skinning.name or path.stem
     names = [clip.name or title for clip in skinning.clips]
     long = [one for one in names if len(one.encode()) > _LONGEST_NAME]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ...clips import Clip, in_order
 from ...sequence import MeshSequence
-from ...skinning import Skinning
+from ...shapes import Skinned
 from ...space import METRES_Y_UP
 from ...surface import Material
 from ..file_clips import pick_clip
@@ -124,7 +124,7 @@ def read_skinning(
     meshes: str | Sequence[str] | None = None,
     joints_alone: bool = False,
     max_bytes: int | None = None,
-) -> Skinning:
+) -> Skinned:
     """Read the skins of a file without baking them; a mesh without a skin gets one bone.
 
     The parent of a joint is the nearest node above it that is a joint of the same skin. If no

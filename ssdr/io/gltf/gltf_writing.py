@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ...errors import InputError
 from ...frames.shaped_normals import shaped_normals
 from ...quantisation import WeightStorage
-from ...skinning import Skinning, refuse_shapes
+from ...shapes import ShapedSkinning, Skinned, skinning_and_shapes, without_shapes
 from ...surface import Material, Surface
 from ..corners import Corners, rest_normals, split_corners
 from ..rig import Rig, build_rig
@@ -35,7 +35,7 @@ from .gltf_template import Template
 
 
 def write_skinning(
-    skinning: Skinning,
+    skinning: Skinned,
     path: Path,
     *,
     influences: int | None = None,
@@ -50,7 +50,7 @@ def write_skinning(
 
     Parameters
     ----------
-    skinning : Skinning
+    skinning : Skinning or ShapedSkinning
         In metres with y up.  A bone that stretches becomes two nodes, of which the outer one
         rotates and scales and the inner one, the joint, rotates.  Shapes become morph targets,
         whose normals are fitted; they cannot be written with a template.
@@ -99,8 +99,8 @@ def write_skinning(
         raise InputError("thing", "at most 65535 bones", rig.n_bones)
     if template is None:
         return write_rig(skinning, rig, path, title)
-    refuse_shapes(skinning, "thing", "a file with a template")
-    old = Template(Path(template), skinning, meshes, clip_names or {})
+    plain = without_shapes(skinning, "a file with a template")
+    old = Template(Path(template), plain, meshes, clip_names or {})
     old.put(rig, title)
     if strict and old.builder.lost:
         lost = "; ".join(old.builder.lost)
@@ -108,12 +108,12 @@ def write_skinning(
     return _report(skinning, rig, path, old.builder)
 
 
-def write_rig(skinning: Skinning, rig: Rig, path: Path, title: str) -> SaveReport:
+def write_rig(skinning: Skinned, rig: Rig, path: Path, title: str) -> SaveReport:
     """Write a model that :func:`ssdr.io.rig.build_rig` has made a rig of, without a template."""
     return _report(skinning, rig, path, _document(skinning, rig, title))
 
 
-def _document(model: Skinning, rig: Rig, title: str) -> Builder:
+def _document(model: Skinned, rig: Rig, title: str) -> Builder:
     """A new document with the model."""
     builder = Builder()
     json = builder.json
@@ -135,12 +135,12 @@ def _document(model: Skinning, rig: Rig, title: str) -> Builder:
     return builder
 
 
-def _mesh(builder: Builder, model: Skinning, rig: Rig) -> list[dict[str, Any]]:
+def _mesh(builder: Builder, model: Skinned, rig: Rig) -> list[dict[str, Any]]:
     """Add a mesh and return the JSON of its primitives."""
-    surface = model.surface
-    normals = rest_normals(model, rig.rest)
-    fitted = shaped_normals(model) if model.shapes is not None and normals is not None else None
-    if fitted is not None:
+    surface, (skinning, shapes), fitted = model.surface, skinning_and_shapes(model), None
+    normals = rest_normals(skinning, rig.rest)
+    if shapes is not None and normals is not None:
+        fitted = shaped_normals(ShapedSkinning(skinning, shapes))
         normals = fitted.rest[fitted.corner].astype(np.float32)
     uv = None if surface is None else surface.uv
     corners = split_corners(model.faces, model.n_vertices, uv, normals)
@@ -161,7 +161,7 @@ def _mesh(builder: Builder, model: Skinning, rig: Rig) -> list[dict[str, Any]]:
     return primitives
 
 
-def _report(model: Skinning, rig: Rig, path: Path, builder: Builder) -> SaveReport:
+def _report(model: Skinned, rig: Rig, path: Path, builder: Builder) -> SaveReport:
     """Write the file and return a report of its size, storage error, notes and losses."""
     size, notes = builder.save(path), builder.notes
     if rig.indices.shape[1] > 4:

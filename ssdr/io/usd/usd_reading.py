@@ -17,7 +17,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 from ...clips import Clip, in_order, unique_names
 from ...errors import is_real, is_whole
 from ...sequence import MeshSequence
-from ...skinning import Skinning
+from ...shapes import Skinned
 from ...space import Space
 from ..file_clips import pick_clip
 from ..file_errors import check, reading
@@ -332,7 +332,7 @@ def read_skinning(
     meshes: str | Sequence[str] | None = None,
     joints_alone: bool = False,
     max_bytes: int | None = None,
-) -> Skinning:
+) -> Skinned:
     """Read the UsdSkel skins of a file without baking them; a mesh without a skin gets one bone.
 
     The parent of a joint is the nearest joint above it in its path. If no joint has a parent, the

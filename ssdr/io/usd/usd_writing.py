@@ -15,8 +15,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 from ...clips import Clip, readable, unique_names
 from ...hierarchy.transforms import parents_first
 from ...sequence import MeshSequence
-from ...shapes import Shapes
-from ...skinning import Skinning
+from ...shapes import Shapes, Skinned
 from ...space import METRES_Y_UP, Space
 from ..atomic import atomic_path
 from ..corners import rest_normals
@@ -27,7 +26,7 @@ from .stage import identifier, system_errors
 
 
 def write_skinning(
-    skinning: Skinning, path: Path, *, influences: int | None = None, name: str | None = None
+    skinning: Skinned, path: Path, *, influences: int | None = None, name: str | None = None
 ) -> SaveReport:
     """Write a UsdSkel character: skeleton, one animation per clip, skin weights, surface.
 
@@ -37,7 +36,7 @@ def write_skinning(
 
     Parameters
     ----------
-    skinning : Skinning
+    skinning : Skinning or ShapedSkinning
         A bone that stretches becomes two joints.  Its shapes become blend shapes without normals of
         their own.
     path : Path
@@ -82,7 +81,7 @@ def write_skinning(
         mesh = _define_mesh(stage, top, skinning, path, notes)
         mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(rig.rest))
         mesh.CreateExtentAttr(_extent(rig.rest))
-        normals = rest_normals(skinning, rig.rest)
+        normals = rest_normals(skinning.skinning, rig.rest)
         if normals is not None:
             _put_primvar(mesh, "normals", Sdf.ValueTypeNames.Normal3fArray, normals)
         bind(mesh.GetPrim(), rig.indices, rig.weights, skeleton, tokens)
@@ -136,7 +135,7 @@ def _new_stage(
 
 
 def _define_mesh(
-    stage: Any, top: Any, thing: MeshSequence | Skinning, path: Path, notes: list[str]
+    stage: Any, top: Any, thing: MeshSequence | Skinned, path: Path, notes: list[str]
 ) -> Any:
     """Define and return a mesh below `top`, with the triangles, UVs and materials of `thing`."""
     faces, surface = thing.faces, thing.surface
