@@ -18,17 +18,17 @@ def shaped(count=3):
     moved = 0.05 * rng.normal(size=(count, model.n_vertices, 3))
     names = [f"s{k}" for k in range(count)]
     amounts = rng.random((model.n_frames, count))
-    return dataclasses.replace(model, shapes=ssdr.Shapes(moved, amounts, names=names))
+    return ssdr.ShapedSkinning(model, ssdr.Shapes(moved, amounts, names=names))
 
 
 def test_skin_adds_shapes_before_bones():
     model = shaped()
     for t in (0, 7):
-        rest = model.rest.copy()
+        rest, bones = model.skinning.rest.copy(), model.skinning
         for s in range(3):
             rest += model.shapes.amounts[t, s] * model.shapes.displacements[s]
-        moves = model.transforms[t : t + 1]
-        expected = naive.skin(rest, model.indices, model.weights, moves)
+        moves = bones.transforms[t : t + 1]
+        expected = naive.skin(rest, bones.indices, bones.weights, moves)
         np.testing.assert_allclose(model.skin([t]), expected, atol=1e-12)
     assert model.skin([], dtype=np.float32).shape == (0, model.n_vertices, 3)
     assert "S=3" in repr(model)
@@ -75,15 +75,20 @@ def test_usd_blend_shapes(tmp_path):
     assert largest_distance(model.skin(), truth) < 1e-5
 
 
-def test_other_space_and_other_poses():
-    model = dataclasses.replace(shaped(), space=ssdr.Space(1.0, "y"))
+def test_other_space():
+    bones = dataclasses.replace(tube(), space=ssdr.Space(1.0, "y"))
+    model = dataclasses.replace(shaped(), skinning=bones)
     moved = in_space(model, ssdr.Space(0.01, "z"))
     expected = 100 * model.skin()[..., [0, 2, 1]] * [1, -1, 1]
     np.testing.assert_allclose(moved.skin(), expected, atol=1e-9)
-    tree = {"parents": [-1, 0, 1, 2, 3], "joint_positions": model.centroids()}
-    posed = dataclasses.replace(model, **tree).pose(np.tile([0, 0, 0, 1.0], (2, 5, 1)))
-    assert posed.shapes is None
-    np.testing.assert_allclose(posed.skin(), np.stack([model.rest] * 2), atol=1e-12)
+    assert moved.space == ssdr.Space(0.01, "z")
+
+
+def test_clips_are_taken_out_with_their_amounts():
+    model = shaped()
+    clips = ssdr.Clip("a", 0, 5, 24), ssdr.Clip("b", 5, 20, 24)
+    model = dataclasses.replace(model, skinning=dataclasses.replace(model.skinning, clips=clips))
+    np.testing.assert_array_equal(model.select("b").skin(), model.skin()[5:])
 
 
 def test_refusals():
@@ -97,16 +102,18 @@ def test_refusals():
         ((moved[:, :, 0], amounts), r"shapes.displacements: expected shape \(S, V, 3\)"),
     ):
         with pytest.raises(ssdr.InputError, match=match):
-            dataclasses.replace(model, shapes=ssdr.Shapes(*values))
+            ssdr.ShapedSkinning(model.skinning, ssdr.Shapes(*values))
     for names in (["a"], 3):
         with pytest.raises(ssdr.InputError, match=r"shapes.names: expected 3 names"):
             ssdr.Shapes(moved, amounts, names=names)
-    with pytest.raises(ssdr.InputError, match="shapes: expected Shapes or None"):
+    with pytest.raises(ssdr.InputError, match="shapes: expected Shapes, got ndarray"):
         dataclasses.replace(model, shapes=moved)
+    with pytest.raises(ssdr.InputError, match="expected a clip of two frames"):
+        dataclasses.replace(model, driven=True)
     frames = ssdr.MeshSequence(model.skin(), model.faces)
     for call in (
         lambda: ssdr.decompose(frames, start=model),
         lambda: ssdr.fit_weights(frames, model),
     ):
-        with pytest.raises(ssdr.InputError, match=r"expected no shapes in a .*got 3 of them"):
+        with pytest.raises(ssdr.InputError, match="got ShapedSkinning"):
             call()

@@ -41,7 +41,7 @@ def test_the_file_plays_the_prediction(result, tmp_path):
 
 
 def test_joints_are_the_bodys(result):
-    model = rigged(result, made.skeleton()).skinning
+    model = rigged(result, made.skeleton()).skinning.skinning
     assert model.bone_names[:6] == made.skeleton().names
     assert model.parents[:6].tolist() == made.skeleton().parents.tolist()
     assert set(model.parents[6:].tolist()) == {0}

@@ -22,7 +22,8 @@ def face():
     moved[0, 30:] = 0
     clips = ssdr.Clip("smile", 0, 2, 24), ssdr.Clip("frown", 2, 4, 24)
     shapes = ssdr.Shapes(moved, amounts)
-    return dataclasses.replace(model, transforms=moves, shapes=shapes, clips=clips, fps=None)
+    bones = dataclasses.replace(model, transforms=moves, clips=clips, fps=None)
+    return ssdr.ShapedSkinning(bones, shapes, driven=True)
 
 
 @pytest.mark.skipif(chromium() is None, reason="Chromium or Chrome was not found")

@@ -196,7 +196,7 @@ def test_morph_targets_sparse_and_integers(tmp_path):
     np.testing.assert_allclose(sequence.vertices[:, 2, 2], [0, 1, 2, 1.5, 1], atol=1e-6)
     np.testing.assert_array_equal(sequence.faces, [[2, 1, 0]])  # the mirror turns it over
     model = ssdr.load_skinning(path, fps=4)
-    assert model.n_shapes == 1
+    assert len(model.shapes) == 1
     np.testing.assert_allclose(model.skin(), sequence.vertices, atol=1e-6)
 
 

@@ -23,7 +23,11 @@ def shaped(count=3, *, sparse=False, **options):
         for s in range(count):
             moved[s, np.arange(model.n_vertices) // 10 != s] = 0
     amounts = rng.random((model.n_frames, count))
-    return dataclasses.replace(model, shapes=ssdr.Shapes(moved, amounts))
+    return ssdr.ShapedSkinning(model, ssdr.Shapes(moved, amounts))
+
+
+def with_bones(model, **changes):
+    return dataclasses.replace(model, skinning=dataclasses.replace(model.skinning, **changes))
 
 
 @pytest.mark.parametrize("suffix", ["glb", "gltf"])
@@ -31,13 +35,11 @@ def test_skin_of_the_displaced_rest_pose(tmp_path, suffix):
     model = shaped()
     path = tmp_path / f"a.{suffix}"
     report = ssdr.save(model, path)
-    rests = [
-        model.rest + sum(a * d for a, d in zip(row, model.shapes.displacements, strict=True))
-        for row in model.shapes.amounts
-    ]
+    rests, bones = model.skinning.rest, model.skinning
+    rests = rests + np.tensordot(model.shapes.amounts, model.shapes.displacements, 1)
     expected = [
-        naive.skin(rest, model.indices, model.weights, m[None])[0]
-        for rest, m in zip(rests, model.transforms, strict=True)
+        naive.skin(rest, bones.indices, bones.weights, m[None])[0]
+        for rest, m in zip(rests, bones.transforms, strict=True)
     ]
     assert largest_distance(ssdr.load(path).vertices, np.stack(expected)) < 1e-5
     assert report.max_error < 1e-5
@@ -109,16 +111,17 @@ def test_normals_follow_the_shapes(tmp_path, hard):
     """As an engine draws them: morph targets first, then the bones."""
     model = shaped(rings=9, sides=10)
     surface = dataclasses.replace(model.surface, uv=None, normals=model.surface.normals)
-    model = dataclasses.replace(model, surface=surface if hard else None)
+    model = with_bones(model, surface=surface if hard else None)
     ssdr.save(model, tmp_path / "a.glb")
     ((positions, normals, faces, vertex),) = drawn.from_gltf(tmp_path / "a.glb")
     assert len(vertex) == model.n_vertices + (20 if hard else 0)  # the rims of both caps
     expected = drawn.vertex_normals(positions, faces)
     error = drawn.mean_angle(normals[:, faces], expected)
     # as they would be without a fit: those of the rest pose with each shape added alone
-    rest, added = model.rest[vertex], model.shapes.displacements[:, vertex]
+    rest, added = model.skinning.rest[vertex], model.shapes.displacements[:, vertex]
     alone = drawn.vertex_normals([rest, *(rest + added)], faces)
-    turns = np.einsum("vb,fbij->fvij", model.dense_weights()[vertex], model.transforms[..., :3])
+    moves = model.skinning.transforms[..., :3]
+    turns = np.einsum("vb,fbij->fvij", model.skinning.dense_weights()[vertex], moves)
     mixed = alone[0] + np.einsum("fs,stcj->ftcj", model.shapes.amounts, alone[1:] - alone[0])
     plain = drawn.mean_angle(np.einsum("ftcij,ftcj->ftci", turns[:, faces], mixed), expected)
     assert error < 0.8 * plain
@@ -134,7 +137,7 @@ def test_normals_follow_the_shapes(tmp_path, hard):
 
 def test_few_shapes_at_a_vertex_change_no_other_normal(tmp_path):
     """Where no shape reaches, normals are those of the model, and nothing is added."""
-    model = dataclasses.replace(shaped(sparse=True, rings=9, sides=10), surface=None)
+    model = with_bones(shaped(sparse=True, rings=9, sides=10), surface=None)
     ssdr.save(model, tmp_path / "a.glb")
     document, binary = opened(tmp_path / "a.glb")
     (primitive,) = document["meshes"][0]["primitives"]
@@ -142,7 +145,7 @@ def test_few_shapes_at_a_vertex_change_no_other_normal(tmp_path):
     reached = np.zeros(model.n_vertices, dtype=bool)
     reached[model.faces[moved[model.faces].any(axis=1)]] = True
     own = values_of(document, binary, primitive["attributes"]["NORMAL"])
-    plain = drawn.vertex_normals(model.rest[None], model.faces)[0]
+    plain = drawn.vertex_normals(model.skinning.rest[None], model.faces)[0]
     assert naive.angles(own[model.faces], plain)[~reached[model.faces]].max() < 0.01
     added = [values_of(document, binary, one["NORMAL"]) for one in primitive["targets"]]
     assert not np.any(added, axis=(0, 2))[~reached].any()
@@ -150,7 +153,7 @@ def test_few_shapes_at_a_vertex_change_no_other_normal(tmp_path):
 
 
 def test_a_shape_that_is_never_used_changes_normals_as_the_rest_pose_would(tmp_path):
-    model = dataclasses.replace(shaped(rings=9, sides=10), surface=None)
+    model = with_bones(shaped(rings=9, sides=10), surface=None)
     model.shapes.amounts[:, 1] = 0
     ssdr.save(model, tmp_path / "a.glb")
     document, binary = opened(tmp_path / "a.glb")
@@ -159,7 +162,7 @@ def test_a_shape_that_is_never_used_changes_normals_as_the_rest_pose_would(tmp_p
         values_of(document, binary, one["NORMAL"])
         for one in (primitive["attributes"], primitive["targets"][1])
     )
-    rest = np.stack([model.rest, model.rest + model.shapes.displacements[1]])
+    rest = np.stack([model.skinning.rest, model.skinning.rest + model.shapes.displacements[1]])
     before, after = drawn.vertex_normals(rest, model.faces)
     assert naive.angles(d[model.faces], after - before).max() < 0.01
     np.testing.assert_allclose(np.linalg.norm(n, axis=1), 1, atol=1e-6)
@@ -168,7 +171,7 @@ def test_a_shape_that_is_never_used_changes_normals_as_the_rest_pose_would(tmp_p
 def test_clips_and_points_alone(tmp_path):
     model = shaped(2)
     clips = ssdr.Clip("a", 0, 5, 24), ssdr.Clip("b", 5, 20, 30)
-    bare = dataclasses.replace(model, faces=None, surface=None, clips=clips, fps=None)
+    bare = with_bones(model, faces=None, surface=None, clips=clips, fps=None)
     ssdr.save(bare, tmp_path / "a.glb")
     back = ssdr.load_skinning(tmp_path / "a.glb")
     assert largest_distance(back.skin(), model.skin()) < 1e-5
