@@ -244,7 +244,7 @@ def ours(
     import ssdr
 
     if effort == "expressions":
-        face = ssdr.decompose_expressions(rest, frames, faces=faces, **asked).skinning
+        face = ssdr.decompose_expressions(rest, frames, faces=faces, **asked).skinning.skinning
         parts = slot.parts_of(dataclasses.replace(face, clips=None), "ssdr")
         return parts._replace(transforms=parts.transforms[1::2])
     start = None if rest is None else ssdr.Start(rest=rest)

@@ -96,11 +96,11 @@ def face(frames: int = 72) -> tuple[ssdr.MeshSequence, ssdr.Skinning]:
     rate, start = np.array([6, 1, 2, 2, 1, 3, 1, 2]), np.array([0, 3, 5, 1, 1, 2, 5, 4]) / 6
     strength = np.maximum(np.sin(2 * np.pi * (rate * time - start)), 0) ** 2
     names = ("jaw", "smile", "pucker", "brow_left", "brow_right", "blink", "cheeks", "nose")
-    rig = ssdr.Skinning.from_dense(
+    bones = ssdr.Skinning.from_dense(
         0.1 * rest, np.ones((len(rest), 1)), np.tile(np.eye(3, 4), (frames, 1, 1, 1)),
         faces=ball.faces, fps=24, name="face",
-        shapes=ssdr.Shapes(0.1 * targets, strength, names=names),
     )  # fmt: skip
+    rig = ssdr.ShapedSkinning(bones, ssdr.Shapes(0.1 * targets, strength, names=names))
     return ssdr.MeshSequence(rig.skin(), ball.faces, 24, name="face"), rig
 
 
