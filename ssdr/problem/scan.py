@@ -24,8 +24,8 @@ _IN_MEMORY = 1 << 30  # bytes of float64 trajectories up to which all frames are
 _SUBSET = 128 << 20  # bytes of the trajectories of the frames that differ most
 _FEWEST, _MOST = 120, 1000  # bounds of their number
 # Most bytes of trajectories, and most frames, that are chosen if evenly spread frames are added: a
-# fifth of the bytes that may be held in memory, since a polish needs several times as much.
-_SPREAD, _MOST_SPREAD = 192 << 20, 2400
+# sixth of the bytes that may be held in memory, since a polish needs several times as much.
+_SPREAD, _MOST_SPREAD = 160 << 20, 2000
 _PROBES = 64  # vertices by which frames are compared: enough to tell poses apart
 
 Report = Callable[[float], None]  # called with the fraction that is done; may raise Stop

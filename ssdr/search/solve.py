@@ -16,7 +16,7 @@ from collections.abc import Callable
 from functools import partial
 
 from ..problem.outcome import outcome_of, skinning_of
-from ..problem.problem import Initial, Problem
+from ..problem.problem import Effort, Initial, Problem
 from ..problem.scan import Scan, needs_streaming, scan
 from ..result import Decomposition
 from ..solver.objective import WeightSmoothness
@@ -24,10 +24,12 @@ from ..solver.trajectories import Trajectories, gather
 from .all_frames import fit_all_frames
 from .descent import Descent, Schedule
 from .schedules import follow_effort
+from .steps import last_polish, unfold
 
 # Fractions of the work that are done after the scan, and after the run on chosen frames, as
 # measured for sequences of the paper's size.
-SCANNED, _SOLVED = 0.05, 0.6
+SCANNED, _SOLVED = 0.05, 0.8
+_LAST: dict[Effort, int] = {"fast": 6, "balanced": 20, "best": 60}  # polish steps on chosen frames
 
 
 def solve(problem: Problem, schedule: Schedule | None = None) -> Decomposition:
@@ -55,7 +57,10 @@ def _solve_streamed(problem: Problem) -> Decomposition:
     importance = problem.frame_importance
     some = None if importance is None else importance[chosen.chosen]
     with monitor.part(SCANNED, _SOLVED):
-        d, reason = _descended(problem.of_frames(chosen.chosen, some), _schedule_of(problem))
+        few = problem.of_frames(chosen.chosen, some)
+        d, reason = _descended(
+            few, partial(_of_chosen, usual=_schedule_of(problem), effort=problem.effort)
+        )
     rmse, removable = d.data.rmse(d.best_error), d.removable_bones
 
     def report(done: float) -> None:
@@ -117,6 +122,19 @@ def _descended(problem: Problem, schedule: Schedule) -> tuple[Descent, str]:
     del data  # frees the frames once they have been compressed
     reason = d.follow(schedule, _report(problem, d))
     return d, problem.monitor.stopped or reason
+
+
+def _of_chosen(d: Descent, usual: Schedule, effort: Effort) -> None:
+    """The usual schedule for positions alone, then few steps with normals.
+
+    More steps with normals would fit those of the chosen frames at the cost of positions.
+    """
+    normals, d.normals = d.normals, False
+    usual(d)
+    d.normals = normals
+    if d.smoothness is None:
+        last_polish(d, steps=_LAST[effort], gain=0.002)
+        unfold(d)
 
 
 def _schedule_of(problem: Problem) -> Schedule:
