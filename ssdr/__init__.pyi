@@ -45,10 +45,10 @@ from .shapes import ShapedSkinning as ShapedSkinning
 from .shapes import Shapes as Shapes
 from .signals import stop_on_signals as stop_on_signals
 from .skinning import Skinning as Skinning
-from .space import Space as Space
 from .start import Skeleton as Skeleton
 from .start import Start as Start
 from .surface import Material as Material
+from .surface import Space as Space
 from .surface import Surface as Surface
 from .viewer.page import view as view
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from .checks import check_whole
 from .errors import InputError, is_real, is_whole
-from .space import common_space
+from .surface import common_space
 
 if TYPE_CHECKING:
     from .sequence import MeshSequence

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from .checks import BoneModel, check_floats, names_arguments, parse_tolerance
 from .clips import Clip, unique_names
 from .errors import InputError
-from .frames.vector_fit import fit_vectors
+from .frames.shaped_normals import fit_vectors
 from .hierarchy.transforms import rest_diagonal
 from .problem.check import check_problem
 from .problem.outcome import finished

@@ -20,8 +20,7 @@ from .checks import as_array, check_faces, check_range, remedy_of_shape
 from .copies import Selected, coincident, distinct
 from .errors import InputError, is_real
 from .representation import notebook_html
-from .space import UNKNOWN, Space, check_space
-from .surface import Material, Surface, check_surface
+from .surface import UNKNOWN, Material, Space, Surface, check_space, check_surface
 
 __all__ = ["Material", "MeshSequence", "Surface", "WeldReport"]
 

@@ -15,8 +15,7 @@ from .lbs import skin_each
 from .parallel import serial_blas
 from .representation import notebook_html, short_repr
 from .skinning import Skinning
-from .space import Space
-from .surface import Surface
+from .surface import Space, Surface
 
 _AT_REST = 1e-5  # largest deviation from the identity of a bone at rest
 

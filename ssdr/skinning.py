@@ -17,8 +17,7 @@ from .hierarchy.transforms import check_parents
 from .lbs import skin
 from .representation import notebook_html
 from .sequence import check_vertex_map
-from .space import UNKNOWN, Space, check_space
-from .surface import Surface, check_surface
+from .surface import UNKNOWN, Space, Surface, check_space, check_surface
 
 __all__ = ["BoneModel", "Skinning", "skin"]
 

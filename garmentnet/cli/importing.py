@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from ssdr.errors import InputError
-from ssdr.space import Up
+from ssdr.surface import Up
 
 
 def import_clips(

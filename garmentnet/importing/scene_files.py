@@ -12,7 +12,7 @@ import ssdr
 from ssdr import MeshSequence, Skinning
 from ssdr.errors import InputError
 from ssdr.io.spaces import in_space, transformed
-from ssdr.space import METRES_Y_UP, Up
+from ssdr.surface import METRES_Y_UP, Up
 
 Say = Callable[[str], None]
 Model = TypeVar("Model", MeshSequence, Skinning)

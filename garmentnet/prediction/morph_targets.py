@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssdr import ShapedSkinning, Shapes, Skinning
-from ssdr.frames.vector_fit import fit_vectors
+from ssdr.frames.shaped_normals import fit_vectors
 from ssdr.parallel import serial_blas
 
 Array = NDArray[np.float64]

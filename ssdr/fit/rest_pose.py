@@ -90,7 +90,7 @@ def fit_rest_pose(
     every = np.ones(len(inner), dtype=bool)
     if rest_pose == "surface":
         data = dataclasses.replace(data, faces=each.faces)
-        data = dataclasses.replace(data, surface=RestSurface.build(data, inner))
+        data = dataclasses.replace(data, surface=RestSurface.build(data.faces, inner))
     _solve_rest_pose(data, model, Constraints(weights=every))
     found = data.alignment.points_to_world(model.rest)[row]
     return fit_of(given.sequences, dataclasses.replace(skinning, rest=found))

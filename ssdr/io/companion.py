@@ -11,10 +11,19 @@ import numpy as np
 from ..checks import check_faces
 from ..errors import FormatError, InputError
 from ..sequence import MeshSequence
+from .arrays import npz
 from .arrays.array_files import read_array
 from .file_errors import reading
+from .meshes import numbered
 
 _SUFFIXES = (".obj", ".ply", ".npz")
+
+
+def reads(given: Any) -> bool:
+    """Whether `given` names a mesh that :func:`over_mesh` reads, or none."""
+    known = ("", ".npy", *_SUFFIXES)
+    is_path = isinstance(given, (str, os.PathLike))
+    return not is_path or Path(given).suffix.lower() in known
 
 
 def over_mesh(vertices: Any, path: Path, given: Any, fps: float | None) -> MeshSequence:
@@ -73,14 +82,12 @@ def _beside(path: Path) -> Path:
 
 
 def _read(file: Path, path: Path, n_vertices: int) -> MeshSequence:
-    from . import load
-
     if file.suffix.lower() == ".npy":
         try:
             return _still(read_array(file), n_vertices)
         except InputError as error:
             raise FormatError(f"{file}: {error} (for {path})") from error
-    mesh = load(file)
+    mesh = (npz if file.suffix.lower() == ".npz" else numbered).read(file)
     if mesh.n_vertices != n_vertices:
         raise FormatError(f"{path}: {n_vertices} vertices, but {file} has {mesh.n_vertices}")
     return mesh

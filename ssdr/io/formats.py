@@ -19,7 +19,7 @@ import numpy as np
 from ..clips import Clip
 from ..errors import FormatError, InputError, is_real, is_whole
 from ..sequence import MeshSequence
-from ..space import METRES_Y_UP, UNKNOWN, Space
+from ..surface import METRES_Y_UP, UNKNOWN, Space
 from .file_errors import refuse_device
 from .save_report import SaveReport
 

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 from ..clips import Clip, pick
 from ..errors import FormatError, InputError, SsdrWarning, is_real
 from ..sequence import MeshSequence
-from ..space import Space, Up
+from ..surface import Space, Up
 from .atomic import check_beside
+from .companion import reads
 from .file_clips import bake
 from .formats import (
     FORMATS,
@@ -107,6 +108,8 @@ def load(
     """
     source, format_ = _to_read(path, fps, scale)
     space, functions = Space(units, up), format_.functions()
+    if not reads(options.get("faces")):  # a scene that holds the mesh
+        options["faces"] = load(options["faces"])
     if functions.list_clips is not None and clip is not None:
         options["clip"] = clip
     check_options(functions.read, format_.title, options)

@@ -16,8 +16,7 @@ from ..normals import corner_normals
 from ..sequence import MeshSequence
 from ..shapes import ShapedSkinning, Shapes, Skinned
 from ..skinning import BoneModel, Skinning
-from ..space import Space
-from ..surface import Material, Surface
+from ..surface import Material, Space, Surface
 from .file_errors import MOST_BYTES, afford, check
 from .sampling import Sample, part_starts, vertices_of
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..sequence import MeshSequence
 from ..shapes import ShapedSkinning
-from ..space import UNKNOWN, Space
+from ..surface import UNKNOWN, Space
 
 Thing = TypeVar("Thing", bound=Any)  # MeshSequence, Skinning or ShapedSkinning
 

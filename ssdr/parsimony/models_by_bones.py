@@ -9,10 +9,9 @@ import numpy as np
 
 from ..problem.problem import Initial
 from ..progress import Record, Stop
-from ..search.bone_steps import merge, move_bones, search
 from ..search.descent import Descent, Schedule
 from ..search.starts import merged_start
-from ..search.steps import alternate, polish, return_to_best
+from ..search.steps import alternate, merge, move_bones, polish, return_to_best, search
 from ..search.tree_steps import attach, remove_bones, search_trees
 from ..solver.model import Lowest, Model
 from .report import Attempt

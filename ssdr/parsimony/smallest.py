@@ -11,8 +11,7 @@ import numpy as np
 
 from ..checks import BoneModel, check_whole, names_arguments, parse_tolerance
 from ..errors import InputError, check_choice
-from ..problem.check import check_problem
-from ..problem.check_start import refuse_weights
+from ..problem.check import check_problem, refuse_weights
 from ..problem.outcome import finished
 from ..problem.problem import Effort, Problem
 from ..progress import Callback

@@ -15,8 +15,9 @@ from ..progress import Monitor
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.alignment import Alignment
+from ..solver.initialization import central_frame
 from ..solver.model import Constraints, Skin
-from ..solver.rest_surface import RestPose, RestSurface, central_frame
+from ..solver.rest_surface import RestPose, RestSurface
 from ..solver.trajectories import Array, Trajectories
 from .scan import needs_streaming, subset
 
@@ -241,7 +242,7 @@ class Problem:
         if not keeps_to or self.constraints.rest:
             return data, initial
         pose = initial.beside_model().first_pose(data) if pose is None else pose
-        return dataclasses.replace(data, surface=RestSurface.build(data, pose)), initial
+        return dataclasses.replace(data, surface=RestSurface.build(data.faces, pose)), initial
 
     @property
     def tries_model(self) -> bool:

@@ -13,7 +13,6 @@ from functools import partial
 
 from ..problem.problem import Effort, RigKind
 from ..progress import Stop
-from .bone_steps import add_and_merge, move_bones, search, try_places
 from .descent import Descent
 from .efforts import (
     MANY_BONES,
@@ -34,15 +33,19 @@ from .starts import (
     start_from_model,
 )
 from .steps import (
+    add_and_merge,
     alternate,
     beside,
     compress,
     last_polish,
+    move_bones,
     on_sample,
     polish,
     relax,
     relax_bones,
     return_to_best,
+    search,
+    try_places,
     unfold,
 )
 from .tree_schedules import (

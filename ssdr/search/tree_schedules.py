@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from ..problem.problem import Effort
-from .bone_steps import move_bones
 from .descent import Descent, Schedule
 from .efforts import NUMBERS, TREE_ROUNDS, TRIALS_OF_A_TREE, rebuilds
 from .starts import first_model, merged_start, polish_model, start_from_model
@@ -12,6 +11,7 @@ from .steps import (
     compress,
     last_polish,
     lowest,
+    move_bones,
     polish,
     relax,
     relax_bones,

@@ -11,9 +11,9 @@ from ..joints.placement import snap_to_joints, spanning_tree, step_with_joint_pe
 from ..solver.alternation import vertex_step
 from ..solver.initialization import fit_patches
 from ..solver.model import Model
-from .bone_steps import STEPS_OF_A_TRIAL, Change, tried
 from .descent import Descent, step
 from .moves import exchange_influences, polish_steps
+from .steps import STEPS_OF_A_TRIAL, Change, tried
 from .tree_moves import (
     add_edge_between_skin_neighbours,
     mirror_edge,

@@ -6,14 +6,23 @@ import heapq
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from ..kernels.bones import sweep_bones
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..skinning import BoneModel
 from .affine_fit import PATCH_RIDGE, solve_affine
 from .model import CHUNK, Model
+from .moments import transform_sums
+from .rest_surface import SHORT
 from .trajectories import Array, Trajectories
 
+_FEW = 64  # frames among which the central one is chosen
+# An edge has no size in a frame if its squared length is below this share of its mean; if the share
+# of such edges is below the second number, no part has lost its size.
+_NO_SIZE, _FEW_PARTS = 0.01, 0.01
+_FEWER = 8  # of these frames, by which points without triangles find their neighbours
+_MOST_EDGES = 4096  # edges, evenly spread over the mesh's list, by which it is chosen
 _PATCHES_PER_BONE = 8  # candidates for each bone: more take longer and offer more choice
 _SAMPLE = 20_000  # vertices by whose error patches are chosen
 _REFITS = 3  # rounds of assigning vertices to bones and fitting these (Lloyd's iteration)
@@ -217,3 +226,72 @@ def start_model(
         kept[:, used] = refit[:, used]
     nearest = single_bone_errors(data, rest, kept, everyone).argmin(axis=1)
     return Model.start(kept, rest, nearest, influences)
+
+
+_LEAST = 1e-9  # added to a system's diagonal, relative to its trace
+
+
+@serial_blas()
+def with_rest_normals(data: Trajectories, model: Model) -> Model:
+    """A copy with the rest normals n_i that minimise Σ_t |Σ_j w_ij R_j^t n_i − n_i^t|²."""
+    assert data.normals is not None
+    assert data.n2 is not None
+    out = model.copy()
+    out.normals = np.zeros((data.n_vertices, 1, 3))
+    _, _, gram, reduced = transform_sums(data, model.transforms)
+    turns = np.ascontiguousarray(gram[..., :3, :3])
+    normals, n2 = data.normals, data.n2
+
+    def work(_: int, i: int, k: int) -> None:
+        ids, w = model.indices[i:k], model.weights[i:k]
+        y = (normals[i:k] @ reduced).reshape(k - i, 4, -1)[:, :3]
+        right = np.einsum("vk,vck->vc", w, np.take_along_axis(y, ids[:, None].astype(int), axis=2))
+        left = np.zeros((k - i, 3, 3))
+        for q in range(w.shape[1]):
+            for s in range(w.shape[1]):
+                left += (w[:, q] * w[:, s])[:, None, None] * turns[ids[:, q], ids[:, s]]
+        trace = np.einsum("vcc->v", left)
+        held = left + (_LEAST * trace + 1e-300)[:, None, None] * np.eye(3)
+        n: Array = np.linalg.solve(held, right[..., None])[..., 0]
+        error = n2[i:k] - 2.0 * (right * n).sum(axis=1) + np.einsum("va,vab,vb->v", n, left, n)
+        out.normals[i:k, 0], out.normal_error[i:k] = n, np.maximum(error, 0.0)
+
+    run_chunks(work, chunk_bounds(data.n_vertices, CHUNK))
+    return out
+
+
+@serial_blas()
+def central_frame(data: Trajectories, *, first: bool = False) -> int:
+    """Index of the frame whose edges are nearest to their mean over up to 64 evenly spread frames.
+
+    The strain between it and the others is least, so that a rest pose near it costs least.  Points
+    without triangles are joined to their nearest neighbours.  If `first`, frame 0 is returned,
+    unless parts of the mesh have no size in it.
+    """
+    few = np.unique(np.linspace(0, data.n_frames - 1, _FEW).round().astype(int))
+    edges = np.sort(data.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)).astype(np.intp)
+    ends = np.unique(edges, axis=0)
+    if not len(ends):
+        ends = _nearest(data, few[:: max(1, len(few) // _FEWER)])
+    if not len(ends):
+        return 0
+    ends = ends[:: max(1, len(ends) // _MOST_EDGES)]
+    along = [np.diff(data.frame(t)[ends], axis=1)[:, 0] for t in few]
+    mean = np.mean(along, axis=0)
+    squared = np.mean([(e**2).sum(axis=1) for e in along], axis=0)
+    weight = 1.0 / np.maximum(squared + SHORT * squared.mean(), 1e-300)
+    if first and ((along[0] ** 2).sum(axis=1) < _NO_SIZE * squared).mean() < _FEW_PARTS:
+        return 0
+    return int(few[np.argmin([weight @ ((e - mean) ** 2).sum(axis=1) for e in along])])
+
+
+def _nearest(data: Trajectories, frames: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Index pairs (P, 2): each vertex of an evenly strided subset, and its nearest neighbour in it.
+
+    Neighbours are nearest by their positions in all of `frames`.
+    """
+    some = np.arange(0, data.n_vertices, max(1, data.n_vertices // _MOST_EDGES))
+    paths = np.concatenate([data.frame(t)[some] for t in frames], axis=1)
+    if len(some) < 2:
+        return np.zeros((0, 2), dtype=np.intp)
+    return some[cKDTree(paths).query(paths, k=2)[1]]

@@ -32,21 +32,15 @@ from scipy.spatial import cKDTree
 
 from ..kernels.normals import normals_range
 from ..parallel import serial_blas
-from .trajectories import Array, Trajectories
 
+Array = NDArray[np.float64]
 RestPose = Literal["surface", "free"]
 
 # c: an error 1 + c·S times as large is as bad as a strain S; an edge rotated by 20° has S = 0.12.
 _STRENGTH = 1.5
 # Added to an edge's squared length in 1/ω, relative to the mean, so that no short edge dominates.
-_SHORT = 0.1
-_FEW = 64  # frames among which the central one is chosen
-# An edge has no size in a frame if its squared length is below this share of its mean; if the share
-# of such edges is below the second number, no part has lost its size.
-_NO_SIZE, _FEW_PARTS = 0.01, 0.01
-_FEWER = 8  # of these frames, by which points without triangles find their neighbours
+SHORT = 0.1
 _RINGS = 4  # of edges around a fold that may move as it unfolds
-_MOST_EDGES = 4096  # edges, evenly spread over the mesh's list, by which it is chosen
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -69,9 +63,9 @@ class RestSurface:
 
     @staticmethod
     @serial_blas()
-    def build(data: Trajectories, pose: Array) -> RestSurface | None:
-        """The surface of `pose` with the triangles of the data; None if no edge has a length."""
-        ends = data.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    def build(faces: NDArray[np.int32], pose: Array) -> RestSurface | None:
+        """The surface of `pose` with the triangles `faces`; None if no edge has a length."""
+        ends = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
         return RestSurface._of_edges(pose.copy(), ends)
 
     @staticmethod
@@ -81,7 +75,7 @@ class RestSurface:
         squared = ((pose[ends[:, 0]] - pose[ends[:, 1]]) ** 2).sum(axis=1)
         if not squared.any():
             return None
-        weight = 1.0 / (squared + _SHORT * squared.mean())
+        weight = 1.0 / (squared + SHORT * squared.mean())
         weight /= weight @ squared
         n = len(pose)
         i, j = ends.T
@@ -148,43 +142,6 @@ class RestSurface:
         for _ in range(_RINGS):
             reached += self.edges @ reached
         return np.flatnonzero(reached)
-
-
-@serial_blas()
-def central_frame(data: Trajectories, *, first: bool = False) -> int:
-    """Index of the frame whose edges are nearest to their mean over up to 64 evenly spread frames.
-
-    The strain between it and the others is least, so that a rest pose near it costs least.  Points
-    without triangles are joined to their nearest neighbours.  If `first`, frame 0 is returned,
-    unless parts of the mesh have no size in it.
-    """
-    few = np.unique(np.linspace(0, data.n_frames - 1, _FEW).round().astype(int))
-    edges = np.sort(data.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)).astype(np.intp)
-    ends = np.unique(edges, axis=0)
-    if not len(ends):
-        ends = _nearest(data, few[:: max(1, len(few) // _FEWER)])
-    if not len(ends):
-        return 0
-    ends = ends[:: max(1, len(ends) // _MOST_EDGES)]
-    along = [np.diff(data.frame(t)[ends], axis=1)[:, 0] for t in few]
-    mean = np.mean(along, axis=0)
-    squared = np.mean([(e**2).sum(axis=1) for e in along], axis=0)
-    weight = 1.0 / np.maximum(squared + _SHORT * squared.mean(), 1e-300)
-    if first and ((along[0] ** 2).sum(axis=1) < _NO_SIZE * squared).mean() < _FEW_PARTS:
-        return 0
-    return int(few[np.argmin([weight @ ((e - mean) ** 2).sum(axis=1) for e in along])])
-
-
-def _nearest(data: Trajectories, frames: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Index pairs (P, 2): each vertex of an evenly strided subset, and its nearest neighbour in it.
-
-    Neighbours are nearest by their positions in all of `frames`.
-    """
-    some = np.arange(0, data.n_vertices, max(1, data.n_vertices // _MOST_EDGES))
-    paths = np.concatenate([data.frame(t)[some] for t in frames], axis=1)
-    if len(some) < 2:
-        return np.zeros((0, 2), dtype=np.intp)
-    return some[cKDTree(paths).query(paths, k=2)[1]]
 
 
 def _turned(points: Array, faces: NDArray[np.int32]) -> NDArray[np.bool_]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +20,7 @@ from ..kernels.normals import normals_range
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..sequence import MeshSequence
 from .alignment import Alignment, centred, rotations_onto, scale_of
-
-if TYPE_CHECKING:
-    from .rest_surface import RestSurface
+from .rest_surface import RestSurface
 
 Array = NDArray[np.float64]
 

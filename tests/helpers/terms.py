@@ -10,8 +10,8 @@ import ssdr
 from helpers import motions, naive
 from ssdr.solver import objective, rest_surface
 from ssdr.solver.alternation import bone_step, vertex_step
+from ssdr.solver.initialization import with_rest_normals
 from ssdr.solver.model import FREE, Constraints, Model
-from ssdr.solver.rest_normals import with_rest_normals
 from ssdr.solver.rest_surface import RestSurface
 from ssdr.solver.trajectories import Trajectories, gather
 
@@ -105,7 +105,7 @@ def problem(
     )
     pose = data.frame(0)
     if case.surface:
-        data = dataclasses.replace(data, surface=RestSurface.build(data, pose))
+        data = dataclasses.replace(data, surface=RestSurface.build(data.faces, pose))
     if case.compressed:
         data = data.compressed(bones)
         assert data.q is not None

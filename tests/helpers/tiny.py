@@ -15,9 +15,9 @@ from ssdr.hierarchy.tree import Tree
 from ssdr.joints.placement import snap_to_joints
 from ssdr.solver.alternation import vertex_step
 from ssdr.solver.gauss_newton import GaussNewton
+from ssdr.solver.initialization import with_rest_normals
 from ssdr.solver.model import FREE, Constraints, Model
 from ssdr.solver.objective import normal_length, rest_pulls
-from ssdr.solver.rest_normals import with_rest_normals
 from ssdr.solver.rest_surface import RestSurface
 from ssdr.solver.trajectories import Trajectories, gather
 
@@ -75,7 +75,7 @@ class Tiny:
             snap_to_joints(self.data, self.model, self.constraints)
         if "surface" in more:
             pose = inner + 0.3 * rng.standard_normal(inner.shape)
-            surface = RestSurface.build(self.data, pose)
+            surface = RestSurface.build(self.data.faces, pose)
             self.data = dataclasses.replace(self.data, surface=surface)
         if "normals" in more:
             inner = np.stack([self.data.frame(t) for t in range(self.frames)])

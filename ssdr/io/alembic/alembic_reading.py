@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from ...clips import Clip, readable
 from ...errors import FormatError
 from ...sequence import MeshSequence
-from ...space import UNKNOWN
-from ...surface import Material
+from ...surface import UNKNOWN, Material
 from ..file_errors import check, reading
 from ..frame_rates import sample_frames
 from ..mesh_names import choose, mesh_names

@@ -22,8 +22,7 @@ from ...errors import InputError
 from ...sequence import MeshSequence
 from ...shapes import ShapedSkinning, Shapes, Skinned
 from ...skinning import Skinning
-from ...space import Space
-from ...surface import Material, Surface
+from ...surface import Material, Space, Surface
 from ..file_clips import bake, pick_clip
 from ..file_errors import afford, check, reading
 from ..save_report import SaveReport

@@ -18,7 +18,7 @@ from ...clips import Clip, in_order, readable
 from ...errors import FormatError
 from ...sequence import MeshSequence
 from ...skinning import Skinning
-from ...space import METRES_Y_UP, Space
+from ...surface import METRES_Y_UP, Space
 from ..arrays.npz import surface_from
 from ..file_clips import pick_clip
 from ..file_errors import MOST_BYTES, reading

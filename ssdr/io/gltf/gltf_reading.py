@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from ...clips import Clip, in_order
 from ...sequence import MeshSequence
 from ...shapes import Skinned
-from ...space import METRES_Y_UP
-from ...surface import Material
+from ...surface import METRES_Y_UP, Material
 from ..file_clips import pick_clip
 from ..file_errors import reading
 from ..sampling import Sample, part_starts

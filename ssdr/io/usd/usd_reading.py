@@ -18,7 +18,7 @@ from ...clips import Clip, in_order, unique_names
 from ...errors import is_real, is_whole
 from ...sequence import MeshSequence
 from ...shapes import Skinned
-from ...space import Space
+from ...surface import Space
 from ..file_clips import pick_clip
 from ..file_errors import check, reading
 from ..frame_rates import Frames, frame_rate, frames_between, off_frames

@@ -16,7 +16,7 @@ from ...clips import Clip, readable, unique_names
 from ...hierarchy.transforms import parents_first
 from ...sequence import MeshSequence
 from ...shapes import Shapes, Skinned
-from ...space import METRES_Y_UP, Space
+from ...surface import METRES_Y_UP, Space
 from ..atomic import atomic_path
 from ..corners import rest_normals
 from ..rig import Rig, build_rig

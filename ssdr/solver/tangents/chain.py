@@ -14,8 +14,7 @@ from ..conjugate_gradients import Operator
 from ..model import FREE, Constraints, Model
 from ..objective import JointPenalty
 from ..trajectories import Array, Trajectories
-from .rigid import RigidTangent
-from .tangent import Tangent, inverse_of
+from .tangent import RigidTangent, Tangent, inverse_of
 
 _GROUP = 12  # fewest frames that share a factor of the preconditioner
 _MEMORY = 64 << 20  # most bytes of all factors

@@ -15,10 +15,9 @@ from ssdr.problem.check import check_problem
 from ssdr.problem.problem import Problem
 from ssdr.search.all_frames import fit_all_frames
 from ssdr.solver.alternation import bone_step, vertex_step
-from ssdr.solver.initialization import start_model
+from ssdr.solver.initialization import start_model, with_rest_normals
 from ssdr.solver.model import Constraints, Model
 from ssdr.solver.objective import Objective
-from ssdr.solver.rest_normals import with_rest_normals
 from ssdr.solver.rest_surface import RestSurface
 from ssdr.solver.trajectories import gather
 
@@ -64,7 +63,7 @@ def test_a_walk_knows_the_strain_of_the_rest_pose_and_the_error_of_normals() -> 
     counts = 0.5 + np.random.default_rng(1).random(90)
     found = scan.scan(sequences, None, 0, spread=False)
     data = gather([scan.subset(sequences, found.chosen)], bones=4, compress=False)
-    surface = RestSurface.build(data, data.frame(3))
+    surface = RestSurface.build(data.faces, data.frame(3))
     data = dataclasses.replace(data, surface=surface).with_normals()
     model = start_model(data, data.frame(3), 4, 4, np.random.default_rng(0))
     vertex_step(data, model)

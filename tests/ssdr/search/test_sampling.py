@@ -9,11 +9,9 @@ import ssdr
 from helpers.measures import descent_of
 from ssdr.problem.problem import Initial
 from ssdr.progress import Stop
-from ssdr.search.bone_steps import move_bones
-from ssdr.search.descent import Descent, Schedule
+from ssdr.search.descent import Descent, Schedule, motion_sample
 from ssdr.search.starts import first_model, merged_start
-from ssdr.search.steps import alternate, on_sample
-from ssdr.search.vertex_sample import motion_sample
+from ssdr.search.steps import alternate, move_bones, on_sample
 from ssdr.solver.model import Constraints, Model
 from ssdr.solver.trajectories import Trajectories, gather
 

@@ -13,9 +13,8 @@ import ssdr
 from helpers import motions
 from helpers.blends import BONES, INFLUENCES, problem
 from helpers.measures import descent_of, solved
-from ssdr.search.bone_steps import STEPS_OF_A_TRIAL, tried
 from ssdr.search.descent import Descent, step
-from ssdr.search.steps import unfold
+from ssdr.search.steps import STEPS_OF_A_TRIAL, tried, unfold
 from ssdr.solver.model import SOLVED, Constraints, Model
 from ssdr.solver.objective import Objective, WeightSmoothness
 from ssdr.solver.rest_surface import RestSurface
@@ -73,7 +72,7 @@ def folded(*, smoothness: float = 0.0) -> Descent:
     """A descent whose best model has two triangles of the rest pose turned over."""
     rig = motions.chain(bones=3, rows=16, ring=8, frames=10)
     data = gather([ssdr.MeshSequence(motions.wobble(rig, 0.05), rig.faces)], bones=3)
-    data = dataclasses.replace(data, surface=RestSurface.build(data, data.frame(0)))
+    data = dataclasses.replace(data, surface=RestSurface.build(data.faces, data.frame(0)))
     model = solved(data, 3)
     model.rest[60] += 1.5 * (model.rest[61] - model.rest[60])
     optimise_vertices(data, model, constraints=Constraints(rest=True), entering=0)

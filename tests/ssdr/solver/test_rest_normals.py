@@ -9,9 +9,9 @@ import pytest
 
 from helpers import naive, terms
 from helpers.terms import Case
+from ssdr.solver.initialization import with_rest_normals
 from ssdr.solver.model import FREE, Constraints
 from ssdr.solver.objective import Objective, normal_length, rest_pulls
-from ssdr.solver.rest_normals import with_rest_normals
 
 
 def test_normals_of_the_frames_are_those_of_their_triangles() -> None:

@@ -10,7 +10,8 @@ import threadpoolctl
 
 import ssdr
 from helpers import motions, surfaces, terms
-from ssdr.solver.rest_surface import RestSurface, central_frame
+from ssdr.solver.initialization import central_frame
+from ssdr.solver.rest_surface import RestSurface
 from ssdr.solver.trajectories import Trajectories, gather
 
 
@@ -21,7 +22,7 @@ def _data(frames: np.ndarray, faces: np.ndarray) -> Trajectories:
 def _sheet(rng: np.random.Generator, size: int = 4) -> tuple[RestSurface, np.ndarray]:
     points, faces = surfaces.grid(size, size, jitter=0.1, rng=rng)
     data = _data(points[None], faces)
-    surface = RestSurface.build(data, data.frame(0))
+    surface = RestSurface.build(data.faces, data.frame(0))
     assert surface is not None
     return surface, faces
 
@@ -72,7 +73,7 @@ def test_without_edges_there_is_no_surface(rng: np.random.Generator) -> None:
         (0 * points, [[0, 1, 2]]),
     ):
         data = _data(frames, np.array(faces, dtype=np.int32))
-        assert RestSurface.build(data, data.frame(0)) is None
+        assert RestSurface.build(data.faces, data.frame(0)) is None
     assert central_frame(_data(points, np.zeros((0, 3), np.int32)), first=True) == 0
 
 
@@ -104,7 +105,7 @@ def test_stiffer_edges_count_ten_times_as_much(rng: np.random.Generator) -> None
 def test_triangles_turned_over_are_found(rng: np.random.Generator) -> None:
     points, faces = surfaces.grid(4, 4)
     data = _data(points[None], faces)
-    surface = RestSurface.build(data, data.frame(0))
+    surface = RestSurface.build(data.faces, data.frame(0))
     assert surface is not None
     assert not surface.turned(surface.pose, faces).any()
     folded = surface.pose.copy()
@@ -115,7 +116,7 @@ def test_triangles_turned_over_are_found(rng: np.random.Generator) -> None:
     flat = np.cross(*np.diff(surface.pose[faces], axis=1).transpose(1, 0, 2))[:, 2]
     np.testing.assert_array_equal(turned, up * flat < 0)
     assert 0 < turned.sum() < 6
-    bent = RestSurface.build(data, folded)
+    bent = RestSurface.build(data.faces, folded)
     assert bent is not None
     assert not bent.turned(folded, faces).any()
     assert not bent.turned(surface.pose, faces).any()
@@ -142,7 +143,7 @@ def test_the_same_bits_whatever_threads_blas_may_use() -> None:
     found = set()
     for limit in (1, 2):
         with threadpoolctl.threadpool_limits(limit, user_api="blas"):
-            surface = RestSurface.build(data, data.frame(0))
+            surface = RestSurface.build(data.faces, data.frame(0))
             assert surface is not None
             found.add((surface.edges.data.tobytes(), central_frame(data)))
     assert len(found) == 1
