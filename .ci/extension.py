@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-SOURCE = ROOT / "ssdr" / "addons" / "blender"
+SOURCE = ROOT / "ssdr" / "cli" / "blender"
 
 
 def build(folder: str) -> None:
@@ -21,7 +21,7 @@ def build(folder: str) -> None:
 
 def main() -> None:
     sys.path.insert(0, str(ROOT))
-    from ssdr.errors import SsdrError
+    from ssdr.common.errors import SsdrError
     from ssdr.io.blender.finder import command
 
     folder = Path(sys.argv[1]).resolve()

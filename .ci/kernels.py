@@ -26,7 +26,7 @@ def use_kernels() -> None:
     import numpy as np
 
     import ssdr
-    from ssdr.render.figures import contact_sheet
+    from ssdr.show.figures import contact_sheet
 
     small = ssdr.samples.load("dancer_small")
     few = ssdr.MeshSequence(small.vertices[::4].astype(np.float64), small.faces)

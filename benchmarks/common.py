@@ -60,7 +60,7 @@ def data_file(name: str) -> Path:
 
 def sequence_file(name: str) -> Path:
     """File of a sample or of a sequence in the data folders."""
-    sample = ROOT / "ssdr" / "samples" / f"{name}.npz"
+    sample = ROOT / "ssdr" / "io" / "samples" / f"{name}.npz"
     return sample if sample.is_file() else data_file(f"{name}.npz")
 
 

@@ -38,7 +38,7 @@ extensions = [
 root_doc = "docs/index"
 include_patterns = [
     "docs/**.md",
-    "ssdr/samples/ORIGIN.md",
+    "ssdr/io/samples/ORIGIN.md",
     "CHANGELOG.md",
 ]
 exclude_patterns = ["out", "build", "dist", ".*", "tests"]

@@ -14,9 +14,9 @@ from typing import Any
 __version__ = "0.1.0"
 
 _STUB = Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")
-# Module that defines each public name; None if the name itself is a module.
+# Package or module that each public name is imported from; "" if that is this package.
 _HOME = {
-    alias.name: node.module
+    alias.name: node.module or ""
     for node in ast.parse(_STUB).body
     if isinstance(node, ast.ImportFrom)
     for alias in node.names
@@ -27,9 +27,12 @@ __all__ = sorted([*_HOME, "__version__"])
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    home = _HOME[name]
-    module = importlib.import_module(f".{home or name}", __name__)
-    value = getattr(module, name) if home else module
+    path = [__name__, *_HOME[name].split(".")] if _HOME[name] else [__name__]
+    home = importlib.import_module(".".join(path))
+    if path == [__name__] or not hasattr(home, name):  # the name is that of a module
+        value = importlib.import_module(".".join([*path, name]))
+    else:
+        value = getattr(home, name)
     globals()[name] = value
     return value
 

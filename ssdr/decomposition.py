@@ -7,17 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from .checks import BoneModel, names_arguments
-from .problem.check import check_problem
-from .problem.outcome import finished
-from .problem.problem import Effort
-from .progress import Callback
-from .result import Decomposition
+from .common.checks import BoneModel, names_arguments
+from .mesh.sequence import MeshSequence
+from .model.skinning import Skinning
+from .model.start import Skeleton, Start
+from .search.check_problem import check_problem
+from .search.outcome import finished
+from .search.problem import Effort
+from .search.progress import Callback
+from .search.result import Decomposition
 from .search.solve import solve
-from .sequence import MeshSequence
-from .skinning import Skinning
 from .solver.rest_surface import RestPose
-from .start import Skeleton, Start
 
 
 @names_arguments

@@ -10,21 +10,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .checks import BoneModel, check_floats, names_arguments, parse_tolerance
-from .clips import Clip, unique_names
-from .errors import InputError
-from .frames.shaped_normals import fit_vectors
-from .hierarchy.transforms import rest_diagonal
-from .problem.check import check_problem
-from .problem.outcome import finished
-from .problem.problem import Effort
-from .representation import short_repr
+from .common.checks import (
+    BoneModel,
+    check_floats,
+    names_arguments,
+    parse_tolerance,
+)
+from .common.errors import InputError
+from .common.short_repr import short_repr
+from .mesh.clips import Clip, unique_names
+from .mesh.sequence import MeshSequence
+from .model.shaped_normals import fit_vectors
+from .model.shapes import (
+    ShapedSkinning,
+    Shapes,
+    Skinned,
+    skinning_and_shapes,
+)
+from .model.skinning import Skinning, skinning_in
+from .model.start import Start
+from .model.transforms import rest_diagonal
+from .search.check_problem import check_problem
+from .search.outcome import finished
+from .search.problem import Effort
 from .search.schedules import follow_effort
 from .search.solve import solve
-from .sequence import MeshSequence
-from .shapes import ShapedSkinning, Shapes, Skinned, skinning_and_shapes
-from .skinning import Skinning, skinning_in
-from .start import Start
 
 Array = NDArray[np.float64]
 

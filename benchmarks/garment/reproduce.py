@@ -54,7 +54,7 @@ from garmentnet.scenes.scene_file import load_data_set
 from garmentnet.training.batches import load_tracks
 from garmentnet.training.ensemble import train_ensemble
 from garmentnet.training.run import choose_clips, train, with_mirrored
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 # A few dances are enough to find the bones, so that these stay the same while a data set grows.
 _FEW = "bones.motions=dance-20[01]*"

@@ -33,10 +33,10 @@ from benchmarks import common
 from benchmarks.common import Row
 from helpers.rig_model import tube
 from helpers.rig_tree import creature, tree_of
-from ssdr.errors import MissingDependencyError
-from ssdr.hierarchy.transforms import to_local
+from ssdr.common.errors import MissingDependencyError
 from ssdr.io.blender.fbx_reading import SCRIPT
 from ssdr.io.blender.finder import run
+from ssdr.model.transforms import to_local
 
 FORMATS: dict[str, tuple[str, Row]] = {
     "glb": (".glb", {}),

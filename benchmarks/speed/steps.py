@@ -31,8 +31,14 @@ import ssdr
 from benchmarks import common
 from benchmarks.common import Row
 from benchmarks.speed.long_sequences import paper
-from ssdr.parallel import serial_blas
-from ssdr.solver import alternation, gauss_newton, moments, vertex_elimination, vertex_newton
+from ssdr.common.parallel import serial_blas
+from ssdr.solver import (
+    alternation,
+    gauss_newton,
+    moments,
+    vertex_elimination,
+    vertex_newton,
+)
 from ssdr.solver.initialization import start_model
 from ssdr.solver.model import Model
 from ssdr.solver.tangents import RigidTangent

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 from ..data.motion import Motion
 from ..data.parameters import SimulationParameters

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 from .learning import entered_parameters
 

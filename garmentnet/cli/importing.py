@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from ssdr.errors import InputError
-from ssdr.surface import Up
+from ssdr.common.errors import InputError
+from ssdr.mesh.surface import Up
 
 
 def import_clips(

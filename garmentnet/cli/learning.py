@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 from .progress import logged, progress_bar
 

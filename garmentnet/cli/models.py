@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ssdr.errors import FormatError, InputError
+from ssdr.common.errors import FormatError, InputError
 
 from .progress import aligned
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 from .learning import entered_parameters
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ssdr import Skinning
-from ssdr.checks import check_faces, check_mask
-from ssdr.parallel import chunk_bounds, run_chunks
+from ssdr.common.checks import check_faces, check_mask
+from ssdr.common.parallel import chunk_bounds, run_chunks
 
 from .body_tree import BodyTree
 from .crossing_kernels import count_crossings

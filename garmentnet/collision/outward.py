@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ssdr import Skinning
-from ssdr.checks import check_faces, check_whole
-from ssdr.errors import InputError
+from ssdr.common.checks import check_faces, check_whole
+from ssdr.common.errors import InputError
 
 from ..data.subject import Subject
 from .body_tree import Scene, tree_of

@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ssdr import Skinning
-from ssdr.checks import check_faces, check_mask, check_whole
-from ssdr.errors import InputError, is_real
-from ssdr.parallel import chunk_bounds, run_chunks
+from ssdr.common.checks import check_faces, check_mask, check_whole
+from ssdr.common.errors import InputError, is_real
+from ssdr.common.parallel import chunk_bounds, run_chunks
 
 from ..data.outfit import neighbours
 from ..data.skeleton import check_finite

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
-from ssdr.errors import FormatError, InputError
+from ssdr.common.errors import FormatError, InputError
 
 from ..io.tables import from_table, parse_toml, read_toml
 

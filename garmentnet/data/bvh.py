@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ssdr.errors import FormatError, InputError
+from ssdr.common.errors import FormatError, InputError
 from ssdr.io.file_errors import check, reading
 
 Float = NDArray[np.float64]

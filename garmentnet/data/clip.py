@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ssdr.errors import FormatError, InputError
+from ssdr.common.errors import FormatError, InputError
 from ssdr.io.file_errors import reading
-from ssdr.sequence import MeshSequence
-from ssdr.skinning import skin
+from ssdr.mesh.sequence import MeshSequence
+from ssdr.model.skinning import skin
 
 from .clip_files import Split, StoredFrames, open_array
 from .motion import CLASSES

@@ -20,7 +20,7 @@ import zarr
 from numpy.typing import NDArray
 from zarr.codecs import BloscCodec, Crc32cCodec
 
-from ssdr.errors import FormatError
+from ssdr.common.errors import FormatError
 from ssdr.io.atomic import atomic_path
 from ssdr.io.file_errors import reading
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 from .skeleton import Skeleton, check_joints
 

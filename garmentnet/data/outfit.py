@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ssdr.skinning import Skinning
+from ssdr.model.skinning import Skinning
 
 from .skeleton import Skeleton
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ssdr.errors import InputError, SsdrWarning, is_real
+from ssdr.common.errors import InputError, SsdrWarning, is_real
 
 # Ranges that the data sets cover, which normalisation maps to [-1, 1]; units as in
 # SimulationParameters.

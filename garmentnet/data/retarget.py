@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 from .bvh import Bvh
 from .motion import CLASSES, Motion, interpolate

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 # Reflection in the plane x = 0, the symmetry of body and garment.
 REFLECTION = np.diag([-1.0, 1.0, 1.0])
@@ -209,7 +209,7 @@ def check_joints(joints: ArrayLike, n_joints: int) -> NDArray[np.float64]:
     (1, 1, 3, 4)
     >>> check_joints(2 * np.eye(3, 4)[None, None], 1)
     Traceback (most recent call last):
-    ssdr.errors.InputError: joints: expected rigid transforms, got no rotation at frame 0, joint 0
+    ssdr.InputError: joints: expected rigid transforms, got no rotation at frame 0, joint 0
     """
     m = np.asarray(joints, dtype=np.float64)
     if m.ndim != 4 or m.shape[1:] != (n_joints, 3, 4) or not len(m):

@@ -21,12 +21,12 @@ import zarr
 from numpy.typing import ArrayLike, NDArray
 
 import ssdr
-from ssdr.checks import check_mask
-from ssdr.errors import FormatError, InputError, check_choice
+from ssdr.common.checks import check_mask
+from ssdr.common.errors import FormatError, InputError, check_choice
 from ssdr.io.atomic import atomic_path, remove
 from ssdr.io.file_errors import check, reading
-from ssdr.sequence import MeshSequence
-from ssdr.skinning import Skinning
+from ssdr.mesh.sequence import MeshSequence
+from ssdr.model.skinning import Skinning
 
 from .clip import MIRRORED, Clip, spread
 from .clip_files import Split, compressors, write_clip

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssdr import Skinning
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 from .outfit import Outfit, body_identity
 from .skeleton import Skeleton

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 import ssdr
 from ssdr import MeshSequence, Skinning
-from ssdr.errors import FormatError, InputError
+from ssdr.common.errors import FormatError, InputError
 from ssdr.io.file_errors import reading
 from ssdr.laplacian import LaplacianSmoother
 

@@ -10,7 +10,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 from ..data.clip import Clip
 from ..data.motion import CLASSES

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 from ssdr.metrics import hausdorff, sted
 
 from ..collision.push_out import INSIDE, PushOut, is_closed

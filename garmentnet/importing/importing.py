@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssdr import MeshSequence
-from ssdr.errors import InputError
-from ssdr.hierarchy.transforms import rest_diagonal
+from ssdr.common.errors import InputError
 from ssdr.io.atomic import check_writable
+from ssdr.model.transforms import rest_diagonal
 
 from ..collision.push_out import is_closed
 from ..data.clip_files import Split

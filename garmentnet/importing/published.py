@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import ssdr
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 from ssdr.io.arrays.array_files import read_arrays
 
 from ..data.clip_files import Split

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ssdr import Skinning, kabsch, skin
-from ssdr.errors import InputError
-from ssdr.hierarchy.transforms import parents_first, rest_diagonal
-from ssdr.rigid import nearest_rotation
+from ssdr.common.errors import InputError
+from ssdr.model.rigid import nearest_rotation
+from ssdr.model.transforms import parents_first, rest_diagonal
 
 from ..data.skeleton import Skeleton
 from .scene_files import Source

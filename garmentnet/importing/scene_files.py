@@ -10,9 +10,9 @@ from typing import Any, TypeVar
 
 import ssdr
 from ssdr import MeshSequence, Skinning
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 from ssdr.io.spaces import in_space, transformed
-from ssdr.surface import METRES_Y_UP, Up
+from ssdr.mesh.surface import METRES_Y_UP, Up
 
 Say = Callable[[str], None]
 Model = TypeVar("Model", MeshSequence, Skinning)

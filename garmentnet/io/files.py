@@ -11,7 +11,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from ssdr.errors import SsdrError
+from ssdr.common.errors import SsdrError
 from ssdr.io.arrays.array_files import read_arrays, write_arrays
 from ssdr.io.atomic import write_bytes
 

@@ -11,8 +11,13 @@ import types
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
-from ssdr.checks import LARGEST
-from ssdr.errors import FormatError, InputError, is_real, is_whole
+from ssdr.common.checks import LARGEST
+from ssdr.common.errors import (
+    FormatError,
+    InputError,
+    is_real,
+    is_whole,
+)
 
 T = TypeVar("T")
 _KINDS = {bool: "true or false", int: "an integer", float: "a number", str: "a string"}
@@ -87,7 +92,7 @@ def from_table(kind: type[T], table: Any, *, file: str, name: str = "") -> T:
     Cut(vertices=1900, flare=1.0)
     >>> from_table(Cut, {"flair": 1}, file="c.toml", name="garment")
     Traceback (most recent call last):
-    ssdr.errors.FormatError: c.toml: garment.flair: expected one of vertices, flare, got this key
+    ssdr.FormatError: c.toml: garment.flair: expected one of vertices, flare, got this key
     """
     assert dataclasses.is_dataclass(kind)
     if not isinstance(table, dict):

@@ -12,7 +12,7 @@ import numpy as np
 import safetensors.numpy
 from numpy.typing import NDArray
 
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 from ssdr.io.file_errors import check, reading
 
 from .files import write_file

@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ssdr.errors import FormatError, InputError
+from ssdr.common.errors import FormatError, InputError
 from ssdr.io.file_errors import reading
 
 from ..data.outfit import mesh_identity

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from ssdr import Skinning
-from ssdr.checks import check_skin
-from ssdr.errors import FormatError
+from ssdr.common.checks import check_skin
+from ssdr.common.errors import FormatError
 from ssdr.io.file_errors import check
 
 from ..configs.config import Config

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 from ..configs.config import FeatureOptions
 from ..data.skeleton import Skeleton, check_joints

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch import Tensor, nn
 
-from ssdr.errors import InputError
-from ssdr.rigid import sixd_from_matrix
+from ssdr.common.errors import InputError
+from ssdr.model.rigid import sixd_from_matrix
 
 from .features import relative, transforms_in_frame
 from .gru import GRULinear

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 from ..configs.config import Config
 from ..data.subject import Subject

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from ssdr import Skinning
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 # Columns shorter than this are divided by it instead of their length: no division by 0.
 _SHORT = 1e-8

@@ -19,7 +19,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 from torch import Tensor, nn
 
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 from ..data.skeleton import mirror_transforms
 from .features import PoseReader

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssdr import ShapedSkinning, Shapes, Skinning
-from ssdr.frames.shaped_normals import fit_vectors
-from ssdr.parallel import serial_blas
+from ssdr.common.parallel import serial_blas
+from ssdr.model.shaped_normals import fit_vectors
 
 Array = NDArray[np.float64]
 

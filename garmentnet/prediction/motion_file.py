@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ssdr.errors import FormatError, InputError
+from ssdr.common.errors import FormatError, InputError
 from ssdr.io.arrays.array_files import read_arrays
 from ssdr.io.file_errors import reading
 

@@ -12,12 +12,12 @@ import numpy as np
 
 import ssdr
 from ssdr import MeshSequence, Skinning
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 from ssdr.io.atomic import atomic_path
 from ssdr.io.formats import FORMATS
 from ssdr.io.optional import import_optional as require
-from ssdr.render import Film, write_picture
-from ssdr.rigid import nearest_rotation
+from ssdr.model.rigid import nearest_rotation
+from ssdr.show import Film, write_picture
 
 from ..data.clip import Clip
 from ..drawing.dressed import (

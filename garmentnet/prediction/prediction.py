@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 import ssdr
 from ssdr import MeshSequence, Skinning
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 from ..collision.outward import push_of
 from ..data.parameters import SimulationParameters, warn_beyond

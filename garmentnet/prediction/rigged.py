@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 import ssdr
 from ssdr import ShapedSkinning, Skinning
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 from ..data.skeleton import Skeleton
 from ..io.files import writing

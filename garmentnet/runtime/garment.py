@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ssdr.errors import FormatError, InputError
+from ssdr.common.errors import FormatError, InputError
 from ssdr.io.file_errors import check, reading
 
 from ..collision.outward import push_of

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 from ssdr.io.optional import import_optional as require
 
 from ..data.parameters import RANGES

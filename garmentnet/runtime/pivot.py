@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ssdr.errors import FormatError
+from ssdr.common.errors import FormatError
 
 from ..data.subject import Subject
 from ..networks.document import HIDDEN, LATENT, CheckpointDocument, NetworkRecord

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 from ..data.parameters import SimulationParameters
 from .garment import LiveGarment, LiveState

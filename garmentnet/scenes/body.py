@@ -13,7 +13,7 @@ from pathlib import Path
 
 import ssdr
 from ssdr.io.file_errors import check, reading
-from ssdr.skinning import Skinning
+from ssdr.model.skinning import Skinning
 
 from ..data.skeleton import Skeleton
 

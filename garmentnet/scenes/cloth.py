@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ssdr.checks import LARGEST
-from ssdr.errors import InputError
+from ssdr.common.checks import LARGEST
+from ssdr.common.errors import InputError
 
 from ..collision.body_tree import tree_of
 from ..data.motion import interpolate

@@ -13,7 +13,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 from ..io.tables import check_numbers
 from .body import Body

@@ -12,8 +12,8 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from ssdr.errors import InputError
-from ssdr.parallel import get_threads
+from ssdr.common.errors import InputError
+from ssdr.common.parallel import get_threads
 
 from ..data.bvh import find_bvh, read_bvh
 from ..data.clip_files import Split
@@ -90,7 +90,7 @@ def make_data_set(
     recorded : sequence of MotionSource
         Further motions under the base parameters, from :func:`recorded_motions`.
     workers : int, optional
-        Number of threads; by default that of :func:`ssdr.parallel.get_threads`, all cores.
+        Number of threads; by default that of :func:`ssdr.get_threads`, all cores.
     progress : callable, optional
         Called after every clip with its name and number, and the fraction of the frames, settling
         included, that is done.

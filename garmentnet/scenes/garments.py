@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 import ssdr
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 from ..data.outfit import is_mirror
 from ..data.skin_weights import strongest

@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 from typing import get_args
 
-from ssdr.checks import LARGEST
-from ssdr.errors import InputError
+from ssdr.common.checks import LARGEST
+from ssdr.common.errors import InputError
 
 from ..data.bvh import read_bvh
 from ..data.clip_files import Split

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from ssdr.errors import FormatError, InputError
+from ssdr.common.errors import FormatError, InputError
 
 from ..data.parameters import SimulationParameters
 from ..io.tables import check_numbers, from_table, read_toml

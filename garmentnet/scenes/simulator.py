@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 from ..data.motion import Motion, lead_in
 from ..data.outfit import neighbours

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 from ..configs.config import Config
 from ..data.clip import spread

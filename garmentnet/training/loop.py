@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 from ..configs.config import TrainOptions
 from ..io.files import Progress, silent

@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 from ..networks.ensemble import Kernel
 

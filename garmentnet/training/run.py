@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 from ssdr.io.atomic import write_bytes
 from ssdr.io.file_errors import reading
 

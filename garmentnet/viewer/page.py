@@ -19,20 +19,20 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from ssdr import Skinning
-from ssdr.errors import InputError
-from ssdr.hierarchy.bone_ends import limb_ends
-from ssdr.render import FABRIC, SKIN
-from ssdr.render.palette import bone_colors, srgb_from_linear
-from ssdr.surface import Material, Surface
-from ssdr.viewer.blocks import (
+from ssdr.common.errors import InputError
+from ssdr.mesh.surface import Material, Surface
+from ssdr.model.bone_ends import limb_ends
+from ssdr.show import FABRIC, SKIN
+from ssdr.show.page.blocks import (
     Blocks,
     difference_entry,
     heat_scales,
     surface_entries,
     weight_entries,
 )
-from ssdr.viewer.motion import Outermost
-from ssdr.viewer.page import PARTS, WEB, assembled
+from ssdr.show.page.motion import Outermost
+from ssdr.show.page.page import PARTS, WEB, assembled
+from ssdr.show.palette import bone_colors, srgb_from_linear
 
 from ..collision.outward import push_of
 from ..data.parameters import RANGES, SimulationParameters

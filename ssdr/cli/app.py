@@ -9,8 +9,8 @@ from typing import Annotated
 
 import typer
 
+from ..common.parallel import set_threads
 from ..io.references import trusting
-from ..parallel import set_threads
 from . import commands, fitting
 from .info import info
 from .output import Output
@@ -90,7 +90,7 @@ def _program(given: Sequence[str]) -> typer.Typer:
 
 def _words(given: Sequence[str]) -> list[str]:
     """Arguments in which ``sample:NAME`` is the path of that sample; without any, ``--help``."""
-    from ..samples import path
+    from ..io.samples import path
 
     name = "sample:"
     return [str(path(w.removeprefix(name))) if w.startswith(name) else w for w in given] or [

@@ -11,16 +11,28 @@ import numpy as np
 
 import ssdr
 
-from ..clips import one_rate
-from ..errors import InputError
-from ..hierarchy.transforms import rest_diagonal
-from ..io import SaveReport, check_outputs, in_space, load_any, load_clips, save_all
+from ..common.errors import InputError
+from ..io import (
+    SaveReport,
+    check_outputs,
+    in_space,
+    load_any,
+    load_clips,
+    save_all,
+)
 from ..io.inputs import clips_in
 from ..io.outputs import check_file
-from ..render import Style
-from ..sequence import MeshSequence, joined
-from ..shapes import Skinned
-from .files import check_page, file_options, files_of, storage_options
+from ..mesh.clips import one_rate
+from ..mesh.sequence import MeshSequence, joined
+from ..model.shapes import Skinned
+from ..model.transforms import rest_diagonal
+from ..show import Style
+from .files import (
+    check_page,
+    file_options,
+    files_of,
+    storage_options,
+)
 from .output import Output, clips_document, saved_line
 from .parameters import passes
 
@@ -201,8 +213,13 @@ def render(
     elevation : float
         Degrees above.
     """
-    from ..render import animate, contact_sheet, render_frame, write_picture
-    from ..render.figures import picture_format
+    from ..show import (
+        animate,
+        contact_sheet,
+        render_frame,
+        write_picture,
+    )
+    from ..show.figures import picture_format
 
     film = output.suffix.lower() in (".gif", ".webp") and frame is None
     picture_format(output)

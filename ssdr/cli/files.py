@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..errors import InputError
+from ..common.errors import InputError
 from ..io import load, load_clips
 from ..io.outputs import check_file
 from ..io.references import trust
-from ..quantisation import WeightStorage
+from ..io.weight_storage import WeightStorage
 
 _UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 PAGES = (".html", ".htm")

@@ -13,17 +13,36 @@ from typing import Any
 
 import ssdr
 
-from ..clips import names_of
+from ..common.errors import Cancelled, InputError
+from ..common.signals import stop_on_signals
 from ..decomposition import decompose as _decompose
-from ..errors import Cancelled, InputError
-from ..io import SaveReport, check_outputs, in_space, load_any, load_clips, save_all, try_outputs
+from ..io import (
+    SaveReport,
+    check_outputs,
+    in_space,
+    load_any,
+    load_clips,
+    save_all,
+    try_outputs,
+)
 from ..io.outputs import check_file
+from ..mesh.clips import names_of
+from ..mesh.sequence import MeshSequence, joined
+from ..model.start import JointKind
 from ..parsimony.smallest import smallest as _smallest
-from ..sequence import MeshSequence, joined
-from ..signals import stop_on_signals
-from ..start import JointKind
-from .files import PAGES, file_options, files_of, storage_options
-from .output import Output, clips_document, clips_text, in_words, saved_line
+from .files import (
+    PAGES,
+    file_options,
+    files_of,
+    storage_options,
+)
+from .output import (
+    Output,
+    clips_document,
+    clips_text,
+    in_words,
+    saved_line,
+)
 from .parameters import passes
 
 _DRAWN = (*PAGES, ".png", ".jpg", ".jpeg", ".webp", ".gif", ".tif", ".tiff", ".bmp", ".pdf")
@@ -149,7 +168,7 @@ def smallest(
     start : Path, optional
         A model to begin from, such as a checkpoint.
     """
-    from ..checks import parse_tolerance
+    from ..common.checks import parse_tolerance
 
     with contextlib.suppress(ValueError):
         options["tolerance"] = tolerance
@@ -241,7 +260,7 @@ def _check_motion(shots: Sequence[MeshSequence], path: Path) -> None:
 
 def _measured(result: Any, shots: Sequence[MeshSequence]) -> dict[str, Any]:
     """Entries of the JSON object about a result."""
-    from ..frames.error import largest_error, motion_rms, share_of
+    from ..model.frame_error import largest_error, motion_rms, share_of
 
     model, diagonal = result.skinning, max(shot.diagonal() for shot in shots)
     motion = motion_rms(shots)
@@ -301,7 +320,7 @@ def _draw(
     path: Path, result: Any, shots: list[MeshSequence], inputs: Sequence[Path], model: Path
 ) -> Any:
     """Write a page that shows the result beside the input, or a contact sheet."""
-    from ..render import contact_sheet, write_picture
+    from ..show import contact_sheet, write_picture
 
     title = inputs[0].stem
     if path.suffix.lower() not in PAGES:

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 from rich.filesize import decimal
 
-from ..clips import Clip
+from ..mesh.clips import Clip
 
 Rows = Iterable[tuple[str, str]]
 Show = Callable[[str, float, str], None]

@@ -12,8 +12,8 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from .. import errors
-from ..signals import interrupt_on_signals
+from ..common import errors
+from ..common.signals import interrupt_on_signals
 from .output import Output
 
 _BAD_NAMES = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP)

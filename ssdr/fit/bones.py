@@ -7,17 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import (
+from ..common.checks import (
     BoneModel,
     check_importance,
     check_nonnegative,
     check_whole,
 )
-from ..clips import names_of
-from ..errors import InputError, check_flag
-from ..representation import short_repr
-from ..sequence import MeshSequence
-from ..skinning import Skinning
+from ..common.errors import InputError, check_flag
+from ..common.short_repr import short_repr
+from ..mesh.clips import names_of
+from ..mesh.sequence import MeshSequence
+from ..model.skinning import Skinning
 from ..solver.alternation import bone_step
 from ..solver.gauss_newton import GaussNewton
 from ..solver.initialization import fit_patches

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import (
+from ..common.checks import (
     BoneModel,
     as_array,
     check_bone_model,
@@ -17,14 +17,19 @@ from ..checks import (
     check_squarable,
     check_transforms,
 )
-from ..clips import names_of
-from ..copies import told_apart
-from ..errors import InputError
-from ..frames.error import rmse_of, squared_error
-from ..frames.normals import with_fitted_normals
-from ..representation import short_repr
-from ..sequence import MeshSequence, as_sequences, labels_of, without_copies
-from ..skinning import Skinning, skinning_in
+from ..common.errors import InputError
+from ..common.short_repr import short_repr
+from ..mesh.clips import names_of
+from ..mesh.coincident import told_apart
+from ..mesh.sequence import (
+    MeshSequence,
+    as_sequences,
+    labels_of,
+    without_copies,
+)
+from ..model.drawn_normals import with_fitted_normals
+from ..model.frame_error import rmse_of, squared_error
+from ..model.skinning import Skinning, skinning_in
 from ..solver.trajectories import Array, Trajectories, gather
 
 _MOST_BONES = 1 << 16  # bound of the number that the largest index implies, as each takes memory

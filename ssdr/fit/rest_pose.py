@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import BoneModel
-from ..errors import check_choice
-from ..sequence import MeshSequence
-from ..skinning import Skinning
+from ..common.checks import BoneModel
+from ..common.errors import check_choice
+from ..mesh.sequence import MeshSequence
+from ..model.skinning import Skinning
 from ..solver.alternation import vertex_step
 from ..solver.model import Constraints, Model
 from ..solver.objective import Objective

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import check_callback, check_whole, names_arguments
-from ..frames.error import rmse_of
-from ..progress import Callback, Monitor, Stop
-from ..sequence import MeshSequence, as_sequences
+from ..common.checks import check_callback, check_whole, names_arguments
+from ..mesh.sequence import MeshSequence, as_sequences
+from ..model.frame_error import rmse_of
+from ..search.progress import Callback, Monitor, Stop
 from ..solver.alternation import repeat_alternation
 from ..solver.model import Lowest
 from .fit import Fit, fit_of

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import (
+from ..common.checks import (
     BoneModel,
     check_bone_model,
     check_floats,
@@ -15,10 +15,10 @@ from ..checks import (
     check_squarable,
     check_whole,
 )
-from ..clips import names_of
-from ..frames.normals import with_fitted_normals
-from ..sequence import MeshSequence, as_sequences
-from ..skinning import Skinning
+from ..mesh.clips import names_of
+from ..mesh.sequence import MeshSequence, as_sequences
+from ..model.drawn_normals import with_fitted_normals
+from ..model.skinning import Skinning
 from ..solver.alternation import vertex_step
 from ..solver.initialization import start_model
 from ..solver.model import Constraints, Model

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import (
+from ..common.checks import (
     BoneModel,
     as_array,
     check_dense,
@@ -20,9 +20,9 @@ from ..checks import (
     check_smoothness,
     check_whole,
 )
-from ..errors import InputError
-from ..sequence import MeshSequence
-from ..skinning import Skinning, skinning_in
+from ..common.errors import InputError
+from ..mesh.sequence import MeshSequence
+from ..model.skinning import Skinning, skinning_in
 from ..solver.alternation import vertex_step
 from ..solver.initialization import single_bone_errors
 from ..solver.model import Constraints, Model

@@ -11,7 +11,7 @@ import uuid
 from collections.abc import Iterator
 from pathlib import Path
 
-from ..errors import InputError
+from ..common.errors import InputError
 
 _PREFIX = ".ssdr-"  # of the names of temporary files
 _BESIDE = {".gltf": ".bin", ".npy": ".faces.npy"}  # suffix of a file's companion, by format

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import check_faces
-from ..errors import FormatError, InputError
-from ..sequence import MeshSequence
+from ..common.checks import check_faces
+from ..common.errors import FormatError, InputError
+from ..mesh.sequence import MeshSequence
 from .arrays import npz
 from .arrays.array_files import read_array
 from .file_errors import reading
@@ -87,7 +87,7 @@ def _read(file: Path, path: Path, n_vertices: int) -> MeshSequence:
             return _still(read_array(file), n_vertices)
         except InputError as error:
             raise FormatError(f"{file}: {error} (for {path})") from error
-    mesh = (npz if file.suffix.lower() == ".npz" else numbered).read(file)
+    mesh = npz.read(file) if file.suffix.lower() == ".npz" else numbered.read(file)
     if mesh.n_vertices != n_vertices:
         raise FormatError(f"{path}: {n_vertices} vertices, but {file} has {mesh.n_vertices}")
     return mesh

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..normals import corner_normals, unit
-from ..skinning import Skinning
+from ..mesh.normals import corner_normals, unit
+from ..model.skinning import Skinning
 
 _UP = np.array([0.0, 1.0, 0.0])  # normal of a vertex without triangles
 

@@ -11,19 +11,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..clips import Clip, one_rate, pick
-from ..errors import InputError
-from ..sequence import MeshSequence
+from ..common.errors import InputError
+from ..mesh.clips import Clip, one_rate, pick
+from ..mesh.sequence import MeshSequence
 
 if TYPE_CHECKING:
-    from ..shapes import Skinned
+    from ..model.shapes import Skinned
 
 
 _log = logging.getLogger(__name__)
 
 
 def pick_clip(names: Sequence[str], clip: Any, path: Path) -> int:
-    """Index of the clip that a name or index chooses, by :func:`~ssdr.clips.pick`.
+    """Index of the clip that a name or index chooses, by :func:`~ssdr.mesh.clips.pick`.
 
     If there are several clips, the log names the chosen one.
     """
@@ -48,7 +48,7 @@ def bake(skinning: Skinned) -> MeshSequence:
     InputError
         If clips have different frame rates, or a coordinate overflows.
     """
-    from ..normals import corner_normals
+    from ..mesh.normals import corner_normals
 
     hint = "skinning.select(name) takes one out"
     check_one_rate(skinning.clips, f"where vertices are stored, which have one; {hint}")

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from ..errors import FormatError, InputError, SsdrError
+from ..common.errors import FormatError, InputError, SsdrError
 
 _log = logging.getLogger(__name__)
 _BUGS: dict[type[Exception], str] = {

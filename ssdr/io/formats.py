@@ -16,15 +16,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..clips import Clip
-from ..errors import FormatError, InputError, is_real, is_whole
-from ..sequence import MeshSequence
-from ..surface import METRES_Y_UP, UNKNOWN, Space
+from ..common.errors import (
+    FormatError,
+    InputError,
+    is_real,
+    is_whole,
+)
+from ..mesh.clips import Clip
+from ..mesh.sequence import MeshSequence
+from ..mesh.surface import METRES_Y_UP, UNKNOWN, Space
 from .file_errors import refuse_device
 from .save_report import SaveReport
 
 if TYPE_CHECKING:
-    from ..shapes import Skinned
+    from ..model.shapes import Skinned
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

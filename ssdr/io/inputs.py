@@ -12,15 +12,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..clips import unique_names
-from ..errors import FormatError, InputError, SsdrWarning, check_flag
-from ..sequence import MeshSequence, joined
+from ..common.errors import (
+    FormatError,
+    InputError,
+    SsdrWarning,
+    check_flag,
+)
+from ..mesh.clips import unique_names
+from ..mesh.sequence import MeshSequence, joined
 from .formats import as_path, format_to_read, option_names
 from .load_save import list_clips, load, load_skinning
 from .spaces import in_space
 
 if TYPE_CHECKING:
-    from ..shapes import Skinned
+    from ..model.shapes import Skinned
 
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 

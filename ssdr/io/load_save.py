@@ -10,10 +10,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..clips import Clip, pick
-from ..errors import FormatError, InputError, SsdrWarning, is_real
-from ..sequence import MeshSequence
-from ..surface import Space, Up
+from ..common.errors import (
+    FormatError,
+    InputError,
+    SsdrWarning,
+    is_real,
+)
+from ..mesh.clips import Clip, pick
+from ..mesh.sequence import MeshSequence
+from ..mesh.surface import Space, Up
 from .atomic import check_beside
 from .companion import reads
 from .file_clips import bake
@@ -31,7 +36,7 @@ from .save_report import SaveReport
 from .spaces import ready_to_write, scaled, with_space
 
 if TYPE_CHECKING:
-    from ..shapes import Skinned
+    from ..model.shapes import Skinned
 
 
 _log = logging.getLogger(__name__)
@@ -335,8 +340,8 @@ def save(
     >>> np.array_equal(again.vertices, dancer.vertices)
     True
     """
-    from ..shapes import ShapedSkinning, Skinned
-    from ..skinning import Skinning, skinning_in
+    from ..model.shapes import ShapedSkinning, Skinned
+    from ..model.skinning import Skinning, skinning_in
 
     target = as_path(path)
     try:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Collection, Sequence
 from typing import Any
 
-from ..errors import InputError
+from ..common.errors import InputError
 
 _MOST_NAMES = 20  # in a message
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 from typing import Any
 
-from ..errors import MissingDependencyError
+from ..common.errors import MissingDependencyError
 
 # Packages of the extras, for pip: ``ssdr`` is in no index, where anyone may take its name.
 PACKAGES = {

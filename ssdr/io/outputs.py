@@ -12,9 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from ..clips import Clip, names_of
-from ..errors import FormatError, InputError, MissingDependencyError, SsdrWarning, error_text
-from ..sequence import MeshSequence
+from ..common.errors import (
+    FormatError,
+    InputError,
+    MissingDependencyError,
+    SsdrWarning,
+    error_text,
+)
+from ..mesh.clips import Clip, names_of
+from ..mesh.sequence import MeshSequence
 from .atomic import check_writable
 from .formats import as_path, format_of, option_names
 from .load_save import list_clips, save
@@ -122,7 +128,7 @@ def try_outputs(
     >>> dancer = ssdr.samples.load("dancer_small")
     >>> ssdr.io.try_outputs(["dancer.glb"], [dancer], bones=20, weights="uint8")
     """
-    from ..skinning import Skinning
+    from ..model.skinning import Skinning
 
     mesh, clips = shots[0], names_of(shots)["clips"]
     n = mesh.n_vertices
@@ -192,7 +198,7 @@ def save_all(
     >>> [report.path.name for report in reports]
     ['a.glb', 'a.npz']
     """
-    from ..skinning import skinning_in
+    from ..model.skinning import skinning_in
 
     files, model = list(map(as_path, paths)), skinning_in(thing)
     reports: list[SaveReport] = []

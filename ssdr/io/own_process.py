@@ -13,8 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..clips import readable
-from ..errors import FormatError, InputError, MissingDependencyError, SsdrError, is_real
+from ..common.errors import (
+    FormatError,
+    InputError,
+    MissingDependencyError,
+    SsdrError,
+    is_real,
+)
+from ..mesh.clips import readable
 
 _log = logging.getLogger(__name__)
 

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, SsdrWarning
-from ..sequence import MeshSequence
+from ..common.errors import InputError, SsdrWarning
+from ..mesh.sequence import MeshSequence
 from .atomic import atomic_path
 from .companion import over_mesh
 from .file_clips import seconds

@@ -14,7 +14,7 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
-from ..errors import InputError
+from ..common.errors import InputError
 
 OUTSIDE = "lies outside its folder"
 HINT = "folder= names a folder that may be read, too"

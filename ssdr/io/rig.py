@@ -16,9 +16,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..clips import Clip, unique_names
-from ..errors import InputError
-from ..hierarchy.transforms import (
+from ..common.errors import InputError
+from ..mesh.clips import Clip, unique_names
+from ..model.lbs import skin, skin_each
+from ..model.rigid import (
+    matrix_from_quaternion,
+    quaternion_from_matrix,
+    slerp,
+    unflip_quaternions,
+)
+from ..model.shapes import Shapes, Skinned, skinning_and_shapes
+from ..model.skinning import Skinning
+from ..model.stretch import steady_axes
+from ..model.transforms import (
     from_frames,
     rest_diagonal,
     rest_offsets,
@@ -26,13 +36,8 @@ from ..hierarchy.transforms import (
     to_world,
     translating,
 )
-from ..lbs import skin, skin_each
-from ..quantisation import WeightStorage, quantise, weight_values
-from ..rigid import matrix_from_quaternion, quaternion_from_matrix, slerp, unflip_quaternions
-from ..shapes import Shapes, Skinned, skinning_and_shapes
-from ..skinning import Skinning
-from ..storage.stretch import steady_axes
 from .save_report import SaveReport, StorageError, frame_blocks
+from .weight_storage import WeightStorage, quantise, weight_values
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..clips import Clip
-from ..errors import SsdrWarning
-from ..lbs import skin
+from ..common.errors import SsdrWarning
+from ..mesh.clips import Clip
+from ..model.lbs import skin
 from .frame_rates import Frames, Times
 from .save_report import frame_blocks
 

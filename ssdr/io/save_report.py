@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..common.errors import InputError
 
 _BLOCK_BYTES = 64 << 20  # bytes of float64 positions in a block: more only takes more memory
 

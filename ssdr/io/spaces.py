@@ -7,9 +7,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ..sequence import MeshSequence
-from ..shapes import ShapedSkinning
-from ..surface import UNKNOWN, Space
+from ..mesh.sequence import MeshSequence
+from ..mesh.surface import UNKNOWN, Space
+from ..model.shapes import ShapedSkinning
 
 Thing = TypeVar("Thing", bound=Any)  # MeshSequence, Skinning or ShapedSkinning
 

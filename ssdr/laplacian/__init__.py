@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 from .factor import Backend
-from .operators import MassKind, cotangent_laplacian, mass_matrix, uniform_laplacian
+from .operators import (
+    MassKind,
+    cotangent_laplacian,
+    mass_matrix,
+    uniform_laplacian,
+)
 from .smoothing import (
     FrequencySplit,
     LaplacianKind,

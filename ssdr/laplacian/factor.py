@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
-from ..errors import MissingDependencyError, check_choice
-from ..parallel import serial_blas
+from ..common.errors import MissingDependencyError, check_choice
+from ..common.parallel import serial_blas
 
 Backend = Literal["cholmod", "scipy"]
 

@@ -9,10 +9,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csc_matrix
 
-from ..checks import LARGEST
-from ..errors import InputError, check_choice, is_real, is_whole
-from ..representation import short_repr
-from ..sequence import MeshSequence
+from ..common.checks import LARGEST
+from ..common.errors import (
+    InputError,
+    check_choice,
+    is_real,
+    is_whole,
+)
+from ..common.short_repr import short_repr
+from ..mesh.sequence import MeshSequence
 from .factor import Backend, factor_spd
 from .operators import (
     REGULAR,

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import check_influences
-from ..errors import InputError
-from ..skinning import Skinning, check_skinning
+from ..common.checks import check_influences
+from ..common.errors import InputError
+from ..model.skinning import Skinning, check_skinning
 from .factor import Backend
 from .operators import MassKind
 from .smoothing import LaplacianKind, LaplacianSmoother

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import check_flag
-from ..representation import short_repr
-from ..shapes import Skinned
-from ..skinning import skinning_in
+from ..common.errors import check_flag
+from ..common.short_repr import short_repr
+from ..model.shapes import Skinned
+from ..model.skinning import skinning_in
 from .edge_difference import Sted
 from .edge_difference import sted as _sted
 from .hausdorff_distance import Hausdorff
 from .hausdorff_distance import hausdorff as _hausdorff
-from .inputs import Frames, as_pair
+from .matching import Frames, as_pair
 from .normal_angles import NormalErrors
 from .normal_angles import known_errors as _normals
 from .vertex_distances import Distances, distances

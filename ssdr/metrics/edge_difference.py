@@ -10,12 +10,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array, eye_array
 
-from ..checks import LARGEST, check_whole
-from ..errors import InputError, check_flag, is_real
-from ..parallel import chunk_bounds, run_chunks
-from ..representation import short_repr
-from ..sequence import MeshSequence
-from .inputs import Frames, as_pair, check_finite, chunk_size, edges_of, read
+from ..common.checks import LARGEST, check_whole
+from ..common.errors import InputError, check_flag, is_real
+from ..common.parallel import chunk_bounds, run_chunks
+from ..common.short_repr import short_repr
+from ..mesh.sequence import MeshSequence
+from .matching import (
+    Frames,
+    as_pair,
+    check_finite,
+    chunk_size,
+    edges_of,
+    read,
+)
 
 Normaliser = Literal["speed", "diagonal"]
 

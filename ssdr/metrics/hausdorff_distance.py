@@ -10,13 +10,18 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array, vstack
 from scipy.spatial import cKDTree
 
-from ..checks import check_whole
-from ..errors import InputError, check_flag
+from ..common.checks import check_whole
+from ..common.errors import InputError, check_flag
+from ..common.parallel import chunk_bounds, run_chunks
+from ..common.short_repr import short_repr
 from ..kernels.closest import farthest, fit_boxes, tree_order
-from ..parallel import chunk_bounds, run_chunks
-from ..representation import short_repr
-from ..sequence import MeshSequence
-from .inputs import Frames, as_sequence, check_finite, read
+from ..mesh.sequence import MeshSequence
+from .matching import (
+    Frames,
+    as_sequence,
+    check_finite,
+    read,
+)
 
 _FRAMES = 8  # frames in a task: a search starts from the triangles found in the frame before
 _LEAF = 4  # approximate number of triangles in a leaf of the tree

@@ -8,16 +8,23 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import InputError
-from ..frames.executor import Executor
-from ..frames.normals import Angles, drawn_angles, holders_of
-from ..normals import surface_normals
-from ..parallel import chunk_bounds
-from ..representation import short_repr
-from ..sequence import MeshSequence
-from ..shapes import Skinned
-from ..skinning import skinning_in
-from .inputs import Frames, as_pair, as_sequence, chunk_size, matched, read
+from ..common.errors import InputError
+from ..common.parallel import chunk_bounds
+from ..common.short_repr import short_repr
+from ..mesh.executor import Executor
+from ..mesh.normals import surface_normals
+from ..mesh.sequence import MeshSequence
+from ..model.drawn_normals import Angles, drawn_angles, holders_of
+from ..model.shapes import Skinned
+from ..model.skinning import skinning_in
+from .matching import (
+    Frames,
+    as_pair,
+    as_sequence,
+    chunk_size,
+    matched,
+    read,
+)
 
 _MOST = 500  # frames measured of a result of the solver, or a few less
 
@@ -154,7 +161,7 @@ def errors_of_model(
 ) -> NormalErrors | None:
     """Errors of a skinning's drawn normals against sequences, or None if no normal is known.
 
-    `most` and `executor` are as in :func:`~ssdr.frames.normals.drawn_angles`.
+    `most` and `executor` are as in :func:`~ssdr.model.drawn_normals.drawn_angles`.
     """
     frames, drawn, own = drawn_angles(sequences, model, executor=executor, most=most)
     return _errors(drawn, frames, model.n_vertices, own)

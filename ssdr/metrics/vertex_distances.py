@@ -8,12 +8,20 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..frames.error import motion_rms, rmse_of, share_of
-from ..parallel import chunk_bounds
-from ..representation import short_repr
-from ..shapes import Skinned
-from ..skinning import skinning_in
-from .inputs import Frames, as_pair, as_sequence, check_finite, chunk_size, matched, read
+from ..common.parallel import chunk_bounds
+from ..common.short_repr import short_repr
+from ..model.frame_error import motion_rms, rmse_of, share_of
+from ..model.shapes import Skinned
+from ..model.skinning import skinning_in
+from .matching import (
+    Frames,
+    as_pair,
+    as_sequence,
+    check_finite,
+    chunk_size,
+    matched,
+    read,
+)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)

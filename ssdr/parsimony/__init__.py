@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
-from ..storage.size import Size, size
-from .report import Attempt, Parsimony, Pruning, Smallest
+from ..model.size import Size, size
+from .report import (
+    Attempt,
+    Parsimony,
+    Pruning,
+    Smallest,
+)
 
 __all__ = [
     "Attempt",

@@ -14,15 +14,15 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..model.keyframes import Tracks
+from ..model.size import influence_bytes, size
+from ..model.skinning import Skinning
 from ..search.descent import Descent, Schedule, step
 from ..search.moves import drop_influence
 from ..search.steps import solve_normals, unfold
-from ..skinning import Skinning
 from ..solver.gauss_newton import GaussNewton
 from ..solver.model import Constraints, Model
 from ..solver.trajectories import Trajectories
-from ..storage.keyframes import Tracks
-from ..storage.size import influence_bytes, size
 from .report import Pruning
 from .solved_frames import SolvedFrames
 

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from ..parallel import serial_blas
+from ..common.parallel import serial_blas
 from ..solver.trajectories import Trajectories, truncated_basis
 
 _SPECTRUM = 2000  # size of the largest Gram matrix whose eigenvalues are computed

@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 from typing import Literal
 
-from ..result import Decomposition
-from ..storage.size import Size
+from ..model.size import Size
+from ..search.result import Decomposition
 
 Measure = Literal["rmse", "max"]
 

@@ -9,19 +9,24 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import BoneModel, check_whole, names_arguments, parse_tolerance
-from ..errors import InputError, check_choice
-from ..problem.check import check_problem, refuse_weights
-from ..problem.outcome import finished
-from ..problem.problem import Effort, Problem
-from ..progress import Callback
-from ..result import Decomposition
-from ..sequence import MeshSequence
-from ..skinning import Skinning, skinning_in
+from ..common.checks import (
+    BoneModel,
+    check_whole,
+    names_arguments,
+    parse_tolerance,
+)
+from ..common.errors import InputError, check_choice
+from ..mesh.sequence import MeshSequence
+from ..model.skinning import Skinning, skinning_in
+from ..model.start import Skeleton, Start
+from ..search.check_problem import check_problem, refuse_weights
+from ..search.outcome import finished
+from ..search.problem import Effort, Problem
+from ..search.progress import Callback
+from ..search.result import Decomposition
 from ..solver.rest_surface import RestPose
-from ..start import Skeleton, Start
+from .find_smallest import find_smallest
 from .report import Measure, Smallest
-from .search import find_smallest
 
 _MOST_BONES = 256  # by default, so that the index of a bone fits into 8 bits
 # Least importance of a vertex, relative to the largest: a solver that ignores a vertex cannot bound

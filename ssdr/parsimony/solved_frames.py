@@ -12,18 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from ..frames.error import largest_error, rmse
-from ..problem.outcome import skinning_of
-from ..problem.problem import Initial, Problem
-from ..problem.scan import needs_streaming
+from ..mesh.sequence import MeshSequence
+from ..model.frame_error import largest_error, rmse
+from ..model.size import size
+from ..model.skinning import Skinning
 from ..search.all_frames import ENTERING, fit_all_frames
 from ..search.descent import Descent
+from ..search.outcome import skinning_of
+from ..search.problem import Initial, Problem
+from ..search.scan import needs_streaming
 from ..search.solve import gathered, scan_of
-from ..sequence import MeshSequence
-from ..skinning import Skinning
 from ..solver.model import Model
 from ..solver.trajectories import Trajectories
-from ..storage.size import size
 from .report import Measure
 
 

@@ -14,11 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from ..frames.executor import Frames, SpanTask, spans_of
-from ..parallel import chunk_bounds, run_chunks, serial_blas
-from ..problem.problem import Problem
-from ..problem.scan import Report, Scan
-from ..progress import Stop
+from ..common.parallel import chunk_bounds, run_chunks, serial_blas
+from ..mesh.executor import Frames, SpanTask, spans_of
 from ..solver.alignment import Alignment
 from ..solver.gauss_newton import fit_motion
 from ..solver.model import CHUNK, Constraints, Model
@@ -26,6 +23,9 @@ from ..solver.moments import gram_tables
 from ..solver.objective import normal_length, rest_pulls
 from ..solver.trajectories import Array, Trajectories, frame_scale_of
 from ..solver.vertex_newton import newton_vertices
+from .problem import Problem
+from .progress import Stop
+from .scan import Report, Scan
 
 # Gauss–Seidel sweeps of the bones, and leaps before them, since most frames begin with transforms
 # of other frames.

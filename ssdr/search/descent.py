@@ -24,15 +24,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ..parallel import serial_blas
-from ..problem.problem import Initial
-from ..progress import Monitor, Stop
+from ..common.parallel import serial_blas
 from ..solver.alternation import bone_costs, repeat_alternation, vertex_step
 from ..solver.initialization import by_motion
 from ..solver.model import Constraints, Lowest, Model
 from ..solver.objective import Objective, WeightSmoothness
 from ..solver.trajectories import Array, Trajectories
 from .moves import polish_steps
+from .problem import Initial
+from .progress import Monitor, Stop
 
 # Alternations on all vertices after a sample, and polish steps if the descent is stopped on it.
 ALTERNATIONS_OF_ALL, _STEPS_AFTER_STOP = 8, 8
@@ -276,7 +276,7 @@ class Descent:
         ----------
         schedule : Schedule
         report : callable, optional
-            Called with the phase after each step; it raises :class:`~ssdr.progress.Stop` to end
+            Called with the phase after each step; it raises `Stop` to end
             the descent.
 
         Returns

@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import math
 
-from ..problem.problem import Effort
+from .problem import Effort
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

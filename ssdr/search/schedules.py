@@ -11,8 +11,6 @@ from __future__ import annotations
 
 from functools import partial
 
-from ..problem.problem import Effort, RigKind
-from ..progress import Stop
 from .descent import Descent
 from .efforts import (
     MANY_BONES,
@@ -24,6 +22,8 @@ from .efforts import (
     Rebuilds,
     rebuilds,
 )
+from .problem import Effort, RigKind
+from .progress import Stop
 from .starts import (
     first_model,
     merged_start,
@@ -48,7 +48,7 @@ from .steps import (
     try_places,
     unfold,
 )
-from .tree_schedules import (
+from .trees.tree_schedules import (
     bones_of_skeleton,
     loose_from_model,
     loose_skeleton,

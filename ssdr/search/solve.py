@@ -15,14 +15,14 @@ import math
 from collections.abc import Callable
 from functools import partial
 
-from ..problem.outcome import outcome_of, skinning_of
-from ..problem.problem import Effort, Initial, Problem
-from ..problem.scan import Scan, needs_streaming, scan
-from ..result import Decomposition
 from ..solver.objective import WeightSmoothness
 from ..solver.trajectories import Trajectories, gather
 from .all_frames import fit_all_frames
 from .descent import Descent, Schedule
+from .outcome import outcome_of, skinning_of
+from .problem import Effort, Initial, Problem
+from .result import Decomposition
+from .scan import Scan, needs_streaming, scan
 from .schedules import follow_effort
 from .steps import last_polish, unfold
 
@@ -74,7 +74,7 @@ def _solve_streamed(problem: Problem) -> Decomposition:
 
 
 def scan_of(problem: Problem, *, spread: bool) -> Scan:
-    """Scan all frames of a problem; `spread` is that of :func:`~ssdr.problem.scan.scan`."""
+    """Scan all frames of a problem; `spread` is that of :func:`~ssdr.search.scan.scan`."""
 
     def report(done: float) -> None:
         problem.monitor.report(

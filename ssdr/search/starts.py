@@ -7,14 +7,19 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..problem.problem import Effort
 from ..solver.alternation import bone_step, repeat_alternation, vertex_step
 from ..solver.gauss_newton import fit_motion
 from ..solver.initialization import fit_patches, start_model, with_rest_normals
 from ..solver.model import Model, Skin
 from ..solver.trajectories import Array
 from .descent import Descent, step
-from .steps import alternate, compress, merge, polish
+from .problem import Effort
+from .steps import (
+    alternate,
+    compress,
+    merge,
+    polish,
+)
 
 # A quick start uses 64 frames if there are at least twice as many, and alternates 16 times on them:
 # that is enough to find the bones and to place them.

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from ..common.parallel import chunk_bounds, run_chunks, serial_blas
 from ..kernels.bones import LARGEST, SMALLEST, SPECK
 from ..kernels.leap import leap_bones
-from ..parallel import chunk_bounds, run_chunks, serial_blas
 from .moments import stack_blocks
 from .trajectories import Array, stack_transforms, unstack_transforms
 

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import LARGEST, check_squarable
-from ..errors import InputError
+from ..common.checks import LARGEST, check_squarable
+from ..common.errors import InputError
+from ..common.parallel import chunk_bounds, run_chunks
 from ..kernels.alignment import inward_range
-from ..parallel import chunk_bounds, run_chunks
-from ..rigid import nearest_rotation
+from ..model.rigid import nearest_rotation
 
 Array = NDArray[np.float64]
 

@@ -6,12 +6,17 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from ..common.parallel import chunk_bounds, run_chunks, serial_blas
 from ..kernels.bones import sweep_bones
 from ..kernels.removal import removal_cost
 from ..kernels.vertices import solve_vertices
-from ..parallel import chunk_bounds, run_chunks, serial_blas
 from .affine_fit import leap_rigid, solve_affine
-from .model import CHUNK, FREE, Constraints, Model
+from .model import (
+    CHUNK,
+    FREE,
+    Constraints,
+    Model,
+)
 from .moments import bone_sums, coupled_bones, transform_sums
 from .objective import WeightSmoothness, normal_length, rest_pulls
 from .trajectories import Array, Trajectories

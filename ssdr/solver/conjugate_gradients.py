@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..parallel import chunk_bounds, run_chunks
+from ..common.parallel import chunk_bounds, run_chunks
 from .trajectories import Array
 
 Operator = Callable[[Array], Array]  # a linear map of arrays of one shape

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..hierarchy.tree import Tree
-from ..skinning import BoneModel
+from ..model.skinning import BoneModel
+from ..model.tree import Tree
 from .trajectories import Array, Trajectories
 
 # Most bones in a vertex's support, on which its weights are solved: more than K, so that a bone can

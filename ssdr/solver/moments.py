@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..common.parallel import chunk_bounds, run_chunks, serial_blas
 from ..kernels.bones import bone_moments
-from ..parallel import chunk_bounds, run_chunks, serial_blas
 from .model import CHUNK, Model
 from .trajectories import Array, Trajectories
 

@@ -46,7 +46,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array
 
-from ..checks import LARGEST
+from ..common.checks import LARGEST
 from .model import FREE, Constraints, Model
 from .trajectories import Array, Trajectories
 

@@ -30,8 +30,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.spatial import cKDTree
 
+from ..common.parallel import serial_blas
 from ..kernels.normals import normals_range
-from ..parallel import serial_blas
 
 Array = NDArray[np.float64]
 RestPose = Literal["surface", "free"]

@@ -15,11 +15,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import LARGEST
+from ..common.checks import LARGEST
+from ..common.parallel import chunk_bounds, run_chunks, serial_blas
 from ..kernels.normals import normals_range
-from ..parallel import chunk_bounds, run_chunks, serial_blas
-from ..sequence import MeshSequence
-from .alignment import Alignment, centred, rotations_onto, scale_of
+from ..mesh.sequence import MeshSequence
+from .alignment import (
+    Alignment,
+    centred,
+    rotations_onto,
+    scale_of,
+)
 from .rest_surface import RestSurface
 
 Array = NDArray[np.float64]

@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..common.parallel import chunk_bounds, run_chunks
 from ..kernels.schur import apply_vertex_step, schur_vertices
-from ..parallel import chunk_bounds, run_chunks
 from .model import CHUNK, Constraints, Model
 from .moments import bone_sums, stack_blocks
 from .trajectories import Array, Trajectories

@@ -11,14 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ..frames.error import squared_error
-from ..frames.normals import drawn_angles, with_fitted_normals
+from ..common.parallel import get_threads
 from ..kernels.newton import polish_vertices
 from ..kernels.policy import SHIPPED, is_cached
 from ..kernels.polish import choose_influences
-from ..parallel import get_threads
-from ..sequence import MeshSequence
-from ..skinning import Skinning
+from ..mesh.sequence import MeshSequence
+from ..model.drawn_normals import drawn_angles, with_fitted_normals
+from ..model.frame_error import squared_error
+from ..model.skinning import Skinning
 from .alternation import bone_costs, bone_step, vertex_step
 from .gauss_newton import GaussNewton
 from .model import FREE, Model

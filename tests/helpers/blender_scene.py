@@ -10,7 +10,7 @@ import pytest
 
 import ssdr
 from helpers.rig_model import largest_distance
-from ssdr.errors import SsdrError
+from ssdr.common.errors import SsdrError
 from ssdr.io.blender.finder import command
 
 try:

@@ -11,7 +11,7 @@ from garmentnet.data.motion import Motion
 from garmentnet.data.skeleton import Skeleton
 from garmentnet.scenes.body import Body
 from garmentnet.scenes.garments import Garment
-from ssdr.skinning import Skinning
+from ssdr.model.skinning import Skinning
 
 
 def sheet(columns, rows, edge):

@@ -13,9 +13,9 @@ import pytest
 import ssdr
 from helpers import motions
 from helpers.stretches import check_kind
-from ssdr import progress
-from ssdr.problem.problem import Initial
+from ssdr.search import progress
 from ssdr.search.descent import Descent, Schedule
+from ssdr.search.problem import Initial
 from ssdr.search.starts import start
 from ssdr.search.steps import alternate
 from ssdr.solver import warmup

@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 
 import ssdr
-from ssdr.rigid import matrix_from_quaternion
+from ssdr.model.rigid import matrix_from_quaternion
 
 FPS = 24.0
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import ssdr
-from ssdr.hierarchy.transforms import from_local
+from ssdr.model.transforms import from_local
 
 # parents do not come first, and there are two roots
 PARENTS = (2, 0, -1, 0, 2, -1, 4)

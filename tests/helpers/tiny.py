@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 import ssdr
 from helpers import motions, terms
 from helpers.stretches import stretched
-from ssdr.hierarchy.transforms import parents_first
-from ssdr.hierarchy.tree import Tree
-from ssdr.joints.placement import snap_to_joints
+from ssdr.model.transforms import parents_first
+from ssdr.model.tree import Tree
+from ssdr.search.trees.placement import snap_to_joints
 from ssdr.solver.alternation import vertex_step
 from ssdr.solver.gauss_newton import GaussNewton
 from ssdr.solver.initialization import with_rest_normals

@@ -16,7 +16,7 @@ from garmentnet.data.parameters import SimulationParameters
 from garmentnet.data.skeleton import Skeleton
 from garmentnet.data.store import ClipStore
 from ssdr import Skinning
-from ssdr.rigid import matrix_from_quaternion
+from ssdr.model.rigid import matrix_from_quaternion
 
 FPS = 30.0
 BASE = SimulationParameters(bending=0.5, density=0.2, time_scale=1.0)

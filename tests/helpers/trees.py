@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import ssdr
 from helpers import motions
-from ssdr.hierarchy.transforms import from_local
+from ssdr.model.transforms import from_local
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

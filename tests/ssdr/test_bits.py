@@ -17,8 +17,8 @@ from helpers import motions
 from helpers.measures import bits, frames, wavy
 from helpers.rig_model import tube
 from helpers.surfaces import animation
-from ssdr.frames.normals import with_fitted_normals
-from ssdr.render import render_frame
+from ssdr.model.drawn_normals import with_fitted_normals
+from ssdr.show import render_frame
 
 Decompose = functools.partial(ssdr.decompose, effort="fast")
 

@@ -12,7 +12,7 @@ import pytest
 
 import ssdr
 from helpers import motions
-from ssdr.checks import check_transforms, parse_tolerance
+from ssdr.common.checks import check_transforms, parse_tolerance
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 
 import ssdr
 from helpers import motions
-from ssdr.copies import coincident, distinct
+from ssdr.mesh.coincident import coincident, distinct
 
 
 @pytest.fixture(scope="module")

@@ -106,7 +106,7 @@ def test_history_never_rises_where_all_that_counts_is_exact() -> None:
 def test_time_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     clock, late = Ticks(monkeypatch, 0.01), []
 
-    def watch(state: ssdr.progress.Progress) -> None:
+    def watch(state: ssdr.search.progress.Progress) -> None:
         if state.elapsed > 0.5:
             late.append(state.phase)
 

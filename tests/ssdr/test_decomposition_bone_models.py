@@ -13,8 +13,8 @@ import ssdr
 from helpers import motions
 from helpers.measures import check, pooled
 from helpers.stretches import KINDS, MODELS, check_kind, rig, stretched
-from ssdr.frames import executor
-from ssdr.problem import scan
+from ssdr.mesh import executor
+from ssdr.search import scan
 
 
 def test_decompositions_warm_started_along_the_chain_fall() -> None:

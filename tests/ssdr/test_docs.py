@@ -19,7 +19,7 @@ import pytest
 
 import ssdr
 from docs import snippets
-from ssdr import render
+from ssdr import show as render
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -27,7 +27,7 @@ SITE = sorted(
     [
         *DOCS.glob("**/*.md"),
         ROOT / "CHANGELOG.md",
-        ROOT / "ssdr" / "samples" / "ORIGIN.md",
+        ROOT / "ssdr" / "io" / "samples" / "ORIGIN.md",
     ]
 )
 PAGES = sorted({*ROOT.glob("*.md"), *SITE})

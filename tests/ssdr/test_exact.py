@@ -12,7 +12,7 @@ import pytest
 import ssdr
 from helpers import motions, stretches, trees
 from helpers.measures import check, diagonal
-from ssdr.problem import scan
+from ssdr.search import scan
 
 Made = tuple[np.ndarray, dict[str, Any]]  # frames, and what to call `decompose` with
 

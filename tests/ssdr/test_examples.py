@@ -14,25 +14,25 @@ import pytest
 import ssdr
 
 _MODULES = (
-    "errors",
+    "common.errors",
+    "common.parallel",
     "io",
+    "io.samples",
     "laplacian",
     "metrics",
-    "parallel",
     "parsimony",
-    "render",
-    "rigid",
-    "samples",
-    "sequence",
-    "skinning",
+    "mesh.sequence",
+    "model.rigid",
+    "model.skinning",
+    "show",
 )
 # What functions hand back; docs/api/results.md names them.
 _RESULTS = (
-    ("ssdr.progress", "Progress"),
-    ("ssdr.progress", "Record"),
+    ("ssdr.search.progress", "Progress"),
+    ("ssdr.search.progress", "Record"),
     ("ssdr.fit.fit", "Fit"),
     ("ssdr.fit.bones", "BoneFit"),
-    ("ssdr.viewer.page", "Page"),
+    ("ssdr.show.page.page", "Page"),
 )
 
 

@@ -9,7 +9,7 @@ import trimesh
 import ssdr
 from helpers import naive, surfaces
 from helpers.rig_model import largest_distance, tube
-from ssdr.normals import corner_normals, normal_holders, surface_normals
+from ssdr.mesh.normals import corner_normals, normal_holders, surface_normals
 
 
 def test_hard_edges_stay_hard_and_smooth_ones_are_those_of_a_peer():

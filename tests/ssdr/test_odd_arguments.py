@@ -11,7 +11,7 @@ import pytest
 
 import ssdr
 from ssdr import InputError
-from ssdr.render import render_frame
+from ssdr.show import render_frame
 
 ODD = [None, "x", b"x", [], {}, set(), 1j, True, -1, float("nan"), float("inf"), object(),
        np.array([1, 2]), np.array("a"), np.datetime64("2020"), np.ma.masked, Ellipsis]  # fmt: skip

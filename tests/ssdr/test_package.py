@@ -22,7 +22,8 @@ from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 
 import ssdr
-from ssdr import InputError, samples
+from ssdr import InputError
+from ssdr.io import samples
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAVY = {
@@ -221,7 +222,7 @@ def test_wheel_holds_the_package_and_nothing_else(package: str, tmp_path: Path) 
         name for name in held if name.endswith(".py")
     }
     data = {
-        "ssdr": ("py.typed", "samples/dancer.npz", "samples/ORIGIN.md"),
+        "ssdr": ("py.typed", "__init__.pyi", "io/samples/dancer.npz", "io/samples/ORIGIN.md"),
         "garmentnet": (
             "py.typed",
             "configs/tiny.toml",

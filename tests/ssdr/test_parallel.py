@@ -13,8 +13,8 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import ssdr
 from ssdr import InputError
+from ssdr.common.parallel import chunk_bounds, run_chunks, serial_blas
 from ssdr.kernels.bones import sweep_bones
-from ssdr.parallel import chunk_bounds, run_chunks, serial_blas
 from ssdr.solver.model import Model
 from ssdr.solver.moments import bone_sums, coupled_bones
 from ssdr.solver.trajectories import gather

@@ -346,7 +346,7 @@ def test_steps_follow_the_input(change: Callable[[Frames, Any], Change], kind: s
         given = {"start": ssdr.Start(**parts), "rest_frame": rest_frame}
         steps: list[str] = []
 
-        def tenth(progress: ssdr.progress.Progress) -> bool:
+        def tenth(progress: ssdr.search.progress.Progress) -> bool:
             steps.append(progress.phase)
             return progress.iteration == 10
 

@@ -13,8 +13,8 @@ import ssdr
 from helpers import motions
 from ssdr.fit.bones import BoneFit
 from ssdr.fit.fit import Fit
-from ssdr.progress import Progress, Record
-from ssdr.viewer.page import Page
+from ssdr.search.progress import Progress, Record
+from ssdr.show.page.page import Page
 
 ARRAYS = ("NDArray", "Array", "Any", "bytes", "tuple[Skinning", "tuple[Record")
 

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import ssdr
-from ssdr import InputError, kabsch, rigid
-from ssdr.rigid import (
+from ssdr import InputError, kabsch
+from ssdr.model import rigid
+from ssdr.model.rigid import (
     matrix_from_quaternion,
     matrix_from_sixd,
     quaternion_from_matrix,

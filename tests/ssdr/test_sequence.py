@@ -141,7 +141,7 @@ def test_chunks_cover_the_frames_in_order():
 
 
 def test_lazy_frames_are_read_by_chunks_only(monkeypatch):
-    monkeypatch.setattr("ssdr.sequence._CHUNK_BYTES", 2 * 4 * 3 * 8)
+    monkeypatch.setattr("ssdr.mesh.sequence._CHUNK_BYTES", 2 * 4 * 3 * 8)
     source = Counted(frames(9, 4))
     sequence = MeshSequence(source, FACES)
     assert source.largest == 2

@@ -14,7 +14,7 @@ import pytest
 import ssdr
 from helpers import motions, stretches, trees
 from helpers.measures import check, diagonal, frames, played, rig, rmse_of
-from ssdr.problem import scan
+from ssdr.search import scan
 
 Solve = Callable[..., ssdr.Decomposition]
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 from ...data.motion import CLASSES, Motion
 from ...data.skeleton import Skeleton

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...clips import Clip, readable
-from ...errors import FormatError
-from ...sequence import MeshSequence
-from ...surface import UNKNOWN, Material
+from ...common.errors import FormatError
+from ...mesh.clips import Clip, readable
+from ...mesh.sequence import MeshSequence
+from ...mesh.surface import UNKNOWN, Material
 from ..file_errors import check, reading
 from ..frame_rates import sample_frames
 from ..mesh_names import choose, mesh_names

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...clips import unique_names
-from ...normals import corner_normals
-from ...sequence import MeshSequence
+from ...mesh.clips import unique_names
+from ...mesh.normals import corner_normals
+from ...mesh.sequence import MeshSequence
 from ..atomic import atomic_path
 from ..optional import require
 from ..save_report import SaveReport, StorageError

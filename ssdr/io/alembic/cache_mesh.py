@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...clips import readable
-from ...normals import unit
+from ...mesh.clips import readable
+from ...mesh.normals import unit
 from ..file_errors import check
 from ..meshes.polygons import fan, value_index
 from ..scene import Bones, Shape, facing

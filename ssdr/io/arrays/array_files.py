@@ -19,9 +19,14 @@ from typing import IO, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import FormatError, InputError
+from ...common.errors import FormatError, InputError
 from ..atomic import atomic_path
-from ..file_errors import afford, check, reading, refuse_bomb
+from ..file_errors import (
+    afford,
+    check,
+    reading,
+    refuse_bomb,
+)
 from ..signatures import describe
 
 _npy: Any = np.lib.format  # NumPy types it only in part

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from ...sequence import MeshSequence
+from ...mesh.sequence import MeshSequence
 from ..atomic import atomic_path
 from ..companion import over_mesh
 from ..file_errors import check

@@ -17,16 +17,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...clips import Clip, pick
-from ...errors import InputError
-from ...sequence import MeshSequence
-from ...shapes import ShapedSkinning, Shapes, Skinned
-from ...skinning import Skinning
-from ...surface import Material, Space, Surface
+from ...common.errors import InputError
+from ...mesh.clips import Clip, pick
+from ...mesh.sequence import MeshSequence
+from ...mesh.surface import Material, Space, Surface
+from ...model.shapes import ShapedSkinning, Shapes, Skinned
+from ...model.skinning import Skinning
 from ..file_clips import bake, pick_clip
 from ..file_errors import afford, check, reading
 from ..save_report import SaveReport
-from .array_files import names_in, read_arrays, shape_of, write_arrays
+from .array_files import (
+    names_in,
+    read_arrays,
+    shape_of,
+    write_arrays,
+)
 
 _log = logging.getLogger(__name__)
 

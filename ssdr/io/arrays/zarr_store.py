@@ -9,12 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from ...checks import check_faces
-from ...errors import InputError
-from ...sequence import MeshSequence
+from ...common.checks import check_faces
+from ...common.errors import InputError
+from ...mesh.sequence import MeshSequence
 from ..atomic import free_name, naming, remove
 from ..companion import over_mesh
-from ..file_errors import afford, check, reading, refuse_bomb, refuse_device
+from ..file_errors import (
+    afford,
+    check,
+    reading,
+    refuse_bomb,
+    refuse_device,
+)
 from ..optional import require
 from ..save_report import SaveReport
 

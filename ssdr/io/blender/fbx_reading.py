@@ -14,11 +14,11 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from ...clips import Clip, in_order, readable
-from ...errors import FormatError
-from ...sequence import MeshSequence
-from ...skinning import Skinning
-from ...surface import METRES_Y_UP, Space
+from ...common.errors import FormatError
+from ...mesh.clips import Clip, in_order, readable
+from ...mesh.sequence import MeshSequence
+from ...mesh.surface import METRES_Y_UP, Space
+from ...model.skinning import Skinning
 from ..arrays.npz import surface_from
 from ..file_clips import pick_clip
 from ..file_errors import MOST_BYTES, reading

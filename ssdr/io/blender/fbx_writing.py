@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ...errors import InputError, SsdrError
-from ...shapes import Skinned, without_shapes
+from ...common.errors import InputError, SsdrError
+from ...model.shapes import Skinned, without_shapes
 from ..atomic import atomic_path
 from ..file_clips import check_one_rate
 from ..gltf.gltf_writing import write_rig

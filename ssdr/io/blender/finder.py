@@ -16,7 +16,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from ...errors import InputError, MissingDependencyError, SsdrError
+from ...common.errors import InputError, MissingDependencyError, SsdrError
 from ..own_process import run_script
 
 _TOO_OLD = "Blender 4.2 or newer is needed"  # part of an error of in_blender.py

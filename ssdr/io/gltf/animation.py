@@ -9,11 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...clips import Clip, readable, unique_names
-from ...errors import FormatError
-from ...rigid import matrix_from_quaternion
+from ...common.errors import FormatError
+from ...mesh.clips import Clip, readable, unique_names
+from ...model.rigid import matrix_from_quaternion
 from ..file_errors import check
-from ..frame_rates import DEFAULT_RATE, Frames, frame_rate, frames_between, off_frames
+from ..frame_rates import (
+    DEFAULT_RATE,
+    Frames,
+    frame_rate,
+    frames_between,
+    off_frames,
+)
 from ..rig import interpolate_quaternions
 from .document import Document
 

@@ -12,10 +12,10 @@ from urllib.parse import quote
 import numpy as np
 from numpy.typing import NDArray
 
-from ...clips import Clip
-from ...errors import InputError
-from ...frames.shaped_normals import ShapedNormals
-from ...shapes import Shapes
+from ...common.errors import InputError
+from ...mesh.clips import Clip
+from ...model.shaped_normals import ShapedNormals
+from ...model.shapes import Shapes
 from ..atomic import write_bytes
 from ..corners import Corners
 from ..file_clips import seconds

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import FormatError
+from ...common.errors import FormatError
 from ..file_errors import check
 from ..optional import require
 

@@ -14,7 +14,7 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import FormatError
+from ...common.errors import FormatError
 from ..file_errors import check
 from ..references import HINT, OUTSIDE, locate
 from ..scene import SceneBudget

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...clips import Clip, in_order
-from ...sequence import MeshSequence
-from ...shapes import Skinned
-from ...surface import METRES_Y_UP, Material
+from ...mesh.clips import Clip, in_order
+from ...mesh.sequence import MeshSequence
+from ...mesh.surface import METRES_Y_UP, Material
+from ...model.shapes import Skinned
 from ..file_clips import pick_clip
 from ..file_errors import reading
 from ..sampling import Sample, part_starts
@@ -29,7 +29,12 @@ from .animation import (
     still_frame,
 )
 from .document import Document
-from .primitives import JointPoints, PrimitiveGroup, names_of, read_parts
+from .primitives import (
+    JointPoints,
+    PrimitiveGroup,
+    names_of,
+    read_parts,
+)
 
 
 def read(

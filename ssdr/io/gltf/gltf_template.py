@@ -16,20 +16,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import InputError
-from ...normals import corner_normals
-from ...skinning import Skinning
-from ...surface import Surface
+from ...common.errors import InputError
+from ...mesh.normals import corner_normals
+from ...mesh.surface import Surface
+from ...model.skinning import Skinning
 from ..corners import carry_tangents
 from ..file_errors import check, reading
 from ..rig import Rig
 from ..sampling import part_starts
 from ..scene import join_faces
 from .animation import Nodes, descendants, read_animations
-from .builder import ARRAY, ELEMENTS, Builder, add_animation, add_skin, add_weights, skeleton_nodes
+from .builder import (
+    ARRAY,
+    ELEMENTS,
+    Builder,
+    add_animation,
+    add_skin,
+    add_weights,
+    skeleton_nodes,
+)
 from .compression import DRACO
 from .document import Document
-from .numbering import remove, remove_unused, unknown_extensions, used
+from .numbering import (
+    remove,
+    remove_unused,
+    unknown_extensions,
+    used,
+)
 from .primitives import PrimitiveGroup, read_parts, triangles
 
 _LINES = (1, 2, 3)

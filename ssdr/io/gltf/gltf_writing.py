@@ -11,14 +11,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import InputError
-from ...frames.shaped_normals import shaped_normals
-from ...quantisation import WeightStorage
-from ...shapes import ShapedSkinning, Skinned, skinning_and_shapes, without_shapes
-from ...surface import Material, Surface
+from ...common.errors import InputError
+from ...mesh.surface import Material, Surface
+from ...model.shaped_normals import shaped_normals
+from ...model.shapes import (
+    ShapedSkinning,
+    Skinned,
+    skinning_and_shapes,
+    without_shapes,
+)
 from ..corners import Corners, rest_normals, split_corners
 from ..rig import Rig, build_rig
 from ..save_report import SaveReport
+from ..weight_storage import WeightStorage
 from .builder import (
     ARRAY,
     ELEMENTS,

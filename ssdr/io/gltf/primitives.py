@@ -9,13 +9,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...clips import readable
-from ...errors import FormatError
-from ...normals import unit
-from ...shapes import Shapes
+from ...common.errors import FormatError
+from ...mesh.clips import readable
+from ...mesh.normals import unit
+from ...model.shapes import Shapes
 from ..file_errors import check
 from ..mesh_names import choose
-from ..scene import Bones, Shape, facing, file_weights, nearest_joints, vertices_at_joints
+from ..scene import (
+    Bones,
+    Shape,
+    facing,
+    file_weights,
+    nearest_joints,
+    vertices_at_joints,
+)
 from .animation import Nodes, descendants, still_frame
 from .compression import DRACO, decode_mesh
 from .document import Document

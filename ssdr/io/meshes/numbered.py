@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ...errors import FormatError, InputError, SsdrWarning
-from ...sequence import MeshSequence
+from ...common.errors import FormatError, InputError, SsdrWarning
+from ...mesh.sequence import MeshSequence
 from ..file_errors import check, reading
 from ..mesh_names import natural_key
 from ..save_report import SaveReport

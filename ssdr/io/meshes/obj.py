@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import FormatError
-from ...surface import Material, Surface
+from ...common.errors import FormatError
+from ...mesh.surface import Material, Surface
 from ..atomic import write_bytes
 from ..file_errors import check, read_file, reading
 from ..signatures import describe

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import FormatError
-from ...surface import Surface
+from ...common.errors import FormatError
+from ...mesh.surface import Surface
 from ..atomic import write_bytes
 from ..file_errors import check, read_file, reading
 from ..signatures import describe

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import FormatError
-from ...surface import Surface
+from ...common.errors import FormatError
+from ...mesh.surface import Surface
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)

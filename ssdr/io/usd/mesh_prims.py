@@ -10,11 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
-from ...normals import unit
-from ...shapes import Shapes
+from ...mesh.normals import unit
+from ...model.shapes import Shapes
 from ..file_errors import check
 from ..meshes.polygons import fan, value_index
-from ..scene import Bones, Shape, facing, file_weights, vertices_at_joints
+from ..scene import (
+    Bones,
+    Shape,
+    facing,
+    file_weights,
+    vertices_at_joints,
+)
 
 _log = logging.getLogger(__name__)
 _FIRST = Usd.TimeCode.EarliestTime()

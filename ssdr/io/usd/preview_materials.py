@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Gf, Sdf, UsdGeom, UsdShade, Vt
 
-from ...clips import unique_names
-from ...surface import Material, Surface
+from ...mesh.clips import unique_names
+from ...mesh.surface import Material, Surface
 from ..atomic import write_bytes
 from ..file_errors import check
 from ..references import find_inside

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Tf, Usd, UsdUtils
 
-from ...clips import readable
-from ...errors import FormatError, is_real
+from ...common.errors import FormatError, is_real
+from ...mesh.clips import readable
 from ..file_errors import check, refuse_device
 from ..references import HINT, OUTSIDE, is_inside
 

@@ -14,14 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdSkel
 
-from ...clips import Clip, in_order, unique_names
-from ...errors import is_real, is_whole
-from ...sequence import MeshSequence
-from ...shapes import Skinned
-from ...surface import Space
+from ...common.errors import is_real, is_whole
+from ...mesh.clips import Clip, in_order, unique_names
+from ...mesh.sequence import MeshSequence
+from ...mesh.surface import Space
+from ...model.shapes import Skinned
 from ..file_clips import pick_clip
 from ..file_errors import check, reading
-from ..frame_rates import Frames, frame_rate, frames_between, off_frames
+from ..frame_rates import (
+    Frames,
+    frame_rate,
+    frames_between,
+    off_frames,
+)
 from ..mesh_names import choose
 from ..sampling import Sample
 from ..scene import SceneBudget, join_sequence, join_skinning

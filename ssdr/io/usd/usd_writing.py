@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
-from ...clips import Clip, readable, unique_names
-from ...hierarchy.transforms import parents_first
-from ...sequence import MeshSequence
-from ...shapes import Shapes, Skinned
-from ...surface import METRES_Y_UP, Space
+from ...mesh.clips import Clip, readable, unique_names
+from ...mesh.sequence import MeshSequence
+from ...mesh.surface import METRES_Y_UP, Space
+from ...model.shapes import Shapes, Skinned
+from ...model.transforms import parents_first
 from ..atomic import atomic_path
 from ..corners import rest_normals
 from ..rig import Rig, build_rig

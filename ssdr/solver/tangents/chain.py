@@ -8,8 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from ...kernels.chains import chain_image, chain_matrix, chain_move, chain_pullback
-from ...parallel import chunk_bounds, run_chunks
+from ...common.parallel import chunk_bounds, run_chunks
+from ...kernels.chains import (
+    chain_image,
+    chain_matrix,
+    chain_move,
+    chain_pullback,
+)
 from ..conjugate_gradients import Operator
 from ..model import FREE, Constraints, Model
 from ..objective import JointPenalty

@@ -9,15 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
+from ...common.parallel import chunk_bounds, run_chunks
 from ...kernels.bones import LARGEST, SMALLEST
 from ...kernels.schur import move_bones, tangent_image, tangent_pullback
-from ...parallel import chunk_bounds, run_chunks
 from ..affine_fit import admissible, ridge_blocks, stack_diagonal
 from ..conjugate_gradients import Operator
 from ..model import Model
 from ..moments import stack_blocks
 from ..objective import JointPenalty
-from ..trajectories import Array, Trajectories, stack_transforms, unstack_transforms
+from ..trajectories import (
+    Array,
+    Trajectories,
+    stack_transforms,
+    unstack_transforms,
+)
 
 _TRANSFORMS = 4096  # fewest transforms of a task: fewer are not worth a thread
 

@@ -13,7 +13,7 @@ from benchmarks.garment.reproduce import Reproduction
 from garmentnet.data.virtual_bones import parameter_roles
 from garmentnet.evaluation.reporting import RECORDED
 from garmentnet.networks.checkpoint import load_checkpoint
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 SETTINGS = (
     "bones.motions=*",

@@ -22,7 +22,7 @@ from garmentnet.data.virtual_bones import virtual_bones
 from garmentnet.networks.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from garmentnet.networks.ensemble import Kernel
 from helpers import toy_store as toy
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 RUN = CliRunner()
 BVH = (

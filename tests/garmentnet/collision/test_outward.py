@@ -9,7 +9,7 @@ from garmentnet.collision.crossings import find_crossings
 from garmentnet.collision.outward import OutwardPush
 from garmentnet.collision.push_out import PushOut
 from ssdr import Skinning
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 STILL = np.eye(3, 4)[None, None]
 

@@ -8,7 +8,7 @@ from hypothesis.extra.numpy import arrays
 import ssdr
 from garmentnet.collision.push_out import INSIDE, PushOut
 from ssdr import Skinning
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 FLAT = np.array([[[0, 1, 2]]])
 

@@ -12,7 +12,7 @@ torch = pytest.importorskip("torch")
 
 
 from garmentnet.configs.config import Config, load_config, override, preset_names
-from ssdr.errors import FormatError, InputError
+from ssdr.common.errors import FormatError, InputError
 
 
 def tables(name):

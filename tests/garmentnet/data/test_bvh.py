@@ -15,7 +15,7 @@ pytest.importorskip("zarr")
 from garmentnet.data.bvh import find_bvh, read_bvh
 from garmentnet.data.retarget import retarget
 from garmentnet.scenes.body import default_body
-from ssdr.errors import FormatError, InputError
+from ssdr.common.errors import FormatError, InputError
 
 BODY = default_body()
 TREE = BODY.skeleton

@@ -15,7 +15,7 @@ pytest.importorskip("zarr")
 from garmentnet.data.motion import Motion, interpolate, lead_in
 from garmentnet.data.skeleton import Skeleton
 from garmentnet.scenes.body import default_body
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 BODY = default_body()
 TREE = BODY.skeleton

@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("zarr")
 
 from garmentnet.data.parameters import RANGES, SimulationParameters
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 
 def test_parameters_normalise_to_their_ranges() -> None:

@@ -11,7 +11,7 @@ pytest.importorskip("zarr")
 
 from garmentnet.data.skeleton import REFLECTION, Skeleton, mirror_transforms
 from helpers import toy_store as toy
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 _, SKELETON = toy.body()
 

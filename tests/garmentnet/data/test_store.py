@@ -19,7 +19,7 @@ from garmentnet.data.clip import MIRRORED, Clip
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.data.store import ClipStore
 from helpers import toy_store as toy
-from ssdr.errors import FormatError, InputError
+from ssdr.common.errors import FormatError, InputError
 
 _, SKELETON = toy.body()
 HEADS = SKELETON.rest

@@ -13,7 +13,7 @@ from garmentnet.configs.config import BoneOptions
 from garmentnet.data.skin_weights import find_body_bound
 from garmentnet.data.store import ClipStore
 from garmentnet.data.virtual_bones import virtual_bones
-from ssdr.errors import FormatError
+from ssdr.common.errors import FormatError
 from ssdr.laplacian import LaplacianSmoother
 
 NAME = "base-train-0"

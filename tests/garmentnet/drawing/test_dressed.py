@@ -18,7 +18,7 @@ from garmentnet.drawing.dressed import (
     outfit_look,
     spread_frames,
 )
-from ssdr.render.scene import Scene
+from ssdr.show.subject import Scene
 
 
 def test_the_exact_body_and_pinned_vertices_are_not_in_the_figures(toy_store):

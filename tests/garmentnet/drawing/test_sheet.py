@@ -11,7 +11,7 @@ pytest.importorskip("zarr")
 from PIL import Image
 
 from garmentnet.drawing.dressed import draw_clip
-from ssdr.render import figures
+from ssdr.show import figures
 
 
 def off_by_30_mm(clip):

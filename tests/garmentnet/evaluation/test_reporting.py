@@ -17,7 +17,7 @@ from garmentnet.evaluation.tables import markdown
 from garmentnet.networks.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from garmentnet.networks.ensemble import Kernel
 from helpers import toy_store as toy
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,7 @@ from garmentnet.collision.push_out import PushOut
 from garmentnet.evaluation.methods import BonesThemselves, MeanDetail, Method, Network
 from garmentnet.evaluation.scores import chaos_floor, evaluate
 from garmentnet.evaluation.tables import score_table
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 from ssdr.metrics import compare
 
 CLIP = "base-test-0"

@@ -22,7 +22,7 @@ from garmentnet.data.store import ClipStore
 from garmentnet.importing.importing import ImportOptions, import_clips
 from garmentnet.importing.scene_files import Source
 from ssdr import MeshSequence, Skinning
-from ssdr.errors import FormatError, InputError, SsdrError
+from ssdr.common.errors import FormatError, InputError, SsdrError
 
 FRAMES, FPS = 60, 30.0
 NAMES, PARENTS = ("hips", "leg_l", "leg_r"), [-1, 0, 0]

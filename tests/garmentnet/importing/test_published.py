@@ -13,7 +13,7 @@ from garmentnet.cli import app
 from garmentnet.data.store import ClipStore
 from garmentnet.importing.published import import_published, smplh_skeleton
 from ssdr import MeshSequence
-from ssdr.errors import FormatError, InputError
+from ssdr.common.errors import FormatError, InputError
 
 FRAMES = 12
 PELVIS = smplh_skeleton().rest[0]

@@ -9,7 +9,7 @@ pytest.importorskip("torch")
 
 
 from garmentnet.io.files import writing
-from ssdr.errors import SsdrError
+from ssdr.common.errors import SsdrError
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="/dev/full")

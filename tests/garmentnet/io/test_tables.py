@@ -8,7 +8,7 @@ from typing import Any, Literal
 import pytest
 
 from garmentnet.io.tables import from_table, read_toml
-from ssdr.errors import FormatError, InputError
+from ssdr.common.errors import FormatError, InputError
 
 
 @dataclasses.dataclass(frozen=True)

@@ -27,7 +27,7 @@ from garmentnet.networks.checkpoint import (
 )
 from garmentnet.networks.ensemble import Kernel
 from helpers import toy_store as toy
-from ssdr.errors import FormatError, InputError, SsdrError
+from ssdr.common.errors import FormatError, InputError, SsdrError
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from garmentnet.networks.detail_basis import DetailBasis, SurfaceTurns
 from garmentnet.training.batches import batches, load_tracks
 from garmentnet.training.high_frequency import DetailObjective
 from garmentnet.training.run import train
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 
 def test_turns_are_the_bones_rotations_where_one_bone_rules():

@@ -11,7 +11,7 @@ from garmentnet.configs.config import FeatureOptions, load_config
 from garmentnet.data.skeleton import check_joints
 from garmentnet.networks.features import Normaliser, PoseFeatures
 from helpers import toy_store as toy
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 FAITHFUL = load_config("faithful").features
 # The toy body has other joints.

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import ssdr
 from garmentnet.training.run import build_network, choose_clips
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 
 @pytest.mark.parametrize("kind", ["toy_network", "toy_faithful"])

@@ -16,7 +16,7 @@ from garmentnet.networks.skinning import (
     matrix_from_sixd,
     remove_frame,
 )
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 
 def random_model(rng, frames=4, vertices=13, bones=5, influences=3):

@@ -18,7 +18,7 @@ from garmentnet.networks.symmetry import reflected_inputs, tie_mirrored
 from garmentnet.scenes.body import default_body
 from garmentnet.scenes.dance.choreography import dance
 from garmentnet.training.run import train
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 
 def _reader(preset, skeleton, condition=0):

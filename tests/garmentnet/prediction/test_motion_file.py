@@ -12,7 +12,7 @@ torch = pytest.importorskip("torch")
 
 import ssdr
 from garmentnet.prediction.motion_file import read_motion
-from ssdr.errors import FormatError, InputError
+from ssdr.common.errors import FormatError, InputError
 
 
 def test_motion_files(toy_network, toy_store, joints, tmp_path):

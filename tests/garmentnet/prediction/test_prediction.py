@@ -13,7 +13,7 @@ from garmentnet.collision.push_out import PushOut
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.prediction.prediction import predict
 from helpers import toy_store as toy
-from ssdr.errors import InputError, SsdrWarning
+from ssdr.common.errors import InputError, SsdrWarning
 
 
 def test_a_single_network(toy_network, joints, toy_store):

@@ -11,7 +11,7 @@ from garmentnet.networks.checkpoint import Checkpoint
 from garmentnet.prediction.prediction import predict
 from garmentnet.prediction.rigged import rigged, save_rigged
 from helpers import live_garment as made
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from garmentnet.networks.checkpoint import Checkpoint, save_checkpoint
 from garmentnet.networks.ensemble import Kernel
 from garmentnet.runtime import load_live
 from helpers import live_garment as made
-from ssdr.errors import FormatError, InputError, SsdrWarning
+from ssdr.common.errors import FormatError, InputError, SsdrWarning
 
 CLOSE = 1e-5  # metres; a tenth of what is promised
 

@@ -17,7 +17,7 @@ from garmentnet.networks.checkpoint import Checkpoint, save_checkpoint
 from garmentnet.runtime import load_live
 from garmentnet.runtime.onnx_file import export_onnx
 from helpers import live_garment as made
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 
 def checkpoint(network, folder):

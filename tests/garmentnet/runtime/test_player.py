@@ -10,7 +10,7 @@ from garmentnet.networks.checkpoint import Checkpoint, save_checkpoint
 from garmentnet.runtime import Player, load_live
 from helpers import live_garment as made
 from helpers.toy_store import random_pose
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ pytest.importorskip("zarr")
 
 from benchmarks.garment.make_body import make_body
 from garmentnet.scenes.body import default_body, load_body, save_body
-from ssdr.errors import FormatError
+from ssdr.common.errors import FormatError
 
 BODY = default_body()
 

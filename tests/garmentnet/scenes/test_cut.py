@@ -21,7 +21,7 @@ from garmentnet.scenes.cut import Cut, cut_garment
 from garmentnet.scenes.dance.choreography import dance
 from garmentnet.scenes.scene_file import load_data_set
 from garmentnet.scenes.simulator import simulate
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 BODY = default_body()
 # Edges of the cloth with an opening behind them: neck, hem, sleeves, legs, waist.

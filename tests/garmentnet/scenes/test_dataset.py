@@ -15,7 +15,7 @@ pytest.importorskip("filelock")
 from garmentnet.data.store import ClipStore
 from garmentnet.scenes.dataset import make_data_set
 from garmentnet.scenes.scene_file import load_data_set
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 FILE = """
 perturbation = 1e-3

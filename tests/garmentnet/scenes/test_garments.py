@@ -16,7 +16,7 @@ from garmentnet.collision.push_out import PushOut
 from garmentnet.scenes.body import Body, default_body
 from garmentnet.scenes.cut import Cut, cut_garment
 from garmentnet.scenes.garments import garment_from_mesh, mirror_permutation
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 BODY = default_body()
 

@@ -16,7 +16,7 @@ from garmentnet.scenes.cut import Cut
 from garmentnet.scenes.dataset import recorded_motions
 from garmentnet.scenes.motion_sources import SPLITS
 from garmentnet.scenes.scene_file import DataSet, MeshGarment, load_data_set
-from ssdr.errors import FormatError
+from ssdr.common.errors import FormatError
 
 SCENE = """
 name = "one"

@@ -18,8 +18,8 @@ from garmentnet.scenes.dance.choreography import dance
 from garmentnet.scenes.quality import Gate, judge, outside
 from garmentnet.scenes.simulator import perturbation_field, simulate
 from helpers.cloth_scenes import still
-from ssdr.errors import InputError
-from ssdr.skinning import skin
+from ssdr.common.errors import InputError
+from ssdr.model.skinning import skin
 
 BODY = default_body()
 DRESS = cut_garment(BODY, Cut(vertices=400))

@@ -12,7 +12,7 @@ torch = pytest.importorskip("torch")
 
 from garmentnet.networks.checkpoint import load_checkpoint
 from garmentnet.training.ensemble import train_ensemble
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 
 @pytest.mark.slow

@@ -18,7 +18,7 @@ from garmentnet.training.pivots import (
     left_out,
     select_pivots,
 )
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 
 def test_gram_is_the_error_of_a_mixture():

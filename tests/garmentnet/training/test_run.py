@@ -15,7 +15,7 @@ from garmentnet.evaluation.scores import evaluate
 from garmentnet.networks.checkpoint import load_checkpoint
 from garmentnet.training.run import choose_clips, train
 from helpers import toy_store as toy
-from ssdr.errors import FormatError, InputError
+from ssdr.common.errors import FormatError, InputError
 
 
 def test_learns_what_a_pose_does_not_tell(toy_store, toy_bones, toy_network):

@@ -15,7 +15,7 @@ from garmentnet.runtime import load_live
 from garmentnet.viewer import Take, write_page
 from helpers import live_garment as made
 from helpers.page import Held
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 
 def test_a_page_holds_the_motions_and_stays_small(tmp_path):

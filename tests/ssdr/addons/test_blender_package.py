@@ -12,7 +12,7 @@ from pathlib import Path
 import ssdr
 
 ROOT = Path(__file__).resolve().parents[3]
-SOURCE = ROOT / "ssdr" / "addons" / "blender"
+SOURCE = ROOT / "ssdr" / "cli" / "blender"
 
 
 def test_the_manifest_and_the_modules_promise_what_they_keep() -> None:

@@ -83,7 +83,7 @@ def test_a_signal_while_loading_is_a_line(name, interrupted, run, tmp_path, clip
 
 
 def test_signals_are_handled_in_the_block_alone():
-    from ssdr.signals import interrupt_on_signals, stop_on_signals
+    from ssdr.common.signals import interrupt_on_signals, stop_on_signals
 
     before = [signal.getsignal(getattr(signal, name)) for name in SIGNALS]
     with stop_on_signals() as stop:

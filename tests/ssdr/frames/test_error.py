@@ -7,7 +7,7 @@ import pytest
 
 import ssdr
 from helpers import motions, naive
-from ssdr.frames.error import largest_error, squared_error
+from ssdr.model.frame_error import largest_error, squared_error
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])

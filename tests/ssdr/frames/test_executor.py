@@ -19,8 +19,8 @@ import pytest
 
 import ssdr
 from helpers import motions
-from ssdr.frames import executor
-from ssdr.problem import scan
+from ssdr.mesh import executor
+from ssdr.search import scan
 
 distributed = pytest.importorskip(
     "distributed", reason='needs Dask: pip install "ssdr[dask]"', exc_type=ImportError

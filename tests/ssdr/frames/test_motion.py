@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import ssdr
 from ssdr import cli
-from ssdr.frames.error import motion_rms
+from ssdr.model.frame_error import motion_rms
 
 CUBE = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
 

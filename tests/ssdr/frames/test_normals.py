@@ -10,7 +10,7 @@ import pytest
 import ssdr
 from helpers import naive
 from helpers.rig_model import tube
-from ssdr.frames.normals import drawn_angles, holders_of, with_fitted_normals
+from ssdr.model.drawn_normals import drawn_angles, holders_of, with_fitted_normals
 
 
 def blended(model):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from helpers.rig_tree import ENDS, NAMES, POSITIONS, creature
-from ssdr.hierarchy.bone_ends import limb_ends
+from ssdr.model.bone_ends import limb_ends
 
 
 def _ends(model):

@@ -7,8 +7,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import ssdr
-from ssdr.errors import InputError
-from ssdr.hierarchy.transforms import check_parents, from_local, joint_gaps, parents_first, to_local
+from ssdr.common.errors import InputError
+from ssdr.model.transforms import (
+    check_parents,
+    from_local,
+    joint_gaps,
+    parents_first,
+    to_local,
+)
 
 PARENTS = [2, 0, -1, 0, -1]
 

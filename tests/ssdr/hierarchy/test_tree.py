@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ssdr.hierarchy.transforms import parents_first
-from ssdr.hierarchy.tree import Tree, root_at_centroids
+from ssdr.model.transforms import parents_first
+from ssdr.model.tree import Tree, root_at_centroids
 
 
 @st.composite

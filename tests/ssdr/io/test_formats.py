@@ -11,7 +11,7 @@ import ssdr
 from helpers.surfaces import same_surface
 from ssdr import Clip, InputError
 from ssdr.io import FORMATS
-from ssdr.normals import corner_normals
+from ssdr.mesh.normals import corner_normals
 
 # Of a file: what it holds beside vertices and faces, and the option that reads it.
 EXACT = {"float64", "fps", "uv", "normals", "materials", "vertex map", "name"}

@@ -11,11 +11,11 @@ from scipy.spatial.transform import Rotation, Slerp
 import ssdr
 from helpers.rig_model import tube
 from helpers.rig_tree import PARENTS, creature, flat
-from ssdr.clips import unique_names
-from ssdr.hierarchy.transforms import joint_gaps
 from ssdr.io.frame_rates import frame_rate, off_frames
 from ssdr.io.rig import build_rig
-from ssdr.quantisation import quantise, weight_values
+from ssdr.io.weight_storage import quantise, weight_values
+from ssdr.mesh.clips import unique_names
+from ssdr.model.transforms import joint_gaps
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from(["float32", "uint16", "uint8"]))

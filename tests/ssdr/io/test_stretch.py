@@ -13,8 +13,8 @@ from helpers import drawn
 from helpers.rig_model import largest_distance, tube
 from helpers.rig_tree import creature
 from ssdr.io.rig import build_rig
-from ssdr.storage.keyframes import Tracks
-from ssdr.storage.stretch import steady_axes
+from ssdr.model.keyframes import Tracks
+from ssdr.model.stretch import steady_axes
 
 
 def stretched(model, seed=0):

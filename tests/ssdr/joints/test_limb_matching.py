@@ -9,8 +9,8 @@ import pytest
 
 import ssdr
 from helpers import trees
-from ssdr.hierarchy.tree import Tree
-from ssdr.joints.limb_matching import limb_distances, match_by_motion, matched_bones
+from ssdr.model.tree import Tree
+from ssdr.search.trees.limb_matching import limb_distances, match_by_motion, matched_bones
 from ssdr.solver.trajectories import gather
 
 

@@ -8,9 +8,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 import ssdr
-from ssdr.hierarchy.tree import Tree
-from ssdr.joints.mirror import Mirror, edges_with_image, find_mirror
-from ssdr.search.tree_moves import mirror_edge
+from ssdr.model.tree import Tree
+from ssdr.search.trees.mirror import Mirror, edges_with_image, find_mirror
+from ssdr.search.trees.tree_moves import mirror_edge
 from ssdr.solver.model import Constraints, Model
 from ssdr.solver.trajectories import gather
 

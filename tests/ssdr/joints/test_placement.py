@@ -7,8 +7,8 @@ import pytest
 
 import ssdr
 from helpers import motions, trees
-from ssdr.hierarchy.transforms import joint_gaps
-from ssdr.joints.placement import (
+from ssdr.model.transforms import joint_gaps
+from ssdr.search.trees.placement import (
     find_contacts,
     fit_joint,
     fit_joints,

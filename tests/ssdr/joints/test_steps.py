@@ -8,10 +8,10 @@ import pytest
 import ssdr
 from helpers import trees
 from helpers.measures import descent_of, rmse_of
-from ssdr.problem.problem import Initial
 from ssdr.search.descent import Descent
+from ssdr.search.problem import Initial
 from ssdr.search.starts import first_model
-from ssdr.search.tree_steps import add_bones, attach, remove_bones
+from ssdr.search.trees.tree_steps import add_bones, attach, remove_bones
 from ssdr.solver.trajectories import gather
 
 

@@ -13,7 +13,14 @@ import ssdr
 from helpers import motions
 from helpers.surfaces import animation
 from ssdr import InputError, MeshSequence
-from ssdr.metrics import compare, distances, hausdorff, normals, rmse, sted
+from ssdr.metrics import (
+    compare,
+    distances,
+    hausdorff,
+    normals,
+    rmse,
+    sted,
+)
 
 
 def test_chunks_and_files_give_the_same(monkeypatch, tmp_path):
@@ -23,7 +30,7 @@ def test_chunks_and_files_give_the_same(monkeypatch, tmp_path):
     np.save(tmp_path / "a.npy", a)
     mapped = MeshSequence(np.load(tmp_path / "a.npy", mmap_mode="r"), faces)
     assert mapped.is_lazy
-    monkeypatch.setattr("ssdr.metrics.inputs._CHUNK_BYTES", 1)
+    monkeypatch.setattr("ssdr.metrics.matching._CHUNK_BYTES", 1)
     parts = compare(mapped, b).as_dict(arrays=True)
 
     def same(x, y):

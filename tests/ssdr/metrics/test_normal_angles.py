@@ -10,7 +10,7 @@ import pytest
 import ssdr
 from helpers import naive, surfaces
 from helpers.rig_model import tube
-from ssdr.frames.normals import holders_of
+from ssdr.model.drawn_normals import holders_of
 
 
 def test_every_field_against_loops(rng):

@@ -12,7 +12,7 @@ import ssdr
 from helpers import motions
 from helpers.measures import wavy
 from ssdr.io.rig import build_rig
-from ssdr.storage.keyframes import Tracks
+from ssdr.model.keyframes import Tracks
 
 
 @pytest.mark.parametrize("price", [1e-6, 1e-4, 1e-2])

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 import ssdr
 from helpers import motions
 from helpers.measures import diagonal, largest_of, rmse_of, small, wavy
-from ssdr.problem import scan
-from ssdr.progress import Monitor
+from ssdr.search import scan
+from ssdr.search.progress import Monitor
 
 
 @pytest.mark.slow

@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation, Slerp
 
 import ssdr
 from helpers.rig_tree import NAMES, PARENTS, POSITIONS, creature, flat
-from ssdr.hierarchy.transforms import from_local
 from ssdr.io.rig import build_rig
-from ssdr.storage.keyframes import Tracks
+from ssdr.model.keyframes import Tracks
+from ssdr.model.transforms import from_local
 
 KINDS = [{}, {"loose": True}, {"scaled": True}]
 

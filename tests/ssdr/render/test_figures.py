@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 import ssdr
-from ssdr import render
+from ssdr import show as render
 
 
 def is_drawn(picture):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ssdr.render import palette
+from ssdr.show import palette
 
 
 def test_srgb_round_trip_and_heat_darkens_steadily():

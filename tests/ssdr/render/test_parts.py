@@ -8,10 +8,10 @@ from PIL import Image
 
 import ssdr
 from helpers.surfaces import sphere
-from ssdr import render
-from ssdr.render import Film
-from ssdr.render.light import Lights, around_both_sides, sphere_directions
-from ssdr.render.scene import Scene
+from ssdr import show as render
+from ssdr.show import Film
+from ssdr.show.light import Lights, around_both_sides, sphere_directions
+from ssdr.show.subject import Scene
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ def test_the_error_colours_the_measured_vertices_alone(pair):
 def test_rows_columns_and_their_names(pair, monkeypatch):
     truth, answer, look = pair
     seen = []
-    from ssdr.render import figures
+    from ssdr.show import figures
 
     draw = figures.ImageDraw.ImageDraw
     write = draw.text

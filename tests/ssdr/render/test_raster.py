@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ssdr.normals import triangle_normals
-from ssdr.render import camera as raster
+from ssdr.mesh.normals import triangle_normals
+from ssdr.show import camera as raster
 
 
 @given(

@@ -9,9 +9,9 @@ import pytest
 
 import ssdr
 from helpers import normal_angles as naive
-from ssdr import render
-from ssdr.normals import unit
-from ssdr.render.scene import Scene
+from ssdr import show as render
+from ssdr.mesh.normals import unit
+from ssdr.show.subject import Scene
 
 LOOK = {"size": (80, 80), "azimuth": 0.0, "elevation": 60.0}
 
@@ -83,7 +83,7 @@ def test_a_model_is_lit_by_its_rest_normals_and_a_sequence_by_its_surface():
 def test_the_error_of_normals_has_a_scale_in_degrees(monkeypatch):
     truth, answer = tilted(degrees=29)
     seen = []
-    from ssdr.render import figures
+    from ssdr.show import figures
 
     draw = figures.ImageDraw.ImageDraw
     write = draw.text

@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 
 from helpers.rig_tree import creature, flat
-from ssdr import render
-from ssdr.render.camera import Camera
-from ssdr.render.skeleton import octahedra
+from ssdr import show as render
+from ssdr.show.camera import Camera
+from ssdr.show.skeleton import octahedra
 
 
 def test_bones_are_drawn_from_joint_to_joint():

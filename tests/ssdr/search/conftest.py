@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from ssdr.frames import executor
-from ssdr.problem import scan
+from ssdr.mesh import executor
+from ssdr.search import scan
 
 
 @pytest.fixture

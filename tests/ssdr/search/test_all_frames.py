@@ -10,10 +10,10 @@ import pytest
 
 import ssdr
 from helpers import motions, terms
-from ssdr.problem import scan
-from ssdr.problem.check import check_problem
-from ssdr.problem.problem import Problem
+from ssdr.search import scan
 from ssdr.search.all_frames import fit_all_frames
+from ssdr.search.check_problem import check_problem
+from ssdr.search.problem import Problem
 from ssdr.solver.alternation import bone_step, vertex_step
 from ssdr.solver.initialization import start_model, with_rest_normals
 from ssdr.solver.model import Constraints, Model

@@ -16,8 +16,8 @@ import ssdr
 from helpers import motions
 from helpers.disks import small_files
 from helpers.measures import frames, rig, rmse_of
-from ssdr import progress
 from ssdr.io.arrays import npz
+from ssdr.search import progress
 
 ROOT = Path(__file__).parents[3]
 
@@ -48,7 +48,7 @@ def assert_goes_on(path: Path, array: np.ndarray, **options: Any) -> None:
 def test_a_checkpoint_is_the_best_model_so_far(tmp_path: Path, joints: str | None) -> None:
     path, seen = tmp_path / "model.npz", []
 
-    def watch(state: ssdr.progress.Progress) -> None:
+    def watch(state: ssdr.search.progress.Progress) -> None:
         if not np.isfinite(state.rmse):
             assert not path.exists()
             return
@@ -79,7 +79,7 @@ def test_a_checkpoint_is_written_every_minute_and_at_the_end(
         written.append(steps)
         return write(*arguments, **options)
 
-    def tick(state: ssdr.progress.Progress) -> None:
+    def tick(state: ssdr.search.progress.Progress) -> None:
         nonlocal now, steps
         now += 7.0
         steps += 1
@@ -97,7 +97,7 @@ def test_a_checkpoint_is_written_every_minute_and_at_the_end(
 def test_while_frames_are_streamed_it_is_a_model_of_those_that_were_read(tmp_path: Path) -> None:
     array, path, lengths = motions.rippled(), tmp_path / "model.npz", []
 
-    def watch(state: ssdr.progress.Progress) -> None:
+    def watch(state: ssdr.search.progress.Progress) -> None:
         if path.exists() and (not lengths or state.phase == "all frames"):
             lengths.append(ssdr.load_skinning(path).n_frames)
             assert_goes_on(path, array)

@@ -10,8 +10,8 @@ import pytest
 import ssdr
 from helpers import motions
 from helpers.measures import descent_of
-from ssdr.progress import Stop
 from ssdr.search.descent import Descent, Schedule, step
+from ssdr.search.progress import Stop
 from ssdr.search.steps import lowest
 from ssdr.solver.model import Model
 from ssdr.solver.trajectories import gather

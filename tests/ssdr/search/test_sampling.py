@@ -7,9 +7,9 @@ import pytest
 
 import ssdr
 from helpers.measures import descent_of
-from ssdr.problem.problem import Initial
-from ssdr.progress import Stop
 from ssdr.search.descent import Descent, Schedule, motion_sample
+from ssdr.search.problem import Initial
+from ssdr.search.progress import Stop
 from ssdr.search.starts import first_model, merged_start
 from ssdr.search.steps import alternate, move_bones, on_sample
 from ssdr.solver.model import Constraints, Model

@@ -7,7 +7,7 @@ import pytest
 
 import ssdr
 from helpers import motions
-from ssdr.problem import scan
+from ssdr.search import scan
 
 
 def test_only_large_sequences_are_streamed() -> None:

@@ -11,8 +11,8 @@ import pytest
 import ssdr
 from helpers import motions, trees
 from helpers.measures import bits, bits_on_threads, diagonal, rmse_of
-from ssdr.problem import scan
-from ssdr.progress import Monitor
+from ssdr.search import scan
+from ssdr.search.progress import Monitor
 
 pytestmark = pytest.mark.usefixtures("tiny_memory")
 

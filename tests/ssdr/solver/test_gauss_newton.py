@@ -11,9 +11,9 @@ import ssdr
 from helpers import motions, naive, terms, trees
 from helpers.stretches import check_kind
 from helpers.tiny import CASES, KINDS, TREES, Tiny
-from ssdr.hierarchy.transforms import joint_gaps
-from ssdr.hierarchy.tree import Tree
-from ssdr.joints.placement import snap_to_joints
+from ssdr.model.transforms import joint_gaps
+from ssdr.model.tree import Tree
+from ssdr.search.trees.placement import snap_to_joints
 from ssdr.solver.alternation import vertex_step
 from ssdr.solver.gauss_newton import GaussNewton
 from ssdr.solver.model import FREE, Model

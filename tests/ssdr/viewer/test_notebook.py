@@ -15,8 +15,8 @@ from PIL import Image
 
 import ssdr
 from helpers.page import Held
-from ssdr.viewer import notebook
-from ssdr.viewer.page import page_text
+from ssdr.show.page import notebook
+from ssdr.show.page.page import page_text
 
 HINT = "Its page would be large here: ssdr.view(...) opens it by itself."
 
@@ -103,9 +103,9 @@ def test_what_fails_is_left_out(dancer, monkeypatch):
     def broken(*_, **__):
         raise RuntimeError("no")
 
-    monkeypatch.setattr("ssdr.viewer.page.page_text", broken)
+    monkeypatch.setattr("ssdr.show.page.page.page_text", broken)
     assert "img" in elements(dancer).found
-    monkeypatch.setattr("ssdr.render.render_frame", broken)
+    monkeypatch.setattr("ssdr.show.render_frame", broken)
     assert elements(dancer).words == repr(dancer) + HINT
 
 
@@ -121,7 +121,7 @@ CELLS = (
     "import ssdr\ndancer = ssdr.samples.load('dancer_small')\ndancer",
     "result = ssdr.decompose(dancer, bones=4, effort='fast')\nresult",
     "result.skinning",
-    "from ssdr.viewer import notebook\nnotebook._PAGE_BYTES = 1\nresult",
+    "from ssdr.show.page import notebook\nnotebook._PAGE_BYTES = 1\nresult",
 )
 
 

@@ -11,7 +11,7 @@ import pytest
 import ssdr
 from helpers import normal_angles
 from helpers.page import Held
-from ssdr.viewer.page import page_text
+from ssdr.show.page.page import page_text
 
 PNG = bytes.fromhex(
     "89504e470d0a1a0a0000000d49484452000000010000000108020000009077 53de0000000c49444154"

@@ -12,7 +12,7 @@ pytest.importorskip("zarr")
 from garmentnet.data.motion import CLASSES, Motion
 from garmentnet.scenes.body import default_body
 from garmentnet.scenes.dance.choreography import DANCE_CLASSES, dance
-from ssdr.errors import InputError
+from ssdr.common.errors import InputError
 
 TREE = default_body().skeleton
 FEET = [TREE.index("foot_l"), TREE.index("foot_r")]

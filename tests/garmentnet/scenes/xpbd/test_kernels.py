@@ -114,7 +114,7 @@ def test_contacts_are_the_nearest_triangles(rng):
 def test_skinning_is_that_of_ssdr(rng):
     from scipy.spatial.transform import Rotation
 
-    from ssdr.skinning import skin
+    from ssdr.model.skinning import skin
 
     rest, indices = rng.normal(size=(50, 3)), rng.integers(0, 4, (50, 3))
     weights = rng.dirichlet(np.ones(3), 50)

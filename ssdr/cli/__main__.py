@@ -1,0 +1,7 @@
+"""``python -m ssdr`` is the command ``ssdr``."""
+
+import sys
+
+from . import main
+
+sys.exit(main())

@@ -1,0 +1,1 @@
+"""Words that everything uses: errors, checks of arguments, threads, signals."""

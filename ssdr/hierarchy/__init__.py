@@ -1,1 +1,0 @@
-"""Trees over bones: parents, transforms relative to the parent, and bone ends for drawing."""

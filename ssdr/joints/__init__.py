@@ -1,1 +1,0 @@
-"""Joints of bones: their places, the tree that they span, limbs, mirror images."""

@@ -1,0 +1,1 @@
+"""Animated meshes: sequences of frames, clips, surface, normals, walks over frames."""

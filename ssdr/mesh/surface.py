@@ -1,0 +1,160 @@
+"""Surface of a mesh beside its triangles, and the unit and up axis of its coordinates."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..common.checks import check_range
+from ..common.errors import InputError, is_real
+from ..common.short_repr import short_repr
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Material:
+    """Appearance of a surface, in the terms of glTF's metallic-roughness model.
+
+    Attributes
+    ----------
+    name : str
+    base_color : tuple of 4 float
+        Linear RGBA in [0, 1].
+    metallic, roughness : float
+    double_sided : bool
+    texture : bytes or None
+        The encoded base colour image, which is never decoded or changed.
+    texture_type : str
+        MIME type of the texture, ``image/png`` or ``image/jpeg``.
+
+    Examples
+    --------
+    >>> red = ssdr.Material(name="red", base_color=(1, 0, 0, 1))
+    >>> red.name, red.texture is None
+    ('red', True)
+    """
+
+    name: str = "material"
+    base_color: tuple[float, float, float, float] = (0.8, 0.8, 0.8, 1.0)
+    metallic: float = 0.0
+    roughness: float = 0.9
+    double_sided: bool = False
+    texture: bytes | None = None
+    texture_type: str = "image/png"
+
+    __repr__ = short_repr
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Surface:
+    """Texture coordinates, normals and materials of a mesh, stored per triangle corner.
+
+    Welding keeps these values, since they belong to corners; at a seam, corners at one vertex
+    differ.
+
+    Attributes
+    ----------
+    uv : (T, 3, 2) float32 or None
+        Texture coordinates, v upward (as in OBJ and USD; glTF flips it).
+    normals : (T, 3, 3) float32 or None
+        Unit normals; where corners of one vertex differ there is a hard edge.  Those of a
+        :class:`~ssdr.Skinning` belong to its rest pose, and engines skin them with the bones.
+        Those of a :class:`~ssdr.MeshSequence` are of the file's reference frame and only show which
+        edges are hard.
+    material_index : (T,) int32 or None
+        Index into `materials`; None means that all triangles use the first.
+    materials : tuple of Material
+
+    Examples
+    --------
+    >>> uv = np.array([[[0, 0], [1, 0], [0, 1]]], np.float32)
+    >>> surface = ssdr.Surface(uv=uv)
+    >>> ssdr.MeshSequence(np.zeros((2, 3, 3)), [[0, 1, 2]], surface=surface).surface.uv.shape
+    (1, 3, 2)
+    """
+
+    uv: NDArray[np.float32] | None = None
+    normals: NDArray[np.float32] | None = None
+    material_index: NDArray[np.int32] | None = None
+    materials: tuple[Material, ...] = ()
+
+    __repr__ = short_repr
+
+
+def check_surface(surface: Surface, n_faces: int) -> Surface:
+    if not isinstance(surface, Surface):
+        raise InputError("surface", "a Surface or None", type(surface).__name__)
+    for field, tail in (("uv", (3, 2)), ("normals", (3, 3)), ("material_index", ())):
+        array = getattr(surface, field)
+        if array is not None and np.shape(array) != (n_faces, *tail):
+            raise InputError(
+                f"surface.{field}", f"shape {(n_faces, *tail)}", f"shape {np.shape(array)}"
+            )
+    if surface.material_index is not None:
+        count = max(1, len(surface.materials))
+        check_range(surface.material_index, "surface.material_index", count)
+    return surface
+
+
+Up = Literal["y", "z"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Space:
+    """Unit and up axis of coordinates, as far as they are known.
+
+    Parameters
+    ----------
+    units : float, optional
+        Metres in a unit of length: 0.01 for centimetres. None: not known.
+    up : {"y", "z"}, optional
+        Up axis. None: not known.
+
+    Raises
+    ------
+    InputError
+        If `units` is not a positive number, or `up` is another axis.
+
+    Examples
+    --------
+    >>> print(ssdr.Space(0.01, "z"))
+    0.01 m a unit, z up
+    >>> print(ssdr.Space())
+    unit not stated, up axis not stated
+    """
+
+    units: float | None = None
+    up: Up | None = None
+
+    def __post_init__(self) -> None:
+        if self.units is not None and not (is_real(self.units) and self.units > 0):
+            raise InputError("units", "metres in a unit, a positive number", repr(self.units))
+        if self.up not in ("y", "z", None):
+            raise InputError("up", '"y", "z" or None', repr(self.up))
+
+    def __str__(self) -> str:
+        unit = f"{self.units:g} m a unit" if self.units else "unit not stated"
+        return f"{unit}, {f'{self.up} up' if self.up else 'up axis not stated'}"
+
+    def but(self, other: Space) -> Space:
+        """Space with unit and up axis of `other` where these are known, otherwise of this one."""
+        return Space(other.units or self.units, other.up or self.up)
+
+
+def check_space(space: object) -> None:
+    """Raise an InputError unless `space` is a Space."""
+    if not isinstance(space, Space):
+        raise InputError("space", "a Space", repr(space))
+
+
+UNKNOWN = Space()
+METRES_Y_UP = Space(1.0, "y")  # the space of glTF, and of files exchanged with Blender
+
+
+def common_space(spaces: Iterable[Space]) -> Space:
+    """Space of several meshes; a unit or up axis in which they differ is unknown."""
+    units, up = (set(known) for known in zip(*((s.units, s.up) for s in spaces), strict=True))
+    return Space(units.pop() if len(units) == 1 else None, up.pop() if len(up) == 1 else None)

@@ -1,1 +1,0 @@
-"""Before and after the solver: argument checks, the problem, choice of frames, and the outcome."""

@@ -1,0 +1,1 @@
+"""Trees over bones: where joints lie, and the steps that find and use them."""

@@ -1,0 +1,31 @@
+"""Pictures of sequences and skinnings, without a display: one frame, a contact sheet, a film."""
+
+from __future__ import annotations
+
+from .figures import (
+    Film,
+    animate,
+    contact_sheet,
+    render_frame,
+    write_picture,
+)
+from .palette import (
+    CLAY,
+    FABRIC,
+    NEUTRAL,
+    SKIN,
+)
+from .subject import Style
+
+__all__ = [
+    "CLAY",
+    "FABRIC",
+    "NEUTRAL",
+    "SKIN",
+    "Film",
+    "Style",
+    "animate",
+    "contact_sheet",
+    "render_frame",
+    "write_picture",
+]
