@@ -71,16 +71,8 @@ def test_what_is_wrong_is_said_in_plain_words(blender: Any) -> None:
     said = blender("""
 was = left_behind()
 found = {"none": error()}
-light = bpy.data.objects.new("Lamp", bpy.data.lights.new("Lamp", "POINT"))
-scene.collection.objects.link(light)
-bpy.context.view_layer.objects.active = light
-found["light"] = error()
 still = grid()
 found["still"] = error()
-still.hide_set(True)
-bpy.context.view_layer.objects.active = still
-found["hidden"] = error()
-still.hide_set(False)
 build = still.modifiers.new("Build", "BUILD")
 found["count"] = error()
 still.modifiers.remove(build)
@@ -90,9 +82,6 @@ options.joints = "NONE"
 bending()
 options.clips = True
 found["no marker"] = error()
-for name, frame in (("walk", 1), ("jump", 30)):
-    scene.timeline_markers.new(name, frame=frame)
-found["one frame"] = error()
 options.clips = False
 options.bones = 5000
 found["bones"] = error()
@@ -105,13 +94,10 @@ print("SAID " + json.dumps(found))
 """)
     for key, words in {
         "none": "Select a mesh object first: none is active",
-        "light": "Select a mesh object: Lamp is of type light",
         "still": "Grid does not move between the frames 1 and 30 of the scene",
-        "hidden": "Grid is hidden: show it",
         "count": "their number must stay the same",
         "armature": "Choose the armature whose bones to keep",
         "no marker": "Set a marker where each clip starts, between the frames 1 and 30",
-        "one frame": "Set a marker where each clip starts",
         "bones": "bones: expected an integer from 1 to",
         "python": "There is no Python at",
         "unnamed": "name one in which ssdr is installed in Preferences",

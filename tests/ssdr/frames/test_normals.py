@@ -127,3 +127,13 @@ def test_edges_that_are_hard_stay_hard(rng):
         one, two = (normals[np.flatnonzero(group == g)[0]] for g in set(group[vertex == i]))
         assert naive.angles(one, two) > 60
     assert len(rim) == 12
+
+
+def test_copies_at_a_smooth_seam_get_one_normal(seam):
+    smooth = ssdr.Surface(normals=np.tile(np.float32([0, 0, 1]), (len(seam.faces), 3, 1)))
+    sequence = dataclasses.replace(seam, surface=smooth)
+    normals = ssdr.decompose(sequence, bones=2, effort="fast").skinning.surface.normals
+    places = np.concatenate(list(seam.vertices), axis=1)
+    vertex = np.unique(places, axis=0, return_inverse=True)[1].ravel()[seam.faces].ravel()
+    for k in range(15):
+        assert np.ptp(normals.reshape(-1, 3)[vertex == k], axis=0).max() < 1e-6

@@ -143,34 +143,6 @@ def halves():
     return np.arange(90) < 45, np.arange(90) >= 45
 
 
-def test_a_seam_of_uvs_does_not_show(tmp_path):
-    """Vertices doubled where the file's normals are equal keep one normal."""
-    frames, faces = bent_roof()
-    low = np.array(frames)
-    low[..., 2] *= 0.3
-    low[:, :, 2] += 0.2 * np.cos(frames[:, :, 0] * 3)
-    source = morphing(tmp_path / "a.glb", low, faces, [{}])
-    sequence = ssdr.load(source)
-    smooth = ssdr.Surface(normals=np.tile(np.float32([0, 0, 1]), (len(faces), 3, 1)))
-    sequence = dataclasses.replace(sequence, surface=smooth)
-    model = ssdr.decompose(sequence, bones=2, effort="fast").skinning
-    at = {}
-    for face, normals in zip(model.faces, model.surface.normals, strict=True):
-        at |= dict(zip(face.tolist(), normals, strict=True))
-    apart = drawn.vertex_normals(low, faces)
-    one, two = (np.flatnonzero(np.isclose(frames[0, :, 0], 0) & half) for half in halves())
-    dense = model.dense_weights()
-    for i, k in zip(one, two, strict=True):
-        for t in range(FRAMES):
-            a, b = (
-                np.einsum("b,bij,j->i", dense[h], model.transforms[t, :, :, :3], at[h])
-                for h in (i, k)
-            )
-            assert naive.angles(a, b) < 10
-    kept = [apart[0][tuple(np.argwhere(faces == i)[0])] for i in (one[0], two[0])]
-    assert naive.angles(*kept) > 15  # each side alone would show
-
-
 @pytest.mark.parametrize("grows", [False, True])
 @pytest.mark.parametrize("scale", [(1, 1, 1), (-1, 1, 1), (1, 2, -0.5)])
 def test_usd(tmp_path, scale, grows):

@@ -71,14 +71,6 @@ def test_a_skinning_without_normals_is_drawn_by_those_of_its_rest_pose(rng):
     assert one.surface < 1e-4 < one.mean
 
 
-def test_the_result_of_the_solver_has_them(wave):
-    result = ssdr.decompose(wave, bones=3, effort="fast")
-    again = ssdr.metrics.normals(wave, result.skinning)
-    assert result.normals.mean == again.mean
-    geometric = dataclasses.replace(result.skinning, surface=None)
-    assert again.mean < ssdr.metrics.normals(wave, geometric).mean
-
-
 def test_bad_arguments(wave):
     model = ssdr.initialize(wave, bones=2)
     with pytest.raises(ssdr.InputError, match="reference: expected 4 frames of 12"):

@@ -90,5 +90,11 @@ def test_what_was_welded_is_compared_at_the_vertices_that_are_left(seam):
         found = distances(*pair)
         assert found.rmse == pytest.approx(0.5)
         assert found.per_vertex.shape == (welded.n_vertices,) != (seam.n_vertices,)
+    still = np.tile(np.eye(3, 4), (seam.n_frames, 1, 1, 1))
+    bone = np.zeros((welded.n_vertices, 1), int), np.ones((welded.n_vertices, 1)), still
+    kept = {"faces": welded.faces, "surface": welded.surface, "vertex_map": welded.vertex_map}
+    model = ssdr.Skinning(welded.vertices[0], *bone, **kept)
+    here, there = (ssdr.metrics.normals(truth, model).per_vertex for truth in (welded, seam))
+    np.testing.assert_allclose(there, here, atol=1e-9)
     with pytest.raises(ssdr.InputError, match="of 7 vertices, as the reference has"):
         distances(ssdr.MeshSequence(seam.vertices[:, :7]), moved)

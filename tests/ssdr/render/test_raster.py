@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ssdr.mesh.normals import triangle_normals
 from ssdr.show import camera as raster
 
 
@@ -77,9 +76,3 @@ def test_values_are_interpolated_in_space_not_on_the_screen():
     ray = camera.rays(*pixels, size)
     expected = camera.eye - ray * (camera.eye[1] / ray[:, 1])[:, None]
     np.testing.assert_allclose(at, expected, atol=1e-9)
-
-
-def test_normals_of_triangles():
-    points, faces = np.eye(3), np.array([[0, 1, 2], [0, 0, 1]], dtype=np.int32)
-    found = triangle_normals(points, faces)
-    np.testing.assert_allclose(found, [[3**-0.5] * 3, [0, 0, 0]], atol=1e-15)

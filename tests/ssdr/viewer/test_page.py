@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 
 import numpy as np
 import pytest
@@ -21,7 +20,7 @@ PNG = bytes.fromhex(
 
 @pytest.fixture(scope="module")
 def dancer():
-    return ssdr.samples.load("dancer_small")
+    return ssdr.io.samples.load("dancer_small")
 
 
 @pytest.fixture(scope="module")
@@ -82,19 +81,12 @@ def test_errors_are_those_of_the_metrics(dancer, result):
     assert rows["Vertex cache"][0] == f"{12 * 24 * 799 / 1000:.1f} kB"
 
 
-def test_the_vertex_cache_is_compared_with_the_file(dancer, result, tmp_path):
-    path = tmp_path / "model.bin"
-    path.write_bytes(bytes(1000))
-    page = held(result, dancer, file=path).document
-    rows = {name: note for name, _, note in page["figures"]}
-    assert f"{12 * 24 * 799 / 1000:,.1f} × the file (" in rows["Vertex cache"]
-
-
 def test_without_the_input_only_its_errors_are_kept(dancer, result):
     page = held(result, dancer, keep_input=False).document
     assert page["input"] is None
     assert len(page["error"]["mean"]) == 24
     assert held(result).document["error"] is None
+    assert held(result).document["expressions"] is None
 
 
 def test_a_sequence_is_a_page_of_its_own(dancer):
@@ -223,16 +215,12 @@ def test_the_error_of_normals_is_that_of_the_metric():
     rng = np.random.default_rng(1)
     truth = ssdr.MeshSequence(model.skin() + 0.1 * rng.normal(size=(5, 5, 3)), model.faces)
     expected = ssdr.metrics.normals(truth, model)
-    page = held(model, truth, keep_input=False, reference_name="dance.abc").document
-    rows = {name: (value, note) for name, value, note in page["figures"]}
-    value, note = rows["Normals"]
-    assert value == f"{expected.mean:.3g}°"
-    found = re.search(r"dance\.abc, as engines draw them; 95 % within (.*)°, 0 % inwards", note)
-    assert float(found[1]) == pytest.approx(expected.p95, abs=0.1)
+    page = held(model, truth, keep_input=False).document
+    rows = {name: value for name, value, _ in page["figures"]}
+    assert rows["Normals"] == f"{expected.mean:.3g}°"
     assert page["angles"]["mean"] == pytest.approx(expected.mean, rel=1e-4)
     pair = held(ssdr.MeshSequence(model.skin(), model.faces), truth).document
     assert pair["angles"]["mean"] > 0
-    assert "engines" not in {name: note for name, _, note in pair["figures"]}["Normals"]
     assert held(made(faces=None), truth.vertices).document["angles"] is None
     assert held(model).document["angles"] is None
     flat = dataclasses.replace(model, rest=0 * model.rest)  # no triangle has an area
@@ -276,14 +264,6 @@ def test_more_than_eight_influences_are_pruned():
     assert Held(text).document["weights"]["shape"] == [4, 8]
 
 
-def test_a_welded_model_beside_its_unwelded_input(dancer):
-    seam = np.concatenate([np.arange(799), [0, 5]])
-    mesh = ssdr.MeshSequence(dancer.vertices[:6, seam], dancer.faces)
-    welded, _ = mesh.weld()
-    model = ssdr.decompose(welded, bones=2, effort="fast").skinning
-    np.testing.assert_allclose(held(model, mesh).input(), held(model, welded).input(), atol=1e-9)
-
-
 def test_shots_are_joined_and_an_up_axis_is_a_basis(dancer):
     model = made(6)
     half = [ssdr.MeshSequence(part) for part in np.split(model.skin(), 2)]
@@ -297,9 +277,6 @@ def test_refusals(dancer, tmp_path):
     model = made()
     with pytest.raises(ssdr.InputError, match="5 frames of 5 vertices, as the model has"):
         ssdr.view(model, dancer, tmp_path / "a.html")
-    other = ssdr.MeshSequence(dancer.vertices[:, :5])
-    with pytest.raises(ssdr.InputError, match="24 frames of 5 vertices, as the model has"):
-        ssdr.view(other, dancer, tmp_path / "a.html")
     with pytest.raises(ssdr.InputError, match="a Skinning, Decomposition or MeshSequence"):
         ssdr.view(3, path=tmp_path / "a.html")
     with pytest.raises(ssdr.InputError, match="up"):

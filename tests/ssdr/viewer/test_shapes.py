@@ -49,9 +49,3 @@ def test_the_page_plays_shapes_and_drives_expressions(tmp_path):
         browser.value("ssdr.seek(1)")  # a frame takes the weights back
         assert browser.value(f"{sliders}[1].value") == "0"
         assert not browser.complaints()
-
-
-def test_models_without_expressions_have_no_sliders(tmp_path):
-    page = ssdr.view(tube(frames=4), None, tmp_path / "a.html", open=False)
-    assert '"expressions":null' in (tmp_path / "a.html").read_text().replace(" ", "")
-    assert page is not None

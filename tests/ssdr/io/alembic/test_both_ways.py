@@ -119,18 +119,11 @@ SCENES = {
 }
 """Code of each scene, by the name of its file."""
 
-CHANGING = (
-    "fresh(24); i = put('melt', [(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)]); "
-    "m = i.modifiers.new('a', 'ARRAY'); m.count = 1; m.keyframe_insert('count', frame=3); "
-    "m.count = 4; m.keyframe_insert('count', frame=4)"
-)
-"""Scene whose mesh has another topology from its fourth frame on."""
-
 
 def write_caches(folder: Path) -> dict[str, Path]:
     """Caches of all scenes, written by Blender; their files by name."""
     lines = []
-    for name, code in {**SCENES, "changing": CHANGING}.items():
+    for name, code in SCENES.items():
         lines.append(f"NAME = {name!r}; " + code)
         if "save(" not in code:
             lines.append(f"save({name!r})")
@@ -220,18 +213,6 @@ def test_caches_of_blender_are_read_as_it_shows_them(caches, blender, name):
     if ours.surface.uv is not None and len(set(seen["corners"][:, 0])) == 1:
         for vertex, uv in zip(ours.faces.ravel(), ours.surface.uv.reshape(-1, 2), strict=True):
             assert min(np.abs(row[:2] - uv).max() for row in of_vertex[vertex]) < 1e-6
-
-
-def test_names_of_meshes_are_listed(caches):
-    pytest.importorskip("alembic3d", reason="alembic3d is not installed")
-    for name in ("two", "parents", "instances"):
-        assert len(ssdr.io.list_meshes(caches[name])) == 2
-
-
-def test_a_changing_topology_is_refused(caches):
-    pytest.importorskip("alembic3d", reason="alembic3d is not installed")
-    with pytest.raises(ssdr.FormatError, match=r"/melt/melt_mesh: .*in frame 3 \(0\.166667 s\)"):
-        ssdr.load(caches["changing"])
 
 
 def test_blender_plays_what_is_written(tmp_path, blender, seam):

@@ -133,16 +133,6 @@ save()
             and np.abs(m.weights.sum(axis=1) - 1).max() < 1e-6
         ),
     ),
-    "more than four influences": (
-        """
-r = rig(bones=6)
-strip("a", r, weights=lambda z, b: 1.0 / (1 + abs(z - 0.5 * b)))
-turn(r, "wave", range(6), angle=0.2)
-save()
-""",
-        "bone_0 bone_1 bone_2 bone_3 bone_4 bone_5",
-        lambda m: m.n_influences == 6,
-    ),
     # Blender can be told to drop it; its vertices then follow the bone before.
     "the last bone of a chain moves": (
         """

@@ -81,15 +81,3 @@ def test_takes_whose_names_blender_cuts_to_one_are_not_mixed_up(tmp_path):
         assert re.search(r"a\.fbx: .*takes that Blender can tell apart were expected", refused)
     else:  # Blender 5 holds longer names
         assert [(c.name, c.n_frames) for c in clips] == [("first", 9), ("second", 6)]
-
-
-def test_limits_hold_for_skins(tmp_path):
-    path = export(tmp_path / "a.fbx", WHOLE)
-    with pytest.raises(ssdr.FormatError, match=r"its transforms need \d+ bytes, max_bytes is 99"):
-        ssdr.load_skinning(path, max_bytes=99)
-    with pytest.raises(ssdr.InputError, match="time_limit: expected seconds > 0"):
-        ssdr.load_skinning(path, time_limit=0)
-    with pytest.raises(ssdr.InputError, match="up: expected"):
-        ssdr.load_skinning(path, up="x")
-    with pytest.raises(ssdr.InputError, match=r"clip: expected one of \['first', 'second'\]"):
-        ssdr.load_skinning(path, clip="third")

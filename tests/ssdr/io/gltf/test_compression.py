@@ -159,29 +159,6 @@ def test_without_the_library_it_is_named(plain, tmp_path, monkeypatch, compress,
         ssdr.load_skinning(target)
 
 
-@pytest.mark.parametrize("compress", [with_draco, with_meshopt])
-def test_damage_is_refused(plain, tmp_path, compress):
-    def cut(document, blobs):
-        for view, blob in zip(document["bufferViews"], blobs, strict=True):
-            if "extensions" in view:
-                blobs[document["bufferViews"].index(view)] = bytes(len(blob))
-        if compress is with_draco:
-            blobs[-1] = blobs[-1][:30]
-
-    target = compress(plain, tmp_path / "cut.glb", change=cut)
-    with pytest.raises(FormatError, match=r"cut\.glb.*cannot be decoded"):
-        ssdr.load(target)
-
-
-def test_draco_that_states_another_size_is_refused(plain, tmp_path):
-    def more(document, _):
-        number = document["meshes"][0]["primitives"][0]["attributes"]["POSITION"]
-        document["accessors"][number]["count"] += 1
-
-    with pytest.raises(FormatError, match="POSITION: decoded to"):
-        ssdr.load(with_draco(plain, tmp_path / "a.glb", change=more))
-
-
 def test_what_is_there_without_compression_too_needs_no_library(plain, tmp_path, monkeypatch):
     document, _, blobs = split(plain)
     document["meshes"][0]["primitives"][0]["extensions"] = {
@@ -193,3 +170,31 @@ def test_what_is_there_without_compression_too_needs_no_library(plain, tmp_path,
     monkeypatch.setitem(sys.modules, "meshoptimizer", None)
     both = joined(tmp_path / "both.glb", document, blobs)
     np.testing.assert_array_equal(ssdr.load(both).vertices, ssdr.load(plain).vertices)
+
+
+def emptied(document, blobs):
+    for k, view in enumerate(document["bufferViews"]):
+        if "extensions" in view:
+            blobs[k] = bytes(len(blobs[k]))
+
+
+def cut_off(_, blobs):
+    blobs[-1] = blobs[-1][:30]
+
+
+def counted_wrong(document, _):
+    number = document["meshes"][0]["primitives"][0]["attributes"]["POSITION"]
+    document["accessors"][number]["count"] += 1
+
+
+@pytest.mark.parametrize(
+    ("compress", "change", "says"),
+    [
+        (with_meshopt, emptied, "cannot be decoded"),
+        (with_draco, cut_off, "cannot be decoded"),
+        (with_draco, counted_wrong, "POSITION: decoded to"),
+    ],
+)
+def test_damage_is_refused(plain, tmp_path, compress, change, says):
+    with pytest.raises(FormatError, match=rf"a\.glb.*{says}"):
+        ssdr.load(compress(plain, tmp_path / "a.glb", change=change))

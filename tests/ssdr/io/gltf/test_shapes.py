@@ -135,39 +135,6 @@ def test_normals_follow_the_shapes(tmp_path, hard):
         assert measured.mean == pytest.approx(error, rel=0.05)
 
 
-def test_few_shapes_at_a_vertex_change_no_other_normal(tmp_path):
-    """Where no shape reaches, normals are those of the model, and nothing is added."""
-    model = with_bones(shaped(sparse=True, rings=9, sides=10), surface=None)
-    ssdr.save(model, tmp_path / "a.glb")
-    document, binary = opened(tmp_path / "a.glb")
-    (primitive,) = document["meshes"][0]["primitives"]
-    moved = model.shapes.moved.any(axis=0)
-    reached = np.zeros(model.n_vertices, dtype=bool)
-    reached[model.faces[moved[model.faces].any(axis=1)]] = True
-    own = values_of(document, binary, primitive["attributes"]["NORMAL"])
-    plain = drawn.vertex_normals(model.skinning.rest[None], model.faces)[0]
-    assert naive.angles(own[model.faces], plain)[~reached[model.faces]].max() < 0.01
-    added = [values_of(document, binary, one["NORMAL"]) for one in primitive["targets"]]
-    assert not np.any(added, axis=(0, 2))[~reached].any()
-    assert np.any(added, axis=(0, 2))[reached].any()
-
-
-def test_a_shape_that_is_never_used_changes_normals_as_the_rest_pose_would(tmp_path):
-    model = with_bones(shaped(rings=9, sides=10), surface=None)
-    model.shapes.amounts[:, 1] = 0
-    ssdr.save(model, tmp_path / "a.glb")
-    document, binary = opened(tmp_path / "a.glb")
-    (primitive,) = document["meshes"][0]["primitives"]
-    n, d = (
-        values_of(document, binary, one["NORMAL"])
-        for one in (primitive["attributes"], primitive["targets"][1])
-    )
-    rest = np.stack([model.skinning.rest, model.skinning.rest + model.shapes.displacements[1]])
-    before, after = drawn.vertex_normals(rest, model.faces)
-    assert naive.angles(d[model.faces], after - before).max() < 0.01
-    np.testing.assert_allclose(np.linalg.norm(n, axis=1), 1, atol=1e-6)
-
-
 def test_clips_and_points_alone(tmp_path):
     model = shaped(2)
     clips = ssdr.Clip("a", 0, 5, 24), ssdr.Clip("b", 5, 20, 30)
@@ -211,3 +178,26 @@ def test_what_cannot_have_shapes_says_so(tmp_path):
     with pytest.raises(ssdr.InputError, match="thing: expected no shapes in a file with"):
         ssdr.save(model, tmp_path / "b.glb", template=path)
     assert not (tmp_path / "b.glb").exists()
+
+
+def test_shapes_change_only_the_normals_of_what_they_reach(tmp_path):
+    """One that is never used changes them as the rest pose would."""
+    model = with_bones(shaped(sparse=True, rings=9, sides=10), surface=None)
+    model.shapes.amounts[:, 1] = 0
+    ssdr.save(model, tmp_path / "a.glb")
+    document, binary = opened(tmp_path / "a.glb")
+    (primitive,) = document["meshes"][0]["primitives"]
+    faces, rest = model.faces, model.skinning.rest
+    reached = np.zeros((3, model.n_vertices), dtype=bool)
+    for k, moved in enumerate(model.shapes.moved):
+        reached[k, faces[moved[faces].any(axis=1)]] = True
+    own = values_of(document, binary, primitive["attributes"]["NORMAL"])
+    added = [values_of(document, binary, one["NORMAL"]) for one in primitive["targets"]]
+    plain, unused = drawn.vertex_normals(
+        np.stack([rest, rest + model.shapes.displacements[1]]), faces
+    )
+    np.testing.assert_array_equal(np.any(added, axis=2), reached)
+    alone = ~reached.any(axis=0)[faces]
+    assert naive.angles(own[faces], plain)[alone].max() < 0.01
+    of_unused = naive.angles(added[1][faces], unused - plain)[reached[1][faces]]
+    assert of_unused.max() < 0.01

@@ -41,27 +41,12 @@ def test_between_frames_is_what_usd_shows(tmp_path):
     assert report.between_frames == pytest.approx(np.sqrt((gap**2).sum(axis=2).mean()), rel=1e-4)
 
 
-def test_point_cache(tmp_path):
-    model = tube()
-    sequence = ssdr.MeshSequence(model.skin(), model.faces, 30.0, surface=model.surface)
-    path = tmp_path / "cache.usdc"
-    report = ssdr.save(sequence, path, up="z", units=0.01)
-    assert report.max_error < 1e-6
-    assert ("normals" in str(report.notes)) == (model.surface.normals is not None)
+def test_a_point_cache_is_no_skinning(tmp_path):
+    model, path = tube(), tmp_path / "cache.usdc"
+    sequence = ssdr.MeshSequence(model.skin(), model.faces, surface=model.surface)
+    assert "normals" in str(ssdr.save(sequence, path, up="z", units=0.01).notes)
     stage = Usd.Stage.Open(str(path))
     assert UsdGeom.GetStageUpAxis(stage) == "Z"
     assert UsdGeom.GetStageMetersPerUnit(stage) == 0.01
-    del stage
-    back = ssdr.load(path)
-    assert back.fps == 30
-    assert largest_distance(back.vertices, sequence.vertices) < 1e-6
-    np.testing.assert_array_equal(back.surface.uv, model.surface.uv)
-    turned = ssdr.io.in_space(back, ssdr.Space(up="y"))
-    assert largest_distance(turned.vertices, back.vertices[..., [0, 2, 1]] * [1, 1, -1]) == 0
     with pytest.raises(ssdr.FormatError, match="its points move"):
         ssdr.load_skinning(path)
-    exact = ssdr.MeshSequence(sequence.vertices.astype(np.float32), model.faces)
-    assert ssdr.save(exact, path).error == 0
-    np.testing.assert_array_equal(ssdr.load(path).vertices, exact.vertices)
-    with pytest.raises(ssdr.InputError, match="units"):
-        ssdr.save(exact, path, units=0)
