@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import ssdr
 from helpers import drawn, naive
-from helpers.glb import opened, packed
+from helpers.glb import accessors_of, opened, packed
 from helpers.motions import grid
 
 FRAMES = 12
@@ -42,31 +42,16 @@ def morphing(path, frames, faces, nodes):
     normals = np.zeros_like(frames[0])
     np.add.at(normals, faces, naive.corner_normals(frames[0], faces))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    arrays = [(frames[0], "VEC3"), (normals, "VEC3"), (faces.astype("<u2").ravel(), "SCALAR")]
-    arrays += [(frame - frames[0], "VEC3") for frame in frames[1:]]
-    arrays += [(np.arange(len(frames)) / 24, "SCALAR")]
-    arrays += [(np.eye(len(frames))[:, 1:].ravel(), "SCALAR")]
-    views, accessors, binary = [], [], b""
-    for array, kind in arrays:
-        array = array if array.dtype == "<u2" else array.astype("<f4")
-        code = 5123 if array.dtype == "<u2" else 5126
-        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": array.nbytes})
-        accessors.append(
-            {
-                "bufferView": len(views) - 1,
-                "componentType": code,
-                "count": len(array),
-                "type": kind,
-                "min": np.atleast_1d(array.min(axis=0)).tolist(),
-                "max": np.atleast_1d(array.max(axis=0)).tolist(),
-            }
-        )
-        binary += array.tobytes() + b"\0" * (-array.nbytes % 4)
-    count, time = len(frames) - 1, 2 + len(frames)
+    floats = [frames[0], normals, *(frames[1:] - frames[0])]
+    floats += [np.arange(len(frames)) / 24, np.eye(len(frames))[:, 1:].ravel()]
+    parts, binary = accessors_of(
+        [array.astype("<f4") for array in floats] + [faces.astype("<u2").ravel()]
+    )
+    count, time = len(frames) - 1, 1 + len(frames)
     primitive = {
         "attributes": {"POSITION": 0, "NORMAL": 1},
-        "indices": 2,
-        "targets": [{"POSITION": 3 + k} for k in range(count)],
+        "indices": time + 2,
+        "targets": [{"POSITION": 2 + k} for k in range(count)],
     }
     channels = [{"sampler": 0, "target": {"node": k, "path": "weights"}} for k in range(len(nodes))]
     document = {
@@ -76,8 +61,7 @@ def morphing(path, frames, faces, nodes):
         "nodes": [{"mesh": 0, **node} for node in nodes],
         "meshes": [{"primitives": [primitive], "weights": [0] * count}],
         "animations": [{"channels": channels, "samplers": [{"input": time, "output": time + 1}]}],
-        "accessors": accessors,
-        "bufferViews": views,
+        **parts,
         "buffers": [{"byteLength": len(binary)}],
     }
     return packed(path, document, binary)
