@@ -201,3 +201,9 @@ def test_keys_with_one_odd_gap_are_sampled_at_their_own_rate(tmp_path):
     np.testing.assert_allclose(found.vertices[:17, 0, 0], x[:17], atol=1e-5)
     assert found.vertices[-1, 0, 0] == pytest.approx(x[-1], abs=1e-5)  # its end is not cut off
     assert len(ssdr.load(path, fps=120)) == 140
+
+
+def test_a_mirrored_node_that_grows_from_a_point_shows_its_outside(tmp_path):
+    """Its first frame has no side; judged by it alone, every triangle was inside out."""
+    sizes = np.arange(3)[:, None] * [-1, 1, 1]
+    assert ssdr.load(channel_file(tmp_path, "LINEAR", sizes, "scale")).faces.tolist() == [[2, 1, 0]]
