@@ -28,6 +28,24 @@ def packed(path, document, binary):
     return path
 
 
+def accessors_of(arrays):
+    """Accessors, buffer views and bytes of arrays, in the order given.
+
+    Integers in rows are normalised, those alone are not.
+    """
+    codes = {np.dtype(kind): code for code, kind in KINDS.items()}
+    kinds = {width: kind for kind, width in WIDTHS.items()}
+    accessors, views, binary = [], [], b""
+    for number, values in enumerate(map(np.asarray, arrays)):
+        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": values.nbytes})
+        binary += values.tobytes() + b"\0" * (-values.nbytes % 4)
+        item = {"bufferView": number, "componentType": codes[values.dtype], "count": len(values)}
+        item["type"] = kinds[values[0].size]
+        item["normalized"] = values.dtype.kind != "f" and values.ndim > 1
+        accessors.append(item)
+    return {"accessors": accessors, "bufferViews": views}, binary
+
+
 def rebuild(source, target, change):
     """Write a .glb anew after `change` has edited its JSON (and perhaps its buffer)."""
     document, binary = opened(source)

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 import ssdr
+from helpers.glb import rebuild
 from helpers.rig_model import tube
-from helpers.rig_tree import PARENTS, creature, flat
+from helpers.rig_tree import PARENTS, creature, flat, tree_of
 from ssdr.io.frame_rates import frame_rate, off_frames
 from ssdr.io.rig import build_rig
 from ssdr.io.weight_storage import quantise, weight_values
@@ -113,3 +114,42 @@ def test_between_frames_joints_stay_together():
     tree = model.parents, model.joint_positions
     assert joint_gaps(got, *tree).max() < 1e-6
     assert joint_gaps(build_rig(flat(model)).matrices(np.array([3.5])), *tree).max() > 1e-3
+
+
+def without_gltf_mesh(source, target):
+    def strip(document, _):
+        for node in document["nodes"]:
+            node.pop("mesh", None)
+            node.pop("skin", None)
+        for part in ("meshes", "skins", "materials"):
+            document.pop(part, None)
+
+    rebuild(source, target, strip)
+
+
+def without_usd_mesh(source, target):
+    Usd = pytest.importorskip("pxr.Usd")
+    stage = Usd.Stage.Open(str(source))
+    stage.RemovePrim(stage.GetDefaultPrim().GetPath().AppendChild("Mesh"))
+    stage.GetRootLayer().Export(str(target))
+
+
+@pytest.mark.parametrize(
+    ("suffix", "strip"), [("glb", without_gltf_mesh), ("usda", without_usd_mesh)]
+)
+def test_a_skeleton_without_a_mesh_has_a_vertex_at_each_joint(tmp_path, suffix, strip):
+    if suffix == "usda":
+        pytest.importorskip("pxr.UsdSkel")
+    model, whole, path = creature(), tmp_path / f"a.{suffix}", tmp_path / f"b.{suffix}"
+    ssdr.save(model, whole)
+    strip(whole, path)
+    bare = ssdr.load_skinning(path, joints_alone=True)
+    order = [bare.names().index(name) for name in model.names()]
+    np.testing.assert_allclose(bare.transforms[:, order], model.transforms, atol=1e-5)
+    np.testing.assert_allclose(bare.rest[order], model.joint_positions, atol=1e-6)
+    assert (bare.n_vertices, len(bare.faces), bare.clips) == (model.n_bones, 0, model.clips)
+    assert tree_of(bare) == tree_of(model)
+    with pytest.raises(ssdr.FormatError, match=r"holds no mesh|no visible mesh"):
+        ssdr.load_skinning(path)
+    read = ssdr.load_skinning(whole, joints_alone=True)
+    assert read.n_vertices == model.n_vertices  # a mesh that is there is read

@@ -275,23 +275,6 @@ def test_normals_turn_with_the_first_frame(tmp_path):
     np.testing.assert_allclose(found, truth[OUTWARD[:, ::-1]], atol=1e-6)
 
 
-def test_irregular_samples_on_frames_are_frames(tmp_path):
-    points = moving(4)
-    times = [1.0, 1 + 1 / 24, 1 + 3 / 24, 1 + 4 / 24]
-    back = ssdr.load(one_mesh(tmp_path / "a.abc", points, (None, times)))
-    assert (len(back), back.fps) == (5, 24.0)
-    np.testing.assert_array_equal(back.vertices[[0, 1, 3, 4]], points)
-    np.testing.assert_allclose(back.vertices[2], points[1:3].mean(axis=0), atol=1e-6)
-
-
-def test_samples_of_an_open_shutter_are_frames(tmp_path):
-    points = moving(6)
-    path = one_mesh(tmp_path / "a.abc", points, (1 / 24, [-0.25 / 24, 0.0, 0.25 / 24]))
-    back = ssdr.load(path)
-    assert (len(back), back.fps) == (7, 96.0)
-    np.testing.assert_array_equal(back.vertices[[0, 1, 2, 4, 5, 6]], points)
-
-
 def test_resampling_is_said_with_its_error(tmp_path, caplog):
     points, times = moving(6), np.array([0.3, 0.37, 0.5, 0.52, 0.77, 1.01])
     path = one_mesh(tmp_path / "a.abc", points, (None, times.tolist()))
@@ -320,16 +303,6 @@ def test_samples_at_two_rates_do_not_make_a_rate_above_both(tmp_path):
     path = cache.close()
     with pytest.warns(ssdr.SsdrWarning, match="24 keys of the clip a lie between"):
         assert 24 <= ssdr.load(path).fps < 100
-
-
-def test_a_rate_that_is_asked_for(tmp_path):
-    points = moving(5)
-    path = one_mesh(tmp_path / "a.abc", points, uniform(24, 2.0))
-    np.testing.assert_array_equal(ssdr.load(path, fps=12).vertices, points[::2])
-    twice = ssdr.load(path, fps=48)
-    assert (len(twice), twice.fps) == (9, 48.0)
-    np.testing.assert_array_equal(twice.vertices[::2], points)
-    np.testing.assert_allclose(twice.vertices[1], points[:2].mean(axis=0), atol=1e-6)
 
 
 def test_what_is_not_shown_is_left_out(tmp_path, caplog):
@@ -452,3 +425,24 @@ def test_without_the_extra_its_package_is_named(tmp_path, wave, monkeypatch):
     path.write_bytes(b"PK\x03\x04" * 9)
     with pytest.raises(ssdr.FormatError, match="zip"):
         ssdr.load(path)
+
+
+@pytest.mark.parametrize(
+    ("clock", "asked", "rate", "frames", "samples", "between"),
+    [
+        ((None, [1, 25 / 24, 27 / 24, 28 / 24]), None, 24, [0, 1, 3, 4], [0, 1, 2, 3], (2, 1)),
+        # of an open shutter
+        ((1 / 24, [-0.25 / 24, 0, 0.25 / 24]), None, 96, [0, 1, 2, 4], [0, 1, 2, 3], (3, 2)),
+        (uniform(24, 2), 48, 48, [0, 2, 4, 6], [0, 1, 2, 3], (1, 0)),
+        (uniform(24, 2), 12, 12, [0, 1], [0, 2], None),
+    ],
+)
+def test_samples_on_frames_are_frames(tmp_path, clock, asked, rate, frames, samples, between):
+    points = moving(4)
+    back = ssdr.load(one_mesh(tmp_path / "a.abc", points, clock), fps=asked)
+    assert (len(back), back.fps) == (frames[-1] + 1, rate)
+    np.testing.assert_array_equal(back.vertices[frames], points[samples])
+    if between:
+        frame, k = between
+        mean = points[k : k + 2].mean(axis=0)
+        np.testing.assert_allclose(back.vertices[frame], mean, atol=1e-6)

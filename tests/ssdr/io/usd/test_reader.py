@@ -8,7 +8,6 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 import ssdr
 from helpers.rig_model import baked_by_usd, largest_distance, tube
-from helpers.rig_tree import creature
 
 pytest.importorskip("pxr.UsdSkel", reason="usd-core is not installed")
 
@@ -187,22 +186,6 @@ def _nan(_, mesh):
 def test_damaged_scenes(tmp_path, change, message):
     with pytest.raises(ssdr.FormatError, match=message):
         ssdr.load(edited(tmp_path, change))
-
-
-def test_a_skeleton_without_a_mesh_has_a_vertex_at_each_joint(tmp_path):
-    model = creature()
-    ssdr.save(model, tmp_path / "a.usda", name="tube")
-    stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
-    stage.RemovePrim("/tube/Mesh")
-    stage.GetRootLayer().Export(str(tmp_path / "b.usda"))
-    bare = ssdr.load_skinning(tmp_path / "b.usda", joints_alone=True)
-    # USD accepts no dots in names, and lists parents first.
-    order = [bare.names().index(name) for name in model.names()]
-    np.testing.assert_allclose(bare.transforms[:, order], model.transforms, atol=1e-5)
-    np.testing.assert_allclose(bare.rest[order], model.joint_positions, atol=1e-6)
-    assert (bare.n_vertices, len(bare.faces)) == (model.n_bones, 0)
-    with pytest.raises(ssdr.FormatError, match="no visible mesh"):
-        ssdr.load_skinning(tmp_path / "b.usda")
 
 
 def test_meshes_are_chosen_by_name(tmp_path):
