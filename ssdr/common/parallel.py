@@ -19,8 +19,6 @@ import threadpoolctl
 
 from .errors import InputError, is_whole
 
-__all__ = ["chunk_bounds", "get_threads", "run_chunks", "serial_blas", "set_threads"]
-
 _lock = threading.Lock()
 _pool: ThreadPoolExecutor | None = None
 _threads: int | None = None

@@ -11,10 +11,8 @@ import numpy as np
 from ..common.checks import check_faces
 from ..common.errors import FormatError, InputError
 from ..mesh.sequence import MeshSequence
-from .arrays import npz
 from .arrays.array_files import read_array
 from .file_errors import reading
-from .meshes import numbered
 
 _SUFFIXES = (".obj", ".ply", ".npz")
 
@@ -87,6 +85,9 @@ def _read(file: Path, path: Path, n_vertices: int) -> MeshSequence:
             return _still(read_array(file), n_vertices)
         except InputError as error:
             raise FormatError(f"{file}: {error} (for {path})") from error
+    from .arrays import npz  # at first use, so that importing ssdr.io is quick
+    from .meshes import numbered
+
     mesh = npz.read(file) if file.suffix.lower() == ".npz" else numbered.read(file)
     if mesh.n_vertices != n_vertices:
         raise FormatError(f"{path}: {n_vertices} vertices, but {file} has {mesh.n_vertices}")

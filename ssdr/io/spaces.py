@@ -9,7 +9,6 @@ import numpy as np
 
 from ..mesh.sequence import MeshSequence
 from ..mesh.surface import UNKNOWN, Space
-from ..model.shapes import ShapedSkinning
 
 Thing = TypeVar("Thing", bound=Any)  # MeshSequence, Skinning or ShapedSkinning
 
@@ -67,7 +66,7 @@ def transformed(thing: Thing, factor: float, turn: Any = np.eye(3)) -> Thing:  #
     if isinstance(thing, MeshSequence):
         vertices = np.concatenate([at(block) for _, block in thing.chunks()])
         return dataclasses.replace(thing, vertices=vertices, surface=surface)
-    if isinstance(thing, ShapedSkinning):
+    if hasattr(thing, "shapes"):  # asked by attribute, so that importing ssdr.io stays quick
         shapes = dataclasses.replace(thing.shapes, displacements=at(thing.shapes.displacements))
         bones = transformed(thing.skinning, factor, turn)
         return dataclasses.replace(thing, skinning=bones, shapes=shapes)
@@ -97,7 +96,7 @@ def with_space(thing: Thing, space: Space) -> Thing:
     """Sequence or skinning with the same coordinates, stated to be in another space."""
     if space == thing.space:
         return thing
-    if isinstance(thing, ShapedSkinning):
+    if hasattr(thing, "shapes"):  # asked by attribute, so that importing ssdr.io stays quick
         return dataclasses.replace(thing, skinning=with_space(thing.skinning, space))
     unread = {"validate": False} if isinstance(thing, MeshSequence) else {}
     return dataclasses.replace(thing, space=space, **unread)

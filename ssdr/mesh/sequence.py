@@ -27,14 +27,11 @@ from ..common.short_repr import notebook_html
 from .coincident import Selected, coincident, distinct
 from .surface import (
     UNKNOWN,
-    Material,
     Space,
     Surface,
     check_space,
     check_surface,
 )
-
-__all__ = ["Material", "MeshSequence", "Surface", "WeldReport"]
 
 _CHUNK_BYTES = 64 << 20  # bytes of frames that are read at a time
 

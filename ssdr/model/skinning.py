@@ -37,8 +37,6 @@ from .articulated import Articulated
 from .lbs import skin
 from .transforms import check_parents
 
-__all__ = ["BoneModel", "Skinning", "skin"]
-
 
 def skinning_in(thing: Any) -> Any:
     """The model of a result that has one; any other object, such as a model itself, unchanged."""

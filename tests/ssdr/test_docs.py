@@ -19,7 +19,6 @@ import pytest
 
 import ssdr
 from docs import snippets
-from ssdr import show as render
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -274,7 +273,7 @@ def test_the_environment_for_garments_without_a_gpu_is_named() -> None:
             assert "https://download.pytorch.org/whl/cpu" in _text(page), page.name
 
 
-MODULES = [render, *(m for n in ssdr.__all__ if inspect.ismodule(m := getattr(ssdr, n)))]
+MODULES = [m for n in ssdr.__all__ if inspect.ismodule(m := getattr(ssdr, n))]
 
 
 def _described() -> tuple[set[str], set[str]]:
@@ -302,13 +301,13 @@ def test_every_public_name_is_in_the_api() -> None:
                 things.append(thing)
             else:  # has no docstring of its own
                 assert f"{module.__name__}.{name}" in single
-    left = set(ssdr.__all__) - {"__version__"} - {m.__name__.partition(".")[2] for m in MODULES}
+    left = set(ssdr.__all__) - {"__version__"} - {m.__name__.rpartition(".")[2] for m in MODULES}
     assert [n for n in sorted(left) if not any(getattr(ssdr, n) is t for t in things)] == []
 
 
 def test_names_at_the_top_are_listed_with_their_homes() -> None:
     text = _text(DOCS / "api" / "ssdr.md")
-    for name in set(ssdr.__all__) - {m.__name__.partition(".")[2] for m in MODULES}:
+    for name in set(ssdr.__all__) - {m.__name__.rpartition(".")[2] for m in MODULES}:
         assert re.search(rf"(ssdr\.(\w+\.)?|:: ){name}\b", text) or f"ssdr.{name}" in "".join(
             _described()[1]
         ), name

@@ -15,15 +15,12 @@ import ssdr
 
 _MODULES = (
     "common.errors",
-    "common.parallel",
     "io",
     "io.samples",
     "laplacian",
     "metrics",
     "parsimony",
-    "mesh.sequence",
     "model.rigid",
-    "model.skinning",
     "show",
 )
 # What functions hand back; docs/api/results.md names them.

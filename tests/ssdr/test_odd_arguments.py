@@ -71,7 +71,7 @@ CALLS: dict[str, tuple[Any, tuple[Any, ...]]] = {
         lambda x: ssdr.metrics.sted(FRAMES, FRAMES, FACES, signed=x), (True,)),
     "backend: expected": (
         lambda x: ssdr.laplacian.LaplacianSmoother(FRAMES[0], FACES, 0.1, backend=x), (None,)),
-    "skinning: expected a Skinning": (ssdr.parsimony.size, ()),
+    "model: expected a Skinning": (ssdr.parsimony.size, ()),
 }  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 import ssdr
+from ssdr.mesh.sequence import joined
 
 
 def main(folder: Path) -> None:
@@ -40,7 +41,7 @@ def main(folder: Path) -> None:
         # A key in every frame, since Blender interpolates rotations in another way.
         model = dataclasses.replace(found.skinning, keyframes=None)
         ssdr.save(model, folder / "model.glb")
-    errors = ssdr.metrics.distances(ssdr.mesh.sequence.joined(shots), model)
+    errors = ssdr.metrics.distances(joined(shots), model)
     skin = {"indices": model.indices, "weights": model.weights}
     np.savez(folder / "model.npz", rest=model.rest.astype(np.float32), **skin)
     text = (

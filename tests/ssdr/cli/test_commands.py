@@ -285,7 +285,7 @@ def test_log_and_threads_are_options_of_the_program(run, clip, monkeypatch):
 
 
 def test_a_process_of_its_own_without_a_display(clip, tmp_path):
-    process = start(["-m", "ssdr", "render", clip, "-o", tmp_path / "a.png", "--width", 300])
+    process = start(["-m", "ssdr.cli", "render", clip, "-o", tmp_path / "a.png", "--width", 300])
     out, err = process.communicate(timeout=600)
     assert (process.returncode, err) == (0, "")
     assert "a.png" in out

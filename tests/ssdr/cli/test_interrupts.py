@@ -99,7 +99,7 @@ def test_ctrl_c_during_imports_is_a_line(tmp_path):
         "import sys, threading\nsys.stderr.write('importing\\n')\nsys.stderr.flush()\n"
         "threading.Event().wait()\n"
     )
-    process = start(["-c", _FIRST, str(tmp_path), "-m", "ssdr", "info", "a.npz"])
+    process = start(["-c", _FIRST, str(tmp_path), "-m", "ssdr.cli", "info", "a.npz"])
     wait_for(process, "importing")
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=600)
@@ -173,7 +173,7 @@ def test_the_solver_is_interrupted_and_goes_on(tmp_path):
     assert process.returncode == 130, err
     before = json.loads(text)
     assert before["stop_reason"] == "cancelled"
-    process = start(["-m", "ssdr", *line, "--start", out, "--time-limit", 2])
+    process = start(["-m", "ssdr.cli", *line, "--start", out, "--time-limit", 2])
     text, err = process.communicate(timeout=600)
     assert process.returncode == 0, err
     assert json.loads(text)["rmse"] <= before["rmse"] * (1 + 1e-6)

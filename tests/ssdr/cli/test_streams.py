@@ -61,7 +61,7 @@ def test_a_result_that_a_full_device_does_not_take_is_an_error(more, clip, tmp_p
     assert "Traceback" not in err
     assert ssdr.load_skinning(out).n_bones == 2
     process = command.through_shell(
-        ">/dev/full", ["-m", "ssdr", "info", tmp_path / "none.npz", *more]
+        ">/dev/full", ["-m", "ssdr.cli", "info", tmp_path / "none.npz", *more]
     )
     _, err = process.communicate(timeout=600)
     assert (process.returncode, len(err.splitlines())) == (2, 1)
@@ -70,7 +70,7 @@ def test_a_result_that_a_full_device_does_not_take_is_an_error(more, clip, tmp_p
 @pytest.mark.slow
 def test_a_reader_that_has_gone_loses_no_work(clip, tmp_path):
     work = [*command.faked(), "decompose", clip, "-o", tmp_path / "a.npz", "--bones", 2]
-    for words, code in ((work, 0), (["-m", "ssdr", "info", clip], 1)):
+    for words, code in ((work, 0), (["-m", "ssdr.cli", "info", clip], 1)):
         read, write = os.pipe()
         os.close(read)
         process = command.start(words, stdout=write)

@@ -152,8 +152,7 @@ KILLED = """
 import os, signal, sys
 import ssdr
 from helpers import motions
-from ssdr import progress
-from ssdr.problem import scan
+from ssdr.search import progress, scan
 progress._SECONDS = 0.0
 if sys.argv[2] == "streamed":
     scan._IN_MEMORY, scan._FEWEST, scan._MOST, scan._MOST_SPREAD = 1, 40, 40, 80
