@@ -26,7 +26,7 @@ FRAMES = (0, 5, 11, 17, 23)
 
 @pytest.fixture(scope="module")
 def dancer():
-    return ssdr.io.samples.load("dancer_small")
+    return ssdr.samples.load("dancer_small")
 
 
 @pytest.fixture(scope="module")

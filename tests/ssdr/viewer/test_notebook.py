@@ -41,7 +41,7 @@ def elements(thing):
 
 @pytest.fixture(scope="module")
 def dancer():
-    return ssdr.io.samples.load("dancer_small")
+    return ssdr.samples.load("dancer_small")
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +122,7 @@ def test_cells_of_a_notebook_that_runs(tmp_path):
     nbformat, client = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
     pytest.importorskip("ipykernel")
     cells = (
-        "import ssdr\ndancer = ssdr.io.samples.load('dancer_small')\ndancer",
+        "import ssdr\ndancer = ssdr.samples.load('dancer_small')\ndancer",
         "ssdr.decompose(dancer, bones=4, effort='fast')",
     )
     book = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(c) for c in cells])

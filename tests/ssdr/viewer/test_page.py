@@ -20,7 +20,7 @@ PNG = bytes.fromhex(
 
 @pytest.fixture(scope="module")
 def dancer():
-    return ssdr.io.samples.load("dancer_small")
+    return ssdr.samples.load("dancer_small")
 
 
 @pytest.fixture(scope="module")
