@@ -10,23 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .common.checks import (
-    BoneModel,
-    check_floats,
-    names_arguments,
-    parse_tolerance,
-)
+from .common.checks import BoneModel, check_floats, names_arguments, parse_tolerance
 from .common.errors import InputError
 from .common.short_repr import short_repr
 from .mesh.clips import Clip, unique_names
 from .mesh.sequence import MeshSequence
 from .model.shaped_normals import fit_vectors
-from .model.shapes import (
-    ShapedSkinning,
-    Shapes,
-    Skinned,
-    skinning_and_shapes,
-)
+from .model.shapes import ShapedSkinning, Shapes, Skinned, skinning_and_shapes
 from .model.skinning import Skinning, skinning_in
 from .model.start import Start
 from .model.transforms import rest_diagonal

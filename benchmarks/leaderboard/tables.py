@@ -7,13 +7,7 @@ import io
 from collections.abc import Callable, Iterable, Iterator
 
 from benchmarks.common import RESULTS, Row, read_rows
-from benchmarks.leaderboard.catalogue import (
-    FACES,
-    HYPERSPECTRAL,
-    LE_AFFINE,
-    LE_RIGID,
-    SEQUENCES,
-)
+from benchmarks.leaderboard.catalogue import FACES, HYPERSPECTRAL, LE_AFFINE, LE_RIGID, SEQUENCES
 from benchmarks.leaderboard.score import EXPRESSIONS, is_dense
 
 METRIC = "2 E / diagonal"

@@ -32,13 +32,7 @@ from benchmarks import common
 from benchmarks.common import Row
 from benchmarks.speed.long_sequences import paper
 from ssdr.common.parallel import serial_blas
-from ssdr.solver import (
-    alternation,
-    gauss_newton,
-    moments,
-    vertex_elimination,
-    vertex_newton,
-)
+from ssdr.solver import alternation, gauss_newton, moments, vertex_elimination, vertex_newton
 from ssdr.solver.initialization import start_model
 from ssdr.solver.model import Model
 from ssdr.solver.tangents import RigidTangent

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ssdr.common.errors import FormatError, InputError
 from ssdr.io.file_errors import reading
 from ssdr.mesh.sequence import MeshSequence
-from ssdr.model.skinning import skin
+from ssdr.model.lbs import skin
 
 from .clip_files import Split, StoredFrames, open_array
 from .motion import CLASSES

@@ -14,12 +14,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from ssdr import MeshSequence
 from ssdr.metrics import rmse
-from ssdr.show import (
-    FABRIC,
-    SKIN,
-    contact_sheet,
-    write_picture,
-)
+from ssdr.show import FABRIC, SKIN, contact_sheet, write_picture
 
 from ..data.clip import Clip
 from ..data.motion import CLASSES

@@ -12,12 +12,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from ssdr.common.checks import LARGEST
-from ssdr.common.errors import (
-    FormatError,
-    InputError,
-    is_real,
-    is_whole,
-)
+from ssdr.common.errors import FormatError, InputError, is_real, is_whole
 
 T = TypeVar("T")
 _KINDS = {bool: "true or false", int: "an integer", float: "a number", str: "a string"}

@@ -12,14 +12,7 @@ import numpy as np
 import ssdr
 
 from ..common.errors import InputError
-from ..io import (
-    SaveReport,
-    check_outputs,
-    in_space,
-    load_any,
-    load_clips,
-    save_all,
-)
+from ..io import SaveReport, check_outputs, in_space, load_any, load_clips, save_all
 from ..io.inputs import clips_in
 from ..io.outputs import check_file
 from ..mesh.clips import one_rate
@@ -27,12 +20,7 @@ from ..mesh.sequence import MeshSequence, joined
 from ..model.shapes import Skinned
 from ..model.transforms import rest_diagonal
 from ..show import Style
-from .files import (
-    check_page,
-    file_options,
-    files_of,
-    storage_options,
-)
+from .files import check_page, file_options, files_of, storage_options
 from .output import Output, clips_document, saved_line
 from .parameters import passes
 
@@ -213,12 +201,7 @@ def render(
     elevation : float
         Degrees above.
     """
-    from ..show import (
-        animate,
-        contact_sheet,
-        render_frame,
-        write_picture,
-    )
+    from ..show import animate, contact_sheet, render_frame, write_picture
     from ..show.figures import picture_format
 
     film = output.suffix.lower() in (".gif", ".webp") and frame is None

@@ -16,33 +16,14 @@ import ssdr
 from ..common.errors import Cancelled, InputError
 from ..common.signals import stop_on_signals
 from ..decomposition import decompose as _decompose
-from ..io import (
-    SaveReport,
-    check_outputs,
-    in_space,
-    load_any,
-    load_clips,
-    save_all,
-    try_outputs,
-)
+from ..io import SaveReport, check_outputs, in_space, load_any, load_clips, save_all, try_outputs
 from ..io.outputs import check_file
 from ..mesh.clips import names_of
 from ..mesh.sequence import MeshSequence, joined
 from ..model.start import JointKind
 from ..parsimony.smallest import smallest as _smallest
-from .files import (
-    PAGES,
-    file_options,
-    files_of,
-    storage_options,
-)
-from .output import (
-    Output,
-    clips_document,
-    clips_text,
-    in_words,
-    saved_line,
-)
+from .files import PAGES, file_options, files_of, storage_options
+from .output import Output, clips_document, clips_text, in_words, saved_line
 from .parameters import passes
 
 _DRAWN = (*PAGES, ".png", ".jpg", ".jpeg", ".webp", ".gif", ".tif", ".tiff", ".bmp", ".pdf")

@@ -11,24 +11,14 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from ..io import (
-    list_clips,
-    list_meshes,
-    load,
-    load_any,
-)
+from ..io import list_clips, list_meshes, load, load_any
 from ..mesh.clips import Clip
 from ..mesh.sequence import MeshSequence
 from ..model.shapes import Skinned
 from ..model.skinning import Skinning
 from ..model.transforms import RIGID, depths, rest_diagonal
 from .files import file_options, files_of
-from .output import (
-    Output,
-    clips_document,
-    clips_text,
-    in_words,
-)
+from .output import Output, clips_document, clips_text, in_words
 from .parameters import passes
 
 _BONES = {

@@ -14,13 +14,7 @@ from typing import Any, Literal, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import (
-    InputError,
-    SsdrWarning,
-    check_choice,
-    is_real,
-    is_whole,
-)
+from .errors import InputError, SsdrWarning, check_choice, is_real, is_whole
 
 P = ParamSpec("P")
 R = TypeVar("R")

@@ -7,12 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..common.checks import (
-    BoneModel,
-    check_importance,
-    check_nonnegative,
-    check_whole,
-)
+from ..common.checks import BoneModel, check_importance, check_nonnegative, check_whole
 from ..common.errors import InputError, check_flag
 from ..common.short_repr import short_repr
 from ..mesh.clips import names_of

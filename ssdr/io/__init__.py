@@ -4,13 +4,7 @@ from __future__ import annotations
 
 from .formats import FORMATS
 from .inputs import load_any, load_clips
-from .load_save import (
-    list_clips,
-    list_meshes,
-    load,
-    load_skinning,
-    save,
-)
+from .load_save import list_clips, list_meshes, load, load_skinning, save
 from .outputs import check_outputs, save_all, try_outputs
 from .save_report import SaveReport
 from .spaces import in_space

@@ -16,12 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..common.errors import (
-    FormatError,
-    InputError,
-    is_real,
-    is_whole,
-)
+from ..common.errors import FormatError, InputError, is_real, is_whole
 from ..mesh.clips import Clip
 from ..mesh.sequence import MeshSequence
 from ..mesh.surface import METRES_Y_UP, UNKNOWN, Space

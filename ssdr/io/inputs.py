@@ -12,12 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..common.errors import (
-    FormatError,
-    InputError,
-    SsdrWarning,
-    check_flag,
-)
+from ..common.errors import FormatError, InputError, SsdrWarning, check_flag
 from ..mesh.clips import unique_names
 from ..mesh.sequence import MeshSequence, joined
 from .formats import as_path, format_to_read, option_names

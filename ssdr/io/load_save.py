@@ -10,12 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..common.errors import (
-    FormatError,
-    InputError,
-    SsdrWarning,
-    is_real,
-)
+from ..common.errors import FormatError, InputError, SsdrWarning, is_real
 from ..mesh.clips import Clip, pick
 from ..mesh.sequence import MeshSequence
 from ..mesh.surface import Space, Up

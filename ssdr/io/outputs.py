@@ -12,13 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..common.errors import (
-    FormatError,
-    InputError,
-    MissingDependencyError,
-    SsdrWarning,
-    error_text,
-)
+from ..common.errors import FormatError, InputError, MissingDependencyError, SsdrWarning, error_text
 from ..mesh.clips import Clip, names_of
 from ..mesh.sequence import MeshSequence
 from .atomic import check_writable

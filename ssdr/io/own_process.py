@@ -13,13 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.errors import (
-    FormatError,
-    InputError,
-    MissingDependencyError,
-    SsdrError,
-    is_real,
-)
+from ..common.errors import FormatError, InputError, MissingDependencyError, SsdrError, is_real
 from ..mesh.clips import readable
 
 _log = logging.getLogger(__name__)

@@ -19,12 +19,7 @@ from numpy.typing import NDArray
 from ..common.errors import InputError
 from ..mesh.clips import Clip, unique_names
 from ..model.lbs import skin, skin_each
-from ..model.rigid import (
-    matrix_from_quaternion,
-    quaternion_from_matrix,
-    slerp,
-    unflip_quaternions,
-)
+from ..model.rigid import matrix_from_quaternion, quaternion_from_matrix, slerp, unflip_quaternions
 from ..model.shapes import Shapes, Skinned, skinning_and_shapes
 from ..model.skinning import Skinning
 from ..model.stretch import steady_axes

@@ -11,12 +11,13 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ..common.checks import BoneModel
 from ..mesh.clips import in_order, unique_names
 from ..mesh.normals import corner_normals
 from ..mesh.sequence import MeshSequence
 from ..mesh.surface import Material, Space, Surface
 from ..model.shapes import ShapedSkinning, Shapes, Skinned
-from ..model.skinning import BoneModel, Skinning
+from ..model.skinning import Skinning
 from .file_errors import MOST_BYTES, afford, check
 from .sampling import Sample, part_starts, vertices_of
 

@@ -8,17 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .lanes import (
-    LANES,
-    add_pull,
-    blend,
-    errors,
-    factor,
-    forms,
-    invert,
-    joint_system,
-    solve,
-)
+from .lanes import LANES, add_pull, blend, errors, factor, forms, invert, joint_system, solve
 from .policy import inline, kernel
 from .simplex_qp import RIDGE
 from .vertices import store

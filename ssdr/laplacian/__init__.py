@@ -3,18 +3,8 @@
 from __future__ import annotations
 
 from .factor import Backend
-from .operators import (
-    MassKind,
-    cotangent_laplacian,
-    mass_matrix,
-    uniform_laplacian,
-)
-from .smoothing import (
-    FrequencySplit,
-    LaplacianKind,
-    LaplacianSmoother,
-    split_frequencies,
-)
+from .operators import MassKind, cotangent_laplacian, mass_matrix, uniform_laplacian
+from .smoothing import FrequencySplit, LaplacianKind, LaplacianSmoother, split_frequencies
 from .weights import smooth_weights
 
 __all__ = [

@@ -13,13 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array, csr_array, dia_array
 
-from ..common.checks import (
-    LARGEST,
-    check_faces,
-    check_floats,
-    check_squarable,
-    check_whole,
-)
+from ..common.checks import LARGEST, check_faces, check_floats, check_squarable, check_whole
 from ..common.errors import check_choice
 
 MassKind = Literal["barycentric", "voronoi"]

@@ -10,12 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csc_matrix
 
 from ..common.checks import LARGEST
-from ..common.errors import (
-    InputError,
-    check_choice,
-    is_real,
-    is_whole,
-)
+from ..common.errors import InputError, check_choice, is_real, is_whole
 from ..common.short_repr import short_repr
 from ..mesh.sequence import MeshSequence
 from .factor import Backend, factor_spd

@@ -16,22 +16,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from ..common.checks import (
-    as_array,
-    check_faces,
-    check_range,
-    remedy_of_shape,
-)
+from ..common.checks import as_array, check_faces, check_range, remedy_of_shape
 from ..common.errors import InputError, is_real
 from ..common.short_repr import notebook_html
 from .coincident import Selected, coincident, distinct
-from .surface import (
-    UNKNOWN,
-    Space,
-    Surface,
-    check_space,
-    check_surface,
-)
+from .surface import UNKNOWN, Space, Surface, check_space, check_surface
 
 _CHUNK_BYTES = 64 << 20  # bytes of frames that are read at a time
 

@@ -15,14 +15,7 @@ from ..common.errors import InputError, check_flag, is_real
 from ..common.parallel import chunk_bounds, run_chunks
 from ..common.short_repr import short_repr
 from ..mesh.sequence import MeshSequence
-from .matching import (
-    Frames,
-    as_pair,
-    check_finite,
-    chunk_size,
-    edges_of,
-    read,
-)
+from .matching import Frames, as_pair, check_finite, chunk_size, edges_of, read
 
 Normaliser = Literal["speed", "diagonal"]
 

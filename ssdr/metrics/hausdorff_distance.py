@@ -16,12 +16,7 @@ from ..common.parallel import chunk_bounds, run_chunks
 from ..common.short_repr import short_repr
 from ..kernels.closest import farthest, fit_boxes, tree_order
 from ..mesh.sequence import MeshSequence
-from .matching import (
-    Frames,
-    as_sequence,
-    check_finite,
-    read,
-)
+from .matching import Frames, as_sequence, check_finite, read
 
 _FRAMES = 8  # frames in a task: a search starts from the triangles found in the frame before
 _LEAF = 4  # approximate number of triangles in a leaf of the tree

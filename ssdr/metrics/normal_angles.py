@@ -17,14 +17,7 @@ from ..mesh.sequence import MeshSequence
 from ..model.drawn_normals import Angles, drawn_angles, holders_of
 from ..model.shapes import Skinned
 from ..model.skinning import skinning_in
-from .matching import (
-    Frames,
-    as_pair,
-    as_sequence,
-    chunk_size,
-    matched,
-    read,
-)
+from .matching import Frames, as_pair, as_sequence, chunk_size, matched, read
 
 _MOST = 500  # frames measured of a result of the solver, or a few less
 

@@ -13,15 +13,7 @@ from ..common.short_repr import short_repr
 from ..model.frame_error import motion_rms, rmse_of, share_of
 from ..model.shapes import Skinned
 from ..model.skinning import skinning_in
-from .matching import (
-    Frames,
-    as_pair,
-    as_sequence,
-    check_finite,
-    chunk_size,
-    matched,
-    read,
-)
+from .matching import Frames, as_pair, as_sequence, check_finite, chunk_size, matched, read
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)

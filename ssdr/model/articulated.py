@@ -10,14 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..common.errors import InputError, is_real
 from ..mesh.clips import Clip
-from .transforms import (
-    Freedom,
-    from_local,
-    joint_freedom,
-    joint_gaps,
-    local_of_pose,
-    to_local,
-)
+from .transforms import Freedom, from_local, joint_freedom, joint_gaps, local_of_pose, to_local
 
 
 class Articulated:

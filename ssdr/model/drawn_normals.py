@@ -12,13 +12,7 @@ from numpy.typing import NDArray
 from ..common.parallel import chunk_bounds, run_chunks
 from ..kernels.normals import angles_range, fit_range
 from ..mesh.executor import Executor, Frames, spans_of
-from ..mesh.normals import (
-    NormalHolders,
-    normal_holders,
-    normals_at_corners,
-    surface_normals,
-    unit,
-)
+from ..mesh.normals import NormalHolders, normal_holders, normals_at_corners, surface_normals, unit
 from ..mesh.sequence import MeshSequence
 from ..mesh.surface import Surface
 from .frame_error import of_each_span

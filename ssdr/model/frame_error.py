@@ -11,16 +11,10 @@ from numpy.typing import NDArray
 
 from ..common.parallel import chunk_bounds, run_chunks, serial_blas
 from ..kernels.lbs import squared_error_range
-from ..mesh.executor import (
-    Executor,
-    Frames,
-    Local,
-    SpanTask,
-    spans_of,
-)
+from ..mesh.executor import Executor, Frames, Local, SpanTask, spans_of
 from ..mesh.sequence import MeshSequence
+from .lbs import skin
 from .rigid import kabsch
-from .skinning import skin
 
 Array = NDArray[np.float64]
 

@@ -8,22 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.parallel import chunk_bounds, run_chunks
-from .rigid import (
-    matrix_from_quaternion,
-    quaternion_from_matrix,
-    slerp,
-    unflip_quaternions,
-)
+from .rigid import matrix_from_quaternion, quaternion_from_matrix, slerp, unflip_quaternions
 from .size import key_bytes, time_bytes
 from .skinning import Skinning
 from .stretch import steady_axes
-from .transforms import (
-    from_local,
-    parents_first,
-    rest_diagonal,
-    to_local,
-    translating,
-)
+from .transforms import from_local, parents_first, rest_diagonal, to_local, translating
 
 Array = NDArray[np.float64]
 

@@ -9,12 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.parallel import chunk_bounds, run_chunks, serial_blas
-from ..mesh.normals import (
-    NormalHolders,
-    corner_normals,
-    normal_holders,
-    surface_normals,
-)
+from ..mesh.normals import NormalHolders, corner_normals, normal_holders, surface_normals
 from .shapes import ShapedSkinning
 
 Array = NDArray[np.float64]

@@ -19,20 +19,9 @@ from ..common.checks import (
 )
 from ..common.errors import InputError, check_choice, is_whole
 from ..common.short_repr import notebook_html
-from ..mesh.clips import (
-    Clip,
-    check_clips,
-    in_order,
-    pick,
-)
+from ..mesh.clips import Clip, check_clips, in_order, pick
 from ..mesh.sequence import check_vertex_map
-from ..mesh.surface import (
-    UNKNOWN,
-    Space,
-    Surface,
-    check_space,
-    check_surface,
-)
+from ..mesh.surface import UNKNOWN, Space, Surface, check_space, check_surface
 from .articulated import Articulated
 from .lbs import skin
 from .transforms import check_parents

@@ -3,12 +3,7 @@
 from __future__ import annotations
 
 from ..model.size import Size, size
-from .report import (
-    Attempt,
-    Parsimony,
-    Pruning,
-    Smallest,
-)
+from .report import Attempt, Parsimony, Pruning, Smallest
 
 __all__ = [
     "Attempt",

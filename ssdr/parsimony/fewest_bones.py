@@ -16,13 +16,7 @@ from functools import partial
 from ..search.descent import Descent
 from ..search.problem import Effort
 from ..search.steps import polish
-from .models_by_bones import (
-    ModelsByBones,
-    merge_down,
-    move_some,
-    search_long,
-    start_merged,
-)
+from .models_by_bones import ModelsByBones, merge_down, move_some, search_long, start_merged
 
 _GROWTH = 1.5  # next number of bones, relative to one that misses the tolerance
 # Number of bones, relative to the proven bound, up to which a large error may be that of a bad

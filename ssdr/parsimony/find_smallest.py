@@ -25,12 +25,7 @@ from .fewest_bones import Bounds, fewest_bones, polish_fewest
 from .models_by_bones import PRUNING, ModelsByBones
 from .pruning import prune
 from .rank import rank_bound, rank_of, reduced
-from .report import (
-    Measure,
-    Parsimony,
-    Pruning,
-    Smallest,
-)
+from .report import Measure, Parsimony, Pruning, Smallest
 from .solved_frames import SolvedFrames
 
 _ROUNDING = 1e-13  # error that counts as zero, relative to the largest coordinate

@@ -11,14 +11,7 @@ from ..search.descent import Descent, Schedule
 from ..search.problem import Initial
 from ..search.progress import Record, Stop
 from ..search.starts import merged_start
-from ..search.steps import (
-    alternate,
-    merge,
-    move_bones,
-    polish,
-    return_to_best,
-    search,
-)
+from ..search.steps import alternate, merge, move_bones, polish, return_to_best, search
 from ..search.trees.tree_steps import attach, remove_bones, search_trees
 from ..solver.model import Lowest, Model
 from .report import Attempt

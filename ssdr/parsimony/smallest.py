@@ -9,12 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..common.checks import (
-    BoneModel,
-    check_whole,
-    names_arguments,
-    parse_tolerance,
-)
+from ..common.checks import BoneModel, check_whole, names_arguments, parse_tolerance
 from ..common.errors import InputError, check_choice
 from ..mesh.sequence import MeshSequence
 from ..model.skinning import Skinning, skinning_in

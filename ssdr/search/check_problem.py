@@ -23,32 +23,16 @@ from ..common.checks import (
     check_transforms,
     check_whole,
 )
-from ..common.errors import (
-    InputError,
-    check_choice,
-    check_flag,
-    is_real,
-    is_whole,
-)
+from ..common.errors import InputError, check_choice, check_flag, is_real, is_whole
 from ..mesh.coincident import told_apart
-from ..mesh.sequence import (
-    MeshSequence,
-    as_sequences,
-    labels_of,
-    without_copies,
-)
+from ..mesh.sequence import MeshSequence, as_sequences, labels_of, without_copies
 from ..model.skinning import Skinning, skinning_in
 from ..model.start import JointKind, Skeleton, Start
 from ..model.tree import Tree
 from ..solver.model import Constraints, Skin
 from ..solver.rest_surface import RestPose
 from ..solver.trajectories import Array
-from .problem import (
-    Effort,
-    Initial,
-    Problem,
-    RigKind,
-)
+from .problem import Effort, Initial, Problem, RigKind
 from .progress import Monitor
 from .trees.limb_matching import limb_distances
 from .trees.placement import move_onto_joints

@@ -15,20 +15,10 @@ from scipy.spatial import cKDTree
 from ..common.parallel import chunk_bounds, run_chunks, serial_blas
 from ..kernels.newton import polish_vertices
 from ..kernels.polish import choose_influences
-from ..solver.alternation import (
-    bone_costs,
-    free_gauge,
-    repeat_alternation,
-    vertex_step,
-)
+from ..solver.alternation import bone_costs, free_gauge, repeat_alternation, vertex_step
 from ..solver.gauss_newton import GaussNewton
 from ..solver.initialization import by_motion, fit_patches
-from ..solver.model import (
-    CHUNK,
-    SOLVED,
-    Constraints,
-    Model,
-)
+from ..solver.model import CHUNK, SOLVED, Constraints, Model
 from ..solver.moments import transform_sums
 from ..solver.objective import normal_length, rest_pulls
 from ..solver.trajectories import Array, Trajectories

@@ -12,12 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..common.errors import (
-    Cancelled,
-    InputError,
-    SsdrError,
-    SsdrWarning,
-)
+from ..common.errors import Cancelled, InputError, SsdrError, SsdrWarning
 
 if TYPE_CHECKING:
     from ..model.skinning import Skinning

@@ -14,13 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.parallel import chunk_bounds, run_chunks, serial_blas
-from ..mesh.executor import (
-    Executor,
-    Frames,
-    Local,
-    SpanTask,
-    spans_of,
-)
+from ..mesh.executor import Executor, Frames, Local, SpanTask, spans_of
 from ..mesh.sequence import MeshSequence
 from ..solver.alignment import centred, rotations_onto
 from ..solver.initialization import farthest_points

@@ -24,14 +24,7 @@ from .efforts import (
 )
 from .problem import Effort, RigKind
 from .progress import Stop
-from .starts import (
-    first_model,
-    merged_start,
-    polish_model,
-    quick_start,
-    start,
-    start_from_model,
-)
+from .starts import first_model, merged_start, polish_model, quick_start, start, start_from_model
 from .steps import (
     add_and_merge,
     alternate,

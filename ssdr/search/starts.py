@@ -14,12 +14,7 @@ from ..solver.model import Model, Skin
 from ..solver.trajectories import Array
 from .descent import Descent, step
 from .problem import Effort
-from .steps import (
-    alternate,
-    compress,
-    merge,
-    polish,
-)
+from .steps import alternate, compress, merge, polish
 
 # A quick start uses 64 frames if there are at least twice as many, and alternates 16 times on them:
 # that is enough to find the bones and to place them.

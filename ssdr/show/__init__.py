@@ -2,19 +2,8 @@
 
 from __future__ import annotations
 
-from .figures import (
-    Film,
-    animate,
-    contact_sheet,
-    render_frame,
-    write_picture,
-)
-from .palette import (
-    CLAY,
-    FABRIC,
-    NEUTRAL,
-    SKIN,
-)
+from .figures import Film, animate, contact_sheet, render_frame, write_picture
+from .palette import CLAY, FABRIC, NEUTRAL, SKIN
 from .subject import Style
 
 __all__ = [

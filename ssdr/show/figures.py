@@ -17,14 +17,7 @@ from ..common.errors import FormatError, InputError
 from ..io.atomic import atomic_path
 from ..mesh.sequence import MeshSequence
 from .camera import Size
-from .panels import (
-    INK,
-    QUIET,
-    Panels,
-    Unit,
-    as_many,
-    number,
-)
+from .panels import INK, QUIET, Panels, Unit, as_many, number
 from .subject import Scene, Style, evenly
 
 _ROWS: dict[Style, str] = {

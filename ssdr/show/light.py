@@ -17,16 +17,7 @@ from scipy.ndimage import gaussian_filter
 from ..common.parallel import chunk_bounds, run_chunks
 from ..kernels.raster import light_shares, raster_triangles
 from ..mesh.normals import triangle_normals, unit
-from .camera import (
-    Camera,
-    Float,
-    Pixels,
-    Size,
-    balls_seen,
-    between,
-    empty_depth,
-    triangles_seen,
-)
+from .camera import Camera, Float, Pixels, Size, balls_seen, between, empty_depth, triangles_seen
 from .palette import linear_from_srgb
 
 # Unit directions in view axes (right, up, towards the viewer) and linear RGB times strength, chosen

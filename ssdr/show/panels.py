@@ -13,21 +13,11 @@ from PIL import Image, ImageDraw
 
 from ..common.checks import check_frames
 from ..common.errors import InputError, is_whole
-from .camera import (
-    Camera,
-    Float,
-    Size,
-    up_axes,
-)
+from .camera import Camera, Float, Size, up_axes
 from .light import Drawer, cloud_drawer, mesh_drawer
 from .palette import heat, srgb_from_linear
 from .skeleton import draw_bones
-from .subject import (
-    ERRORS,
-    Scene,
-    Style,
-    evenly,
-)
+from .subject import ERRORS, Scene, Style, evenly
 
 INK, QUIET = "#20242c", "#6b7280"
 Unit = tuple[str, float]

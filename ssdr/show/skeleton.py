@@ -7,12 +7,7 @@ from numpy.typing import NDArray
 
 from ..mesh.normals import triangle_normals, unit
 from ..model.bone_ends import limb_ends
-from .camera import (
-    Camera,
-    Float,
-    balls_seen,
-    triangles_seen,
-)
+from .camera import Camera, Float, balls_seen, triangles_seen
 from .light import reflected
 from .palette import linear_from_srgb
 from .subject import Scene

@@ -17,23 +17,11 @@ from ..common.errors import InputError
 from ..mesh.normals import NormalHolders, normal_holders, surface_normals
 from ..mesh.sequence import MeshSequence
 from ..metrics.matching import matched
-from ..model.drawn_normals import (
-    Angles,
-    holders_of,
-    posed,
-    rest_vectors,
-)
+from ..model.drawn_normals import Angles, holders_of, posed, rest_vectors
 from ..model.shapes import ShapedSkinning, Skinned, skinning_and_shapes
 from ..model.skinning import Skinning, skinning_in
 from .camera import Float
-from .palette import (
-    CLAY,
-    NEUTRAL,
-    bone_colors,
-    heat,
-    linear_from_srgb,
-    mix,
-)
+from .palette import CLAY, NEUTRAL, bone_colors, heat, linear_from_srgb, mix
 
 Style = Literal["plain", "weights", "bones", "error", "normals"]
 # Share of the errors that a scale covers (not all, since a few may be much larger than the others),

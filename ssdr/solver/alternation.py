@@ -11,12 +11,7 @@ from ..kernels.bones import sweep_bones
 from ..kernels.removal import removal_cost
 from ..kernels.vertices import solve_vertices
 from .affine_fit import leap_rigid, solve_affine
-from .model import (
-    CHUNK,
-    FREE,
-    Constraints,
-    Model,
-)
+from .model import CHUNK, FREE, Constraints, Model
 from .moments import bone_sums, coupled_bones, transform_sums
 from .objective import WeightSmoothness, normal_length, rest_pulls
 from .trajectories import Array, Trajectories

@@ -28,20 +28,9 @@ import numpy as np
 from ..common.parallel import serial_blas
 from .alternation import bone_step
 from .conjugate_gradients import Recycled, conjugate_gradients
-from .model import (
-    FREE,
-    SOLVED,
-    Constraints,
-    Model,
-)
+from .model import FREE, SOLVED, Constraints, Model
 from .objective import Objective
-from .tangents import (
-    AffineTangent,
-    ChainTangent,
-    RigidTangent,
-    SimilarityTangent,
-    Tangent,
-)
+from .tangents import AffineTangent, ChainTangent, RigidTangent, SimilarityTangent, Tangent
 from .trajectories import Array, Trajectories
 from .vertex_elimination import ReducedSystem
 from .vertex_newton import optimise_vertices

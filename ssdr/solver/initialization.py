@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from ..common.checks import BoneModel
 from ..common.parallel import chunk_bounds, run_chunks, serial_blas
 from ..kernels.bones import sweep_bones
-from ..model.skinning import BoneModel
 from .affine_fit import PATCH_RIDGE, solve_affine
 from .model import CHUNK, Model
 from .moments import transform_sums

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.skinning import BoneModel
+from ..common.checks import BoneModel
 from ..model.tree import Tree
 from .trajectories import Array, Trajectories
 

@@ -19,12 +19,7 @@ from ..common.checks import LARGEST
 from ..common.parallel import chunk_bounds, run_chunks, serial_blas
 from ..kernels.normals import normals_range
 from ..mesh.sequence import MeshSequence
-from .alignment import (
-    Alignment,
-    centred,
-    rotations_onto,
-    scale_of,
-)
+from .alignment import Alignment, centred, rotations_onto, scale_of
 from .rest_surface import RestSurface
 
 Array = NDArray[np.float64]

@@ -18,13 +18,7 @@ from numpy.typing import NDArray
 from ..common.parallel import chunk_bounds, run_chunks, serial_blas
 from ..kernels.newton import polish_vertices
 from ..kernels.polish import choose_influences
-from .model import (
-    CHUNK,
-    FREE,
-    SOLVED,
-    Constraints,
-    Model,
-)
+from .model import CHUNK, FREE, SOLVED, Constraints, Model
 from .moments import transform_sums
 from .objective import normal_length, rest_pulls
 from .trajectories import Array, Trajectories

@@ -10,12 +10,7 @@ from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
 from helpers import naive
-from ssdr import (
-    InputError,
-    Skinning,
-    Surface,
-    skin,
-)
+from ssdr import InputError, Skinning, Surface, skin
 
 
 def make(seed=0, *, V=30, B=5, K=3, F=4, dtype=np.float64):

@@ -12,13 +12,7 @@ import numpy as np
 
 from .build import build, joints_of
 from .process import AddonError, follow
-from .sample import (
-    FrameRange,
-    check,
-    frame_kept,
-    marked,
-    sample,
-)
+from .sample import FrameRange, check, frame_kept, marked, sample
 
 
 def steps(

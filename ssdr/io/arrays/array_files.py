@@ -21,12 +21,7 @@ from numpy.typing import NDArray
 
 from ...common.errors import FormatError, InputError
 from ..atomic import atomic_path
-from ..file_errors import (
-    afford,
-    check,
-    reading,
-    refuse_bomb,
-)
+from ..file_errors import afford, check, reading, refuse_bomb
 from ..signatures import describe
 
 _npy: Any = np.lib.format  # NumPy types it only in part

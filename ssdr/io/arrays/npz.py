@@ -26,12 +26,7 @@ from ...model.skinning import Skinning
 from ..file_clips import bake, pick_clip
 from ..file_errors import afford, check, reading
 from ..save_report import SaveReport
-from .array_files import (
-    names_in,
-    read_arrays,
-    shape_of,
-    write_arrays,
-)
+from .array_files import names_in, read_arrays, shape_of, write_arrays
 
 _log = logging.getLogger(__name__)
 

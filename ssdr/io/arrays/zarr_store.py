@@ -14,13 +14,7 @@ from ...common.errors import InputError
 from ...mesh.sequence import MeshSequence
 from ..atomic import free_name, naming, remove
 from ..companion import over_mesh
-from ..file_errors import (
-    afford,
-    check,
-    reading,
-    refuse_bomb,
-    refuse_device,
-)
+from ..file_errors import afford, check, reading, refuse_bomb, refuse_device
 from ..optional import require
 from ..save_report import SaveReport
 

@@ -13,13 +13,7 @@ from ...common.errors import FormatError
 from ...mesh.clips import Clip, readable, unique_names
 from ...model.rigid import matrix_from_quaternion
 from ..file_errors import check
-from ..frame_rates import (
-    DEFAULT_RATE,
-    Frames,
-    frame_rate,
-    frames_between,
-    off_frames,
-)
+from ..frame_rates import DEFAULT_RATE, Frames, frame_rate, frames_between, off_frames
 from ..rig import interpolate_quaternions
 from .document import Document
 

@@ -29,12 +29,7 @@ from .animation import (
     still_frame,
 )
 from .document import Document
-from .primitives import (
-    JointPoints,
-    PrimitiveGroup,
-    names_of,
-    read_parts,
-)
+from .primitives import JointPoints, PrimitiveGroup, names_of, read_parts
 
 
 def read(

@@ -26,23 +26,10 @@ from ..rig import Rig
 from ..sampling import part_starts
 from ..scene import join_faces
 from .animation import Nodes, descendants, read_animations
-from .builder import (
-    ARRAY,
-    ELEMENTS,
-    Builder,
-    add_animation,
-    add_skin,
-    add_weights,
-    skeleton_nodes,
-)
+from .builder import ARRAY, ELEMENTS, Builder, add_animation, add_skin, add_weights, skeleton_nodes
 from .compression import DRACO
 from .document import Document
-from .numbering import (
-    remove,
-    remove_unused,
-    unknown_extensions,
-    used,
-)
+from .numbering import remove, remove_unused, unknown_extensions, used
 from .primitives import PrimitiveGroup, read_parts, triangles
 
 _LINES = (1, 2, 3)

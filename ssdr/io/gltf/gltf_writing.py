@@ -14,12 +14,7 @@ from numpy.typing import NDArray
 from ...common.errors import InputError
 from ...mesh.surface import Material, Surface
 from ...model.shaped_normals import shaped_normals
-from ...model.shapes import (
-    ShapedSkinning,
-    Skinned,
-    skinning_and_shapes,
-    without_shapes,
-)
+from ...model.shapes import ShapedSkinning, Skinned, skinning_and_shapes, without_shapes
 from ..corners import Corners, rest_normals, split_corners
 from ..rig import Rig, build_rig
 from ..save_report import SaveReport

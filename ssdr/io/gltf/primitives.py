@@ -15,14 +15,7 @@ from ...mesh.normals import unit
 from ...model.shapes import Shapes
 from ..file_errors import check
 from ..mesh_names import choose
-from ..scene import (
-    Bones,
-    Shape,
-    facing,
-    file_weights,
-    nearest_joints,
-    vertices_at_joints,
-)
+from ..scene import Bones, Shape, facing, file_weights, nearest_joints, vertices_at_joints
 from .animation import Nodes, descendants, still_frame
 from .compression import DRACO, decode_mesh
 from .document import Document

@@ -14,13 +14,7 @@ from ...mesh.normals import unit
 from ...model.shapes import Shapes
 from ..file_errors import check
 from ..meshes.polygons import fan, value_index
-from ..scene import (
-    Bones,
-    Shape,
-    facing,
-    file_weights,
-    vertices_at_joints,
-)
+from ..scene import Bones, Shape, facing, file_weights, vertices_at_joints
 
 _log = logging.getLogger(__name__)
 _FIRST = Usd.TimeCode.EarliestTime()

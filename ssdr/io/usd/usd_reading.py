@@ -21,12 +21,7 @@ from ...mesh.surface import Space
 from ...model.shapes import Skinned
 from ..file_clips import pick_clip
 from ..file_errors import check, reading
-from ..frame_rates import (
-    Frames,
-    frame_rate,
-    frames_between,
-    off_frames,
-)
+from ..frame_rates import Frames, frame_rate, frames_between, off_frames
 from ..mesh_names import choose
 from ..sampling import Sample
 from ..scene import SceneBudget, join_sequence, join_skinning

@@ -18,13 +18,7 @@ from ...solver.model import Constraints, Model
 from ...solver.trajectories import Array, Trajectories
 from ..moves import patch_of_most_error, polish_steps
 from .mirror import edges_with_image, find_mirror
-from .placement import (
-    find_contacts,
-    fit_joint,
-    fit_joints,
-    snap_to_joints,
-    step_with_joint_penalty,
-)
+from .placement import find_contacts, fit_joint, fit_joints, snap_to_joints, step_with_joint_penalty
 
 # Last stiffness of the joints, relative to the lighter bone's mass: it leaves next to no gap.
 _HARD = 100.0

@@ -3,19 +3,9 @@
 from __future__ import annotations
 
 from ..descent import Descent, Schedule
-from ..efforts import (
-    NUMBERS,
-    TREE_ROUNDS,
-    TRIALS_OF_A_TREE,
-    rebuilds,
-)
+from ..efforts import NUMBERS, TREE_ROUNDS, TRIALS_OF_A_TREE, rebuilds
 from ..problem import Effort
-from ..starts import (
-    first_model,
-    merged_start,
-    polish_model,
-    start_from_model,
-)
+from ..starts import first_model, merged_start, polish_model, start_from_model
 from ..steps import (
     alternate,
     compress,

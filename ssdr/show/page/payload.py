@@ -27,24 +27,13 @@ from ...metrics.matching import matched
 from ...metrics.normal_angles import known_errors
 from ...model.bone_ends import limb_ends
 from ...model.drawn_normals import holders_of
-from ...model.shapes import (
-    ShapedSkinning,
-    Shapes,
-    Skinned,
-    skinning_and_shapes,
-)
+from ...model.shapes import ShapedSkinning, Shapes, Skinned, skinning_and_shapes
 from ...model.size import size
 from ...model.skinning import Skinning, skinning_in
 from ...model.transforms import RIGID, rest_diagonal
 from ..camera import up_axes
 from ..palette import bone_colors, mix, srgb_from_linear
-from .blocks import (
-    Blocks,
-    difference_entry,
-    heat_scales,
-    surface_entries,
-    weight_entries,
-)
+from .blocks import Blocks, difference_entry, heat_scales, surface_entries, weight_entries
 from .motion import Motion, walk
 
 MAX_BYTES = 64_000_000

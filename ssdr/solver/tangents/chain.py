@@ -9,12 +9,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from ...common.parallel import chunk_bounds, run_chunks
-from ...kernels.chains import (
-    chain_image,
-    chain_matrix,
-    chain_move,
-    chain_pullback,
-)
+from ...kernels.chains import chain_image, chain_matrix, chain_move, chain_pullback
 from ..conjugate_gradients import Operator
 from ..model import FREE, Constraints, Model
 from ..objective import JointPenalty

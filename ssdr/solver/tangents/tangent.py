@@ -17,12 +17,7 @@ from ..conjugate_gradients import Operator
 from ..model import Model
 from ..moments import stack_blocks
 from ..objective import JointPenalty
-from ..trajectories import (
-    Array,
-    Trajectories,
-    stack_transforms,
-    unstack_transforms,
-)
+from ..trajectories import Array, Trajectories, stack_transforms, unstack_transforms
 
 _TRANSFORMS = 4096  # fewest transforms of a task: fewer are not worth a thread
 

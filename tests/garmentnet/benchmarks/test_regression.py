@@ -8,12 +8,7 @@ torch = pytest.importorskip("torch")
 
 import ssdr
 from benchmarks.garment.published import BASELINES, SANTESTEBAN, train_chen
-from benchmarks.garment.regression import (
-    FrameMLP,
-    Unposed,
-    WindowMLP,
-    train_regression,
-)
+from benchmarks.garment.regression import FrameMLP, Unposed, WindowMLP, train_regression
 from garmentnet.configs.config import override
 from garmentnet.evaluation.baselines import BodySkinned, body_skinning
 from garmentnet.evaluation.methods import Network

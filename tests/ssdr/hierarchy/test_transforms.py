@@ -8,13 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import ssdr
 from ssdr.common.errors import InputError
-from ssdr.model.transforms import (
-    check_parents,
-    from_local,
-    joint_gaps,
-    parents_first,
-    to_local,
-)
+from ssdr.model.transforms import check_parents, from_local, joint_gaps, parents_first, to_local
 
 PARENTS = [2, 0, -1, 0, -1]
 

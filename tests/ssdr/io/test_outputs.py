@@ -13,12 +13,7 @@ import ssdr
 from helpers.disks import fill
 from helpers.gltf_asset import make_asset
 from helpers.gltf_difference import NEW_SKIN, difference, tree
-from ssdr.io import (
-    check_outputs,
-    load_clips,
-    save_all,
-    try_outputs,
-)
+from ssdr.io import check_outputs, load_clips, save_all, try_outputs
 
 DATA = Path(os.environ.get("SSDR_TEST_DATA", "missing")) / "gltf"
 

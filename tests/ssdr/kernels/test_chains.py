@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ssdr.kernels.chains import (
-    chain_image,
-    chain_matrix,
-    chain_move,
-    chain_pullback,
-)
+from ssdr.kernels.chains import chain_image, chain_matrix, chain_move, chain_pullback
 from ssdr.model.transforms import joint_gaps, parents_first
 
 PARENTS = np.array([2, 0, -1, 0, -1])

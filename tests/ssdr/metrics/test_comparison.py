@@ -13,14 +13,7 @@ import ssdr
 from helpers import motions
 from helpers.surfaces import animation
 from ssdr import InputError, MeshSequence
-from ssdr.metrics import (
-    compare,
-    distances,
-    hausdorff,
-    normals,
-    rmse,
-    sted,
-)
+from ssdr.metrics import compare, distances, hausdorff, normals, rmse, sted
 
 
 def test_chunks_and_files_give_the_same(monkeypatch, tmp_path):

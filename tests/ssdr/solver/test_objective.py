@@ -14,12 +14,7 @@ from ssdr.model.tree import Tree
 from ssdr.search.trees.placement import snap_to_joints
 from ssdr.solver.gauss_newton import GaussNewton
 from ssdr.solver.model import FREE, Constraints, Model
-from ssdr.solver.objective import (
-    Objective,
-    joint_offsets,
-    mean_joint_penalty,
-    meeting_points,
-)
+from ssdr.solver.objective import Objective, joint_offsets, mean_joint_penalty, meeting_points
 from ssdr.solver.trajectories import gather
 
 NEAR = Constraints(near_skin=True)

@@ -12,16 +12,7 @@ import numpy as np
 import pytest
 
 import ssdr
-from ssdr.kernels import (
-    bones,
-    lbs,
-    newton,
-    normals,
-    polish,
-    removal,
-    schur,
-    vertices,
-)
+from ssdr.kernels import bones, lbs, newton, normals, polish, removal, schur, vertices
 from ssdr.solver import warmup
 
 _REPORT = """
