@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from .figures import (
     Film,
-    animate,
     contact_sheet,
+    draw,
     render_frame,
     write_picture,
 )
@@ -24,8 +24,8 @@ __all__ = [
     "SKIN",
     "Film",
     "Style",
-    "animate",
     "contact_sheet",
+    "draw",
     "render_frame",
     "write_picture",
 ]
