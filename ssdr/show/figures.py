@@ -15,6 +15,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from ..common.errors import FormatError, InputError, is_whole
 from ..io.atomic import atomic_path
+from ..mesh.clips import one_rate
 from ..mesh.sequence import MeshSequence
 from .camera import Size
 from .panels import (
@@ -312,8 +313,9 @@ class Film:
             As :func:`render_frame`.
         """
         scene = Scene.of(subject, reference, colors, measured)
-        rates = sorted({clip.fps for clip in scene.model.clips}) if scene.has_bones else [1.0]
-        if len(rates) > 1:
+        clips = scene.model.clips if scene.has_bones else ()
+        if clips and not one_rate(clips):
+            rates = ", ".join(f"{clip.name} at {clip.fps:g}" for clip in clips)
             raise InputError("subject", "clips of one frame rate, for a film", rates)
         step = max(1, math.ceil(scene.subject.fps / 30 - 1e-9)) if frames is None else 1
         speed = fps or scene.subject.fps / step
