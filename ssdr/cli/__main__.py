@@ -1,4 +1,4 @@
-"""``python -m ssdr`` is the command ``ssdr``."""
+"""``python -m ssdr.cli`` is the command ``ssdr``."""
 
 import sys
 

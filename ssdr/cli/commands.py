@@ -15,7 +15,6 @@ from ..common.errors import InputError
 from ..io import SaveReport, check_outputs, in_space, load_any, load_clips, save_all
 from ..io.inputs import clips_in
 from ..io.outputs import check_file
-from ..mesh.clips import one_rate
 from ..mesh.sequence import MeshSequence, joined
 from ..model.shapes import Skinned
 from ..model.transforms import rest_diagonal
@@ -201,10 +200,9 @@ def render(
     elevation : float
         Degrees above.
     """
-    from ..show import animate, contact_sheet, render_frame, write_picture
+    from ..show import draw
     from ..show.figures import picture_format
 
-    film = output.suffix.lower() in (".gif", ".webp") and frame is None
     picture_format(output)
     check_file(output, "output", others=[source] if reference is None else [source, reference])
     try:
@@ -213,32 +211,21 @@ def render(
         expected = "a number, or frames such as 0,10,20"
         raise InputError("--frames", expected, repr(frames)) from None
     subject, truth = _pair(source, reference, options)
-    clips = subject.clips if isinstance(subject, Skinned) else ()
-    if film and clips and not one_rate(clips):
-        rates = ", ".join(f"{c.name} at {c.fps:g}" for c in clips)
-        raise InputError("--clip", "a clip, or some of one frame rate, for a film", rates)
-    look: dict[str, Any] = {"reference": truth, "up": up or subject.space.up or "y"}
-    look |= {"azimuth": azimuth, "elevation": elevation}
-    if film:
-        side = (width or 480,) * 2
-        look |= {
-            "style": styles or None,
-            "frames": columns if "," in frames else None,
-            "size": side,
-        }
-        with Output.current.progress_bar() as show:
-            animate(subject, output, callback=lambda done: show("drawing", done, ""), **look)
-    else:
-        with Output.current.waiting(f"drawing {output}"):
-            if frame is None:
-                look |= {"styles": styles or None, "title": title, "width": width or 1600}
-                shown: Any = columns if "," in frames else columns[0]
-                picture = contact_sheet(subject, frames=shown, **look)
-            else:
-                style = styles[0] if styles else "error" if truth is not None else None
-                size = (width or 1000,) * 2
-                picture = render_frame(subject, frame, style=style, size=size, **look)
-            write_picture(picture, output)
+    with Output.current.progress_bar() as show:
+        draw(
+            subject,
+            output,
+            reference=truth,
+            frame=frame,
+            frames=columns if "," in frames else columns[0],
+            styles=styles or None,
+            width=width,
+            title=title,
+            up=up or subject.space.up or "y",
+            azimuth=azimuth,
+            elevation=elevation,
+            callback=lambda done: show("drawing", done, ""),
+        )
     document = {"input": source, "output": output}
     Output.current.result(document, [("wrote", str(output))])
 

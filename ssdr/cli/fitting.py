@@ -301,12 +301,11 @@ def _draw(
     path: Path, result: Any, shots: list[MeshSequence], inputs: Sequence[Path], model: Path
 ) -> Any:
     """Write a page that shows the result beside the input, or a contact sheet."""
-    from ..show import contact_sheet, write_picture
+    from ..show import draw
 
     title = inputs[0].stem
     if path.suffix.lower() not in PAGES:
-        sheet = contact_sheet(result.skinning, reference=joined(shots), title=title)
-        write_picture(sheet, path)
+        draw(result.skinning, path, reference=joined(shots), title=title)
         return SaveReport(path=path, bytes=path.stat().st_size)
     name = ", ".join(source.name for source in inputs)
     file = model if model.is_file() else None

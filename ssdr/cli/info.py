@@ -16,17 +16,17 @@ from ..mesh.clips import Clip
 from ..mesh.sequence import MeshSequence
 from ..model.shapes import Skinned
 from ..model.skinning import Skinning
-from ..model.transforms import RIGID, depths, rest_diagonal
+from ..model.transforms import depths, rest_diagonal
 from .files import file_options, files_of
 from .output import Output, clips_document, clips_text, in_words
 from .parameters import passes
 
 _BONES = {
     "bones": "{bones} ({bone_model}), {bones_without_vertices} move nothing",
-    "influences": "at most {influences}; vertices by number: {influence_histogram}",
-    "weights": "sums off 1 by at most {weight_sum_error:.2g}",
-    "rotations": "off orthonormal by at most {orthonormality_error:.2g} once the uniform scale is "
-    "divided out; stretch {smallest_stretch:.4g} to {largest_stretch:.4g}",
+    "influences": "at most {influences}",
+}
+_SEAMS = {
+    "seams": "{seams:,} vertices coincide with others in every frame (--weld merges them)",
 }
 _TREE = {
     "hierarchy": "{joints} joints, {depth} deep, roots: {roots}; "
@@ -35,7 +35,6 @@ _TREE = {
 _MESH = {
     "frames": "{frames:,} at {fps:g} a second, {duration:.3g} s",
     "vertices": "{vertices:,}, {loose_vertices:,} of them in no triangle",
-    "seams": "{seams:,} vertices coincide with others in every frame (--weld merges them)",
     "triangles": "{triangles:,} in {components:,} connected components, "
     "{degenerate_triangles:,} degenerate",
     "edges": "{boundary_edges:,} boundary, {nonmanifold_edges:,} non-manifold",
@@ -66,7 +65,7 @@ def info(source: Path, *, clip: list[str] | None = None, **options: Any) -> None
         clips = (Clip(thing.clip or thing.name or source.stem, 0, thing.n_frames, thing.fps),)
         if clip is None and len(list_clips(source)) > 1:
             clips = list_clips(source, fps=reading.get("fps"))
-        kind, about, table = "sequence", _about_sequence(thing), {}
+        kind, about, table = "sequence", _about_sequence(thing), _SEAMS
     about |= _about_mesh(thing)
     meshes = list_meshes(source)
     several = f"{len(meshes)}, read as one (--meshes NAME takes one): {', '.join(meshes[:20])}"
@@ -89,26 +88,13 @@ def _about_sequence(sequence: MeshSequence) -> dict[str, Any]:
 
 
 def _about_skinning(skinning: Skinning) -> dict[str, Any]:
-    used = (skinning.weights > 0).sum(axis=1)
-    weights = skinning.dense_weights().astype(np.float64)
-    linear = skinning.transforms[..., :3].astype(np.float64)
-    determinant, stretch = np.linalg.det(linear), np.linalg.svd(linear, compute_uv=False)
-    scale = 1.0 if skinning.bone_model == "rigid" else np.cbrt(np.abs(determinant))
-    rotation = linear / np.where(scale > 0, scale, 1)[..., None, None]
-    off = np.swapaxes(rotation, -1, -2) @ rotation - np.eye(3)
     return {
         "duration": sum(clip.n_frames / clip.fps for clip in skinning.clips),
         "diagonal": rest_diagonal(skinning.rest),
-        "seams": _seams(skinning, weights),
         "bones": skinning.n_bones,
         "influences": skinning.n_influences,
         "bone_model": skinning.bone_model,
-        "influence_histogram": np.bincount(used, minlength=skinning.n_influences + 1)[1:].tolist(),
-        "bones_without_vertices": int((weights.sum(axis=0) == 0).sum()),
-        "weight_sum_error": float(np.abs(weights.sum(axis=1) - 1).max()),
-        "orthonormality_error": float(np.abs(off).max()),
-        "smallest_stretch": float(stretch.min()),
-        "largest_stretch": float(stretch.max()),
+        "bones_without_vertices": int((skinning.sparse_weights().sum(axis=0) == 0).sum()),
         "hierarchy": None if skinning.parents is None else _about_tree(skinning, skinning.parents),
     }
 
@@ -119,21 +105,9 @@ def _about_tree(skinning: Skinning, parents: NDArray[np.int32]) -> dict[str, Any
         "joints": skinning.n_bones,
         "roots": [names[b] for b in np.flatnonzero(parents < 0)],
         "depth": int(depths(parents).max()) + 1,
-        "parents": parents,
         "largest_gap": float(gaps.max()),
         "joint_of_largest_gap": names[int(gaps.argmax())],
-        "rigid": bool(gaps.max() <= RIGID * rest_diagonal(skinning.rest)),
     }
-
-
-def _seams(skinning: Skinning, weights: NDArray[np.float64]) -> int:
-    """Number of vertices that merging those of equal rest position and weights would remove."""
-    size = rest_diagonal(skinning.rest) or 1.0
-    columns = np.concatenate([skinning.rest, weights * size], axis=1)
-    columns = np.pad(columns, ((0, 0), (0, -columns.shape[1] % 3)))
-    frames = np.swapaxes(columns.reshape(len(columns), -1, 3), 0, 1)
-    _, weld = MeshSequence(frames, validate=False).weld()
-    return weld.before - weld.after
 
 
 def _about_mesh(thing: MeshSequence | Skinned) -> dict[str, Any]:
@@ -164,5 +138,4 @@ def _about_mesh(thing: MeshSequence | Skinned) -> dict[str, Any]:
         "uv": surface is not None and surface.uv is not None,
         "normals": surface is not None and surface.normals is not None,
         "materials": [m.name for m in surface.materials] if surface is not None else [],
-        "welded_from": None if thing.vertex_map is None else len(thing.vertex_map),
     }

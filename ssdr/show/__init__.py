@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .figures import Film, animate, contact_sheet, render_frame, write_picture
+from .figures import Film, contact_sheet, draw, render_frame, write_picture
 from .palette import CLAY, FABRIC, NEUTRAL, SKIN
 from .subject import Style
 
@@ -13,8 +13,8 @@ __all__ = [
     "SKIN",
     "Film",
     "Style",
-    "animate",
     "contact_sheet",
+    "draw",
     "render_frame",
     "write_picture",
 ]

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from PIL import Image, ImageDraw, ImageFont
 
-from ..common.errors import FormatError, InputError
+from ..common.errors import FormatError, InputError, is_whole
 from ..io.atomic import atomic_path
+from ..mesh.clips import one_rate
 from ..mesh.sequence import MeshSequence
 from .camera import Size
 from .panels import INK, QUIET, Panels, Unit, as_many, number
@@ -25,8 +26,8 @@ _ROWS: dict[Style, str] = {
     "weights": "skin weights",
     "bones": "bones",
     "error": "error",
-    "normals": "error of normals",
 }
+_FILMS = (".gif", ".webp")
 
 
 def render_frame(
@@ -57,21 +58,20 @@ def render_frame(
     reference : MeshSequence, optional
         The true animation, from which the error is measured.  It has the vertices of the subject,
         or those before the subject's welding.
-    style : {"plain", "weights", "bones", "error", "normals"}, optional
+    style : {"plain", "weights", "bones", "error"}, optional
         "plain" shows the shape, "weights" colours it by skin weights, "error" by the distance to
-        the reference, "normals" by the angle of the normals that light it to those of the
-        reference's surface.  "bones" draws bones from joint to joint or, without a hierarchy, as
-        balls with axes at the posed centroids of the vertices that they move.  By default "weights"
-        for a skinning and "plain" for a sequence.
+        the reference.  "bones" draws bones from joint to joint or, without a hierarchy, as balls
+        with axes at the posed centroids of the vertices that they move.  By default "weights" for a
+        skinning and "plain" for a sequence.
     size : (int, int)
         Width and height in pixels.
     scale : float, optional
-        Error with the darkest colour, in the mesh's units or, for "normals", in degrees; by default
-        a round number above nearly all errors of this frame.
+        Error with the darkest colour, in the mesh's units; by default a round number above nearly
+        all errors of this frame.
     colors : (3,) or (V, 3) array, optional
         sRGB from 0 to 1 of the subject or of each vertex, for "plain" and "bones"; clay by default.
     measured : (V,) bool array or indices, optional
-        Vertices whose error is measured; "error" and "normals" show the others in grey.
+        Vertices whose error is measured; the others are grey.
     up : {"x", "y", "z", "-x", "-y", "-z"}
     azimuth, elevation : float
         Degrees, as in :meth:`Camera.fit`.  By default the azimuth that shows most of the subject.
@@ -136,7 +136,7 @@ def contact_sheet(
     width : int
         Pixels; the height follows from it.
     styles : sequence of Style, optional
-        Rows below the reference; by default all that apply to the subject, except "normals".
+        Rows below the reference; by default all that apply to the subject.
     title, subtitle : str, optional
         By default the subject's name, and its size and its error (of the measured vertices).
     row_names : sequence of str, optional
@@ -183,7 +183,7 @@ def contact_sheet(
     if row_names is not None:
         names = as_many("row_names", row_names, names)
     heads = as_many("captions", captions or [f"frame {t}" for t in panels.frames], columns)
-    height, head, foot = panels.size[1], round(160 * k), round((104 * len(panels.scales) or 24) * k)
+    height, head, foot = panels.size[1], round(160 * k), round((104 if panels.scale else 24) * k)
     page = Image.new("RGB", (width, head + len(names) * (height + gap) + foot), "white")
     draw = ImageDraw.Draw(page)
     small, medium, large = (ImageFont.load_default(max(8, s * k)) for s in (19, 23, 42))
@@ -205,15 +205,12 @@ def contact_sheet(
             if panels.rows[row][1] == "error":
                 text = f"RMSE {number(scene.distances.per_frame[frame], unit)}"
                 draw.text((x + 12 * k, y + height - 9 * k), text, QUIET, small, "ls")
-    left, wide = edge + label, min(width - 2 * (edge + label), round(700 * k))
-    for line, style in enumerate(panels.scales):
-        top = page.height - foot + round((34 + 104 * line) * k)
-        panels.draw_scale(page, style, unit, (left, top, wide), small)
-        share = 100 * panels.scales[style][0] / scene.diagonal
+    if panels.scale:
+        left, wide = edge + label, min(width - 2 * (edge + label), round(700 * k))
+        top = page.height - foot + round(34 * k)
+        panels.draw_scale(page, unit, (left, top, wide), small)
+        share = 100 * panels.scale[0] / scene.diagonal
         text = f"distance to the input, up to {share:.3g} % of the diagonal"
-        if style == "normals":
-            drawn = ", as engines draw them" if scene.has_bones else ""
-            text = f"angle of normals to the input{drawn}"
         draw.text((left + wide + 24 * k, top + 16 * k), text, INK, small, "ls")
     return page
 
@@ -223,7 +220,7 @@ def _summary(scene: Scene, panels: Panels, unit: Unit) -> str:
     texts = [f"{scene.subject.n_vertices:,} vertices", f"{scene.subject.n_frames:,} frames"]
     if scene.has_bones:
         texts += [f"{scene.model.n_bones} bones", f"{scene.model.n_influences} influences"]
-    if "error" in panels.scales:
+    if panels.scale:
         found = scene.distances
         share = 100 * found.rmse / scene.diagonal
         texts.append(f"RMSE {number(found.rmse, unit)} ({share:.3g} % of the diagonal)")
@@ -235,7 +232,7 @@ def _summary(scene: Scene, panels: Panels, unit: Unit) -> str:
 class Film:
     """Film with panels side by side, titles, and captions.
 
-    Use :meth:`of` to make one, or :func:`animate` to make and write one.
+    Use :meth:`of` to make one, or :func:`draw` to make and write one.
 
     Attributes
     ----------
@@ -309,6 +306,10 @@ class Film:
             As :func:`render_frame`.
         """
         scene = Scene.of(subject, reference, colors, measured)
+        clips = scene.model.clips if scene.has_bones else ()
+        if clips and not one_rate(clips):
+            rates = ", ".join(f"{clip.name} at {clip.fps:g}" for clip in clips)
+            raise InputError("subject", "clips of one frame rate, for a film", rates)
         step = max(1, math.ceil(scene.subject.fps / 30 - 1e-9)) if frames is None else 1
         speed = fps or scene.subject.fps / step
         if not (math.isfinite(speed) and speed > 0):
@@ -330,9 +331,9 @@ class Film:
     def write(
         self, path: str | os.PathLike[str], callback: Callable[[float], object] | None = None
     ) -> Path:
-        """Write the looping film and return its path; arguments as for :func:`animate`."""
+        """Write the looping film and return its path; `callback` is that of :meth:`pictures`."""
         target = Path(path)
-        if target.suffix.lower() not in (".gif", ".webp"):
+        if target.suffix.lower() not in _FILMS:
             raise FormatError(f"{path}: a film is written as .gif or .webp")
         drawn = self.pictures(callback)
         if target.suffix.lower() == ".gif":
@@ -356,36 +357,54 @@ class Film:
         draw, edge = ImageDraw.Draw(page), 18 * height / 640
         small, large = (ImageFont.load_default(max(8, s * height / 640)) for s in (20, 28))
         for n, picture in enumerate(panels.draw(panels.frames[k])):
-            left, style = n * (width + gap), panels.rows[n][1]
+            left = n * (width + gap)
             page.paste(picture, (left, head))
             for title in self.titles[n : n + 1]:
                 draw.text((left + edge, head / 2), title, INK, large, "lm")
-                if style in panels.scales:
+                if panels.rows[n][1] == "error":
                     bar = round(left + width - 8 * edge), round(0.56 * head), round(7 * edge)
-                    panels.draw_scale(page, style, self.unit, bar, small, "lr")
+                    panels.draw_scale(page, self.unit, bar, small, "lr")
         for text in self.captions[k : k + 1]:
             draw.text((edge, head + height + foot / 2), text, INK, small, "lm")
         return page
 
 
-def animate(
+def draw(
     subject: Any,
     path: str | os.PathLike[str],
     *,
+    reference: MeshSequence | None = None,
+    frame: int | None = None,
+    frames: int | Sequence[int] = 5,
+    styles: Sequence[Style] | None = None,
+    width: int | None = None,
+    title: str | None = None,
     callback: Callable[[float], object] | None = None,
-    **options: Any,
+    **look: Any,
 ) -> Path:
-    """Write a looping film as GIF or WebP.
+    """Draw a film (.gif, .webp), a contact sheet or, with `frame`, a single frame to a file.
 
     Parameters
     ----------
     subject : MeshSequence, Skinning or Decomposition
     path : path
-        Its suffix is ``.gif`` or ``.webp``.
+        Its suffix determines the format.
+    reference : MeshSequence, optional
+        The true animation, from which the error is measured.
+    frame : int, optional
+        The frame that is drawn alone.
+    frames : int or sequence of int
+        Number of columns of a sheet, or indices of frames; of a film, a number means all frames.
+    styles : sequence of Style, optional
+        Rows of a sheet, panels of a film, or style of a single frame.
+    width : int, optional
+        Pixels; by default 1600, for a single frame 1000, for each panel of a film 480.
+    title : str, optional
+        Heading of a sheet.
     callback : callable, optional
-        Called with the fraction done.
-    **options
-        Options of :meth:`Film.of`.
+        Called with the fraction of a film that is done.
+    **look
+        `up`, `azimuth` and `elevation` of :func:`render_frame`.
 
     Returns
     -------
@@ -394,21 +413,35 @@ def animate(
     Raises
     ------
     FormatError
-        If the suffix is another one.
+        If Pillow cannot write the format of the suffix.
     InputError
         As :func:`render_frame`.
 
     Examples
     --------
     >>> import tempfile
-    >>> from ssdr.show import animate
+    >>> from ssdr.show import draw
     >>> dancer = ssdr.samples.load("dancer_small")
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     film = animate(dancer, f"{folder}/dancer.gif", size=(64, 64), frames=[0, 8, 16])
+    ...     film = draw(dancer, f"{folder}/dancer.gif", width=64, frames=[0, 8, 16])
     ...     film.name
     'dancer.gif'
     """
-    return Film.of(subject, **options).write(path, callback)
+    target = Path(path)
+    picture_format(target)
+    look["reference"] = reference
+    if frame is not None:
+        style = styles[0] if styles else "error" if reference is not None else None
+        size = (width or 1000,) * 2
+        write_picture(render_frame(subject, frame, style=style, size=size, **look), target)
+    elif target.suffix.lower() in _FILMS:
+        some: Any = None if is_whole(frames) else frames
+        film = Film.of(subject, style=styles, size=(width or 480,) * 2, frames=some, **look)
+        film.write(target, callback)
+    else:
+        look |= {"frames": frames, "styles": styles, "title": title, "width": width or 1600}
+        write_picture(contact_sheet(subject, **look), target)
+    return target
 
 
 def write_picture(picture: Image.Image, path: str | os.PathLike[str], **options: Any) -> None:
@@ -459,9 +492,9 @@ def picture_format(path: Path) -> str:
 
 
 def _spread(frames: int | Sequence[int], n_frames: int) -> Sequence[int]:
-    if not isinstance(frames, (int, np.integer)):
-        return frames
-    if isinstance(frames, bool) or not 1 <= frames <= 100:
+    if not is_whole(frames):
+        return frames  # type: ignore[return-value]
+    if not 1 <= frames <= 100:
         raise InputError("frames", "1 to 100, or a sequence of indices", frames)
     # Without the last frame, which equals the first in a cycle.
     count = min(int(frames), n_frames)

@@ -17,7 +17,7 @@ from .camera import Camera, Float, Size, up_axes
 from .light import Drawer, cloud_drawer, mesh_drawer
 from .palette import heat, srgb_from_linear
 from .skeleton import draw_bones
-from .subject import ERRORS, Scene, Style, evenly
+from .subject import Scene, Style, evenly
 
 INK, QUIET = "#20242c", "#6b7280"
 Unit = tuple[str, float]
@@ -42,9 +42,9 @@ class Panels:
         Height of the lowest point along the camera's vertical.
     shift : dict of int to (3,) float64
         Vector subtracted from the points of each frame, to keep a travelling subject in view.
-    scales : dict of Style to (float, bool)
-        Of each style of `rows` that shows an error, the error with the last colour, in the mesh's
-        units or in degrees, and whether a frame has a larger one.
+    scale : (float, bool), optional
+        Where a row shows the error, that with the last colour, in the mesh's units, and whether a
+        frame has a larger one.
     """
 
     rows: tuple[tuple[Scene, Style], ...]
@@ -53,7 +53,7 @@ class Panels:
     size: Size
     ground: float
     shift: dict[int, Float]
-    scales: dict[Style, tuple[float, bool]]
+    scale: tuple[float, bool] | None
 
     @classmethod
     def of(
@@ -116,11 +116,11 @@ class Panels:
             extent = np.ptp(np.concatenate(points) @ look().axes.T, axis=0)
             extent = np.maximum(extent[:2], 0.05 * extent.max() + 1e-30)
             size = width, round(width / np.clip(extent[0] / extent[1], 0.7, 1.7))
-        scales: dict[Style, tuple[float, bool]] = {}
-        for style in [one for one in ERRORS if one in (shown for _, shown in rows)]:
-            high, largest = scene.error_range(order, style)
+        shown = None
+        if "error" in (style for _, style in rows):
+            high, largest = scene.error_range(order)
             end = scale or _round_up(high)
-            scales[style] = end, largest > end
+            shown = end, largest > end
         return cls(
             tuple(rows),
             tuple(order),
@@ -128,7 +128,7 @@ class Panels:
             (int(size[0]), int(size[1])),
             min(float((p @ vertical).min()) for p in points),
             dict(zip(some, moved, strict=True)),
-            scales,
+            shown,
         )
 
     def draw(self, frame: int) -> list[Image.Image]:
@@ -138,8 +138,8 @@ class Panels:
         for scene, style in self.rows:
             if id(scene) not in drawers:
                 drawers[id(scene)] = self._drawer(scene, frame)
-            top, _ = self.scales.get(style, (1.0, False))
-            even = _EVEN if style == "weights" or style in ERRORS else 0.0
+            top, _ = self.scale or (1.0, False)
+            even = _EVEN if style in ("weights", "error") else 0.0
             colors = scene.colors_of(style, frame, top)[scene.vertex]
             opacity = _GHOST if style == "bones" else 1.0
             picture, nearness = drawers[id(scene)](colors, even, opacity)
@@ -161,7 +161,6 @@ class Panels:
     def draw_scale(
         self,
         page: Image.Image,
-        style: Style,
         unit: Unit,
         bar: tuple[int, int, int],
         font: Any,
@@ -172,23 +171,23 @@ class Panels:
         `bar` is the left, the top and the width, and `ticks` the horizontal anchors of the values.
         """
         left, y, width = bar
-        height, (top, exceeded) = round(font.size * 0.8), self.scales[style]
+        assert self.scale is not None
+        height, (top, exceeded) = round(font.size * 0.8), self.scale
         colors = (255 * srgb_from_linear(heat(np.linspace(0, 1, width)))).round().astype(np.uint8)
         page.paste(Image.fromarray(np.tile(colors, (height, 1, 1))), (left, y))
         draw = ImageDraw.Draw(page)
         draw.rectangle((left, y, left + width - 1, y + height - 1), outline="#c4c9d2")
         for share, anchor in zip(np.linspace(0, 1, len(ticks)), ticks, strict=True):
             x = left + (width - 1) * share
-            value = number(top * share, ("°", 1.0) if style == "normals" else unit)
             draw.line((x, y - height / 4, x, y), fill=QUIET)
-            text = f"{'> ' if share == 1 and exceeded else ''}{value}"
+            text = f"{'> ' if share == 1 and exceeded else ''}{number(top * share, unit)}"
             draw.text((x, y - 0.4 * height), text, INK, font, anchor + "s")
 
 
 def number(value: float, unit: Unit) -> str:
     """Text of a number in a unit, with three digits."""
     name, factor = unit
-    return f"{factor * value:.3g}{'' if name == '°' else ' '}{name}".rstrip()
+    return f"{factor * value:.3g} {name}".rstrip()
 
 
 def as_many(name: str, texts: Sequence[str], things: Sequence[Any]) -> list[str]:
@@ -204,12 +203,10 @@ def _checked_style(style: Style | None, scene: Scene) -> Style:
     if style not in get_args(Style):
         raise InputError("style", f"one of {', '.join(get_args(Style))}", repr(style))
     if style in ("weights", "bones") and not scene.has_bones:
-        expected = "plain, error or normals for a sequence, which has no bones"
+        expected = "plain or error for a sequence, which has no bones"
         raise InputError("style", expected, repr(style))
-    if style in ERRORS and scene.reference is None:
+    if style == "error" and scene.reference is None:
         raise InputError("reference", "a MeshSequence to measure the error against", None)
-    if style == "normals" and not len(scene.faces):
-        raise InputError("style", "plain, bones, weights or error for a cloud of points", style)
     return style
 
 

@@ -17,16 +17,16 @@ from ..common.errors import InputError
 from ..mesh.normals import NormalHolders, normal_holders, surface_normals
 from ..mesh.sequence import MeshSequence
 from ..metrics.matching import matched
-from ..model.drawn_normals import Angles, holders_of, posed, rest_vectors
+from ..model.drawn_normals import posed, rest_vectors
 from ..model.shapes import ShapedSkinning, Skinned, skinning_and_shapes
 from ..model.skinning import Skinning, skinning_in
 from .camera import Float
 from .palette import CLAY, NEUTRAL, bone_colors, heat, linear_from_srgb, mix
 
-Style = Literal["plain", "weights", "bones", "error", "normals"]
+Style = Literal["plain", "weights", "bones", "error"]
 # Share of the errors that a scale covers (not all, since a few may be much larger than the others),
-# and an error above the rounding of float32, relative to the diagonal or in degrees.
-ERRORS: dict[Style, tuple[float, float]] = {"error": (0.995, 1e-6), "normals": (0.95, 0.1)}
+# and an error above the rounding of float32, relative to the diagonal.
+_COVERED, _LEAST = 0.995, 1e-6
 _SOME_FRAMES = 24  # frames that represent a sequence; fewer may miss motion
 
 
@@ -94,25 +94,21 @@ class Scene:
         return skinning_and_shapes(self.subject)[0]
 
     @functools.cached_property
-    def _lit(self) -> tuple[NormalHolders, Float | None]:
-        """Normals by which the subject is lit, of a sequence smooth; their vectors at rest."""
+    def _lit(self) -> NormalHolders:
+        """Normals by which the subject is lit, of a sequence smooth."""
         surface = self.subject.surface if self.has_bones else None
-        return self._held(normal_holders(self.subject.faces, self.subject.n_vertices, surface))
+        return normal_holders(self.subject.faces, self.subject.n_vertices, surface)
 
     @functools.cached_property
-    def _compared(self) -> tuple[NormalHolders, Float | None]:
-        """Normals that are compared with those of the reference; their vectors at rest."""
-        assert self.reference is not None
-        return self._held(holders_of(self.reference, self.subject))
-
-    def _held(self, holders: NormalHolders) -> tuple[NormalHolders, Float | None]:
-        subject = self.subject
-        return holders, rest_vectors(subject, holders) if isinstance(subject, Skinned) else None
+    def _at_rest(self) -> Float:
+        """Vectors in the rest pose that are turned to the normals of a model."""
+        assert isinstance(self.subject, Skinned)
+        return rest_vectors(self.subject, self._lit)
 
     @functools.cached_property
     def _used(self) -> tuple[NDArray[np.integer], NDArray[np.int32]]:
         """Index of each normal that a triangle has, and its row at each triangle corner."""
-        used, corner = np.unique(self._lit[0].corner, return_inverse=True)
+        used, corner = np.unique(self._lit.corner, return_inverse=True)
         return used, corner.reshape(-1, 3).astype(np.int32)
 
     @property
@@ -125,24 +121,23 @@ class Scene:
         """Vertex of each lit vertex ``(N,)``: one for each normal, or every one of a cloud."""
         if not len(self.faces):
             return np.arange(self.subject.n_vertices)
-        return np.asarray(self._lit[0].vertex[self._used[0]])
+        return np.asarray(self._lit.vertex[self._used[0]])
 
     def normals(self, frame: int) -> Float:
         """Normals ``(N, 3)`` of the lit vertices in a frame, of any norm.
 
         Those of a model are the ones that engines draw, those of a sequence its surface's.
         """
-        return np.asarray(self._normals(frame, *self._lit)[self._used[0]])
-
-    def _normals(self, frame: int, holders: NormalHolders, vectors: Float | None) -> Float:
-        if vectors is None or isinstance(self.subject, MeshSequence):
-            return np.asarray(surface_normals(self.positions(frame)[None], holders)[0])
-        (model, shapes), rows = skinning_and_shapes(self.subject), holders.vertex
+        if isinstance(self.subject, MeshSequence):
+            return np.asarray(
+                surface_normals(self.positions(frame)[None], self._lit)[0, self._used[0]]
+            )
+        (model, shapes), rows = skinning_and_shapes(self.subject), self._lit.vertex
         some = slice(frame, frame + 1)
         amounts = np.zeros((1, 0)) if shapes is None else shapes.amounts[some]
         turns = model.transforms[some] * [1, 1, 1, 0]
         skin = model.indices[rows], model.weights[rows]
-        return np.asarray(posed(vectors, *skin, turns, amounts)[0])
+        return np.asarray(posed(self._at_rest, *skin, turns, amounts)[0, self._used[0]])
 
     @functools.cached_property
     def diagonal(self) -> float:
@@ -169,36 +164,25 @@ class Scene:
         vertices = subject.skin() if isinstance(subject, Skinned) else subject.frames(slice(None))
         return metrics.distances(truth.frames(slice(None))[:, chosen], vertices[:, chosen])
 
-    def errors(self, frame: int, style: Style = "error") -> Float:
-        """Distance ``(V,)`` of each vertex to the reference or, as "normals", angle in degrees.
-
-        The angle of a vertex is the mean over its normals, or 0 if none is known.
-        """
+    def errors(self, frame: int) -> Float:
+        """Distance ``(V,)`` of each vertex to the reference."""
         assert self.reference is not None
         truth = np.asarray(self.reference.frames(frame), dtype=np.float64)
-        if style == "error":
-            return np.asarray(np.linalg.norm(self.positions(frame) - truth, axis=1))
-        holders = self._compared[0]
-        drawn = self._normals(frame, *self._compared)[None]
-        found = Angles.between(surface_normals(truth[None], holders), drawn, holders.vertex)
-        out = np.zeros(len(truth))
-        out[: len(found.vertex_sum)] = found.vertex_sum / found.vertex_count.clip(1)
-        return out
+        return np.asarray(np.linalg.norm(self.positions(frame) - truth, axis=1))
 
-    def error_range(self, frames: Sequence[int], style: Style = "error") -> tuple[float, float]:
+    def error_range(self, frames: Sequence[int]) -> tuple[float, float]:
         """High percentile and maximum of the errors of measured vertices in some frames."""
-        errors = np.stack([self.errors(t, style)[self.measured] for t in frames])
-        share, least = ERRORS[style]
-        least *= self.diagonal if style == "error" else 1.0
-        return max(float(np.quantile(errors, share)), least), float(errors.max())
+        errors = np.stack([self.errors(t)[self.measured] for t in frames])
+        high = float(np.quantile(errors, _COVERED))
+        return max(high, _LEAST * self.diagonal), float(errors.max())
 
     def colors_of(self, style: Style, frame: int, top: float) -> Float:
         """Linear RGB of each vertex ``(V, 3)``; an error of `top` has the last colour."""
         if style == "weights":
             return mix(self.palette, self.model.weights, self.model.indices)
-        if style not in ERRORS:
+        if style != "error":
             return self.colors
-        colors = heat(self.errors(frame, style) / top)
+        colors = heat(self.errors(frame) / top)
         colors[~self.measured] = linear_from_srgb(NEUTRAL)
         return colors
 

@@ -182,8 +182,7 @@ def test_info_of_a_skinning_tells_of_bones_and_joints(run, done, rigged, tmp_pat
     tree = dataclasses.replace(model, parents=[-1, 0, 1], joint_positions=model.centroids())
     ssdr.save(tree, tmp_path / "m.npz")
     d = done("info", tmp_path / "m.npz")
-    assert (d["bones"], sum(d["influence_histogram"])) == (3, model.n_vertices)
-    assert d["orthonormality_error"] < 1e-6
+    assert (d["bones"], d["bones_without_vertices"]) == (3, 0)
     assert (d["hierarchy"]["joints"], d["hierarchy"]["depth"]) == (3, 3)
     assert d["hierarchy"]["largest_gap"] == pytest.approx(tree.joint_gaps().max(), rel=1e-5)
     assert "3 joints, 3 deep" in run("info", tmp_path / "m.npz")[1]

@@ -16,7 +16,7 @@ def is_drawn(picture):
     return np.asarray(picture.convert("L")).std() > 3
 
 
-@pytest.mark.parametrize("style", ["plain", "weights", "bones", "error", "normals"])
+@pytest.mark.parametrize("style", ["plain", "weights", "bones", "error"])
 def test_every_style_draws_something_of_its_own(model, wave, style):
     picture = render.render_frame(model, 1, style=style, reference=wave, size=(120, 90))
     assert picture.size == (120, 90)
@@ -70,10 +70,6 @@ def test_far_travel_is_followed(wave):
     assert (np.abs(still - moved).sum(axis=2) > 60).mean() < 0.2
 
 
-def normals_of(points):
-    return render.render_frame(points, style="normals", reference=points)
-
-
 @pytest.mark.parametrize(
     ("argument", "call"),
     [
@@ -95,8 +91,6 @@ def normals_of(points):
         ("measured", lambda m, w: render.render_frame(w, measured=[])),
         ("fps", lambda m, w: render.Film.of(w, fps=-1.0)),
         ("width", lambda m, w: render.contact_sheet(w, width=10)),
-        ("reference", lambda m, w: render.render_frame(w, style="normals")),
-        ("style", lambda m, w: normals_of(ssdr.MeshSequence(w.vertices))),
     ],
 )
 def test_bad_arguments_are_named(model, wave, argument, call):

@@ -110,7 +110,7 @@ def test_a_film_has_its_frames_and_its_panels_differ(pair, tmp_path, suffix):
         "unit": ("mm", 1000.0),
     }
     size = next(Film.of(answer, **options).pictures()).size
-    path = render.animate(answer, tmp_path / f"film.{suffix}", callback=done.append, **options)
+    path = Film.of(answer, **options).write(tmp_path / f"film.{suffix}", done.append)
     assert done == pytest.approx([1 / 3, 2 / 3, 1])
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
     with Image.open(path) as read:
@@ -127,12 +127,12 @@ def test_a_film_has_its_frames_and_its_panels_differ(pair, tmp_path, suffix):
     assert (np.abs(panels[0] - panels[1]).sum(2) > 60).mean() > 0.004
     assert (np.abs(panels[1] - panels[2]).sum(2) > 60).mean() > 0.1
     with pytest.raises(ssdr.FormatError, match=r"film\.mp4"):
-        render.animate(answer, tmp_path / "film.mp4")
+        Film.of(answer).write(tmp_path / "film.mp4")
 
 
 def test_a_gif_keeps_many_colours(pair, tmp_path):
     truth, _, look = pair
-    render.animate(truth, tmp_path / "a.gif", size=(120, 90), **look)
+    Film.of(truth, size=(120, 90), **look).write(tmp_path / "a.gif")
     with Image.open(tmp_path / "a.gif") as film:
         assert len(set(film.convert("RGB").get_flattened_data())) > 120
 

@@ -1,4 +1,4 @@
-"""Pictures of models are lit as engines light them; their normals have a colour for their error."""
+"""Pictures of models are lit as engines light them."""
 
 from __future__ import annotations
 
@@ -42,17 +42,6 @@ def test_normals_are_those_of_the_rest_pose_turned_by_the_blended_matrices(model
         np.testing.assert_allclose(drawn, naive.drawn_normals(model, frame), atol=2e-6)
 
 
-def test_errors_of_normals_are_those_of_the_metric(model, wave):
-    one = dataclasses.replace(model, transforms=model.transforms[3:4], clips=None)
-    truth = dataclasses.replace(wave, vertices=wave.vertices[3:4])
-    for subject in (one, ssdr.MeshSequence(one.skin(), wave.faces)):
-        found = Scene.of(subject, truth).errors(0, "normals")
-        expected = ssdr.metrics.normals(truth, subject).per_vertex
-        np.testing.assert_allclose(found, np.nan_to_num(expected), atol=1e-9)
-    truth, answer = tilted(degrees=30)
-    np.testing.assert_allclose(Scene.of(answer, truth).errors(1, "normals"), 30, atol=1e-5)
-
-
 def test_a_model_is_lit_by_its_rest_normals_and_a_sequence_by_its_surface():
     truth, answer = tilted(degrees=0)
     wrong = tilted(degrees=75)[1]
@@ -65,15 +54,3 @@ def test_a_model_is_lit_by_its_rest_normals_and_a_sequence_by_its_surface():
     for other in shown[2:]:
         assert np.abs(other - shown[0]).mean() > 15
     assert shown[3].mean() < shown[0].mean() - 15  # not turned to the viewer
-
-
-def test_the_error_of_normals_has_a_scale_in_degrees():
-    truth, answer = tilted(degrees=29)
-    options = {"reference": truth, "style": "normals", **LOOK}
-    pale, dark = (
-        np.asarray(render.render_frame(answer, scale=top, **options), dtype=int)[40, 40]
-        for top in (3000.0, 29.0)
-    )
-    assert pale.mean() > dark.mean() + 100
-    film = render.Film.of(answer, reference=truth, style=["normals"], size=(120, 120))
-    assert film.panels.scales == {"normals": (30.0, False)}
