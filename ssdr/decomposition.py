@@ -12,11 +12,10 @@ from .mesh.sequence import MeshSequence
 from .model.skinning import Skinning
 from .model.start import Skeleton, Start
 from .search.check_problem import check_problem
-from .search.outcome import finished
 from .search.problem import Effort
 from .search.progress import Callback
 from .search.result import Decomposition
-from .search.solve import solve
+from .search.solve import finished, solve
 from .solver.rest_surface import RestPose
 
 

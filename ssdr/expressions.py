@@ -21,10 +21,9 @@ from .model.skinning import Skinning, skinning_in
 from .model.start import Start
 from .model.transforms import rest_diagonal
 from .search.check_problem import check_problem
-from .search.outcome import finished
 from .search.problem import Effort
 from .search.schedules import follow_effort
-from .search.solve import solve
+from .search.solve import finished, solve
 
 Array = NDArray[np.float64]
 

@@ -42,14 +42,6 @@ _PARSIMONY = {
     "joints {size[joints]:,}, keys {size[keys]:,}; files hold more, such as triangles",
 }
 _PRUNING = "{before:,} to {after:,}: {bytes_after:,} bytes, error {error_after:.4g}"
-_ENDINGS = {
-    "converged": "the search converged",
-    "effort spent": "every step of this effort is done",
-    "time limit": "the time limit was reached: the best model so far",
-    "cancelled": "interrupted: the best model so far",
-    "tolerance held": "no smaller model was found within the tolerance",
-    "tolerance out of reach": "no model was found within the tolerance: the closest",
-}
 
 
 @passes(
@@ -62,7 +54,7 @@ def decompose(
     output: list[Path],
     rig: str | None = None,
     joints: JointKind | None = None,
-    extra_bones: str | None = None,
+    extra_bones: int = 0,
     keep_weights: bool = False,
     start: Path | None = None,
     **options: Any,
@@ -87,8 +79,8 @@ def decompose(
         parents and names of a file.
     joints : {"rigid", "loose"}
         Whether the joints of a file given as --rig may come apart.
-    extra_bones : str, optional
-        Bones to add to those of --rig FILE: N, or NAME=N,... below named ones.
+    extra_bones : int
+        Bones to add to those of --rig FILE.
     keep_weights : bool
         Keep the weights and the rest pose of --rig FILE.
     start : Path, optional
@@ -110,11 +102,10 @@ def decompose(
     model = ssdr.load_skinning(str(rig)).skinning
     if keep_weights and start is not None:
         raise InputError("--start", "none beside --keep-weights", start)
-    extra = _extra_bones(extra_bones or "0")
 
     def kept(space: ssdr.Space) -> dict[str, Any]:
         there = in_space(model, space)
-        skeleton = ssdr.Skeleton(there, joints=joints or "rigid", extra_bones=extra)
+        skeleton = ssdr.Skeleton(there, joints=joints or "rigid", extra_bones=extra_bones)
         same = {name: getattr(there, name) for name in ("rest", "indices", "weights")}
         return {"rig": skeleton} | ({"start": ssdr.Start(**same)} if keep_weights else {})
 
@@ -293,7 +284,7 @@ def _rows(
         rows += in_words(document["parsimony"], _PARSIMONY)
         found = document["parsimony"]["prunings"]
         rows += [(pruning["what"], _PRUNING.format_map(pruning)) for pruning in found]
-    rows.append(("ended", _ENDINGS.get(result.stop_reason, result.stop_reason)))
+    rows.append(("ended", result.stop_reason))
     return [*rows, *(("wrote", saved_line(r, document["diagonal"])) for r in document["outputs"])]
 
 
@@ -311,18 +302,3 @@ def _draw(
     file = model if model.is_file() else None
     page = ssdr.view(result, shots, path, title=title, file=file, reference_name=name)
     return SaveReport(path=page.path, bytes=page.bytes, notes=tuple(page.notes))
-
-
-def _extra_bones(text: str) -> int | dict[str, int]:
-    """Parse `--extra-bones`: a number of bones to add, or ``NAME=N,...``.
-
-    The latter adds N bones below the rig's bone NAME.
-    """
-    try:
-        if "=" not in text:
-            return int(text)
-        pairs = [part.rpartition("=") for part in text.split(",")]
-        return {name.strip(): int(count) for name, _, count in pairs}
-    except ValueError as error:
-        expected = "a number, or NAME=N,... of bones of the rig"
-        raise InputError("--extra-bones", expected, repr(text)) from error

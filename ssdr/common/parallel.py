@@ -95,10 +95,14 @@ def run_chunks(function: Callable[..., Any], bounds: list[tuple[int, int]]) -> l
     >>> ssdr.common.parallel.run_chunks(lambda chunk, start, stop: sum(range(start, stop)), bounds)
     [6, 22, 17]
     """
+    global _pool
     threads = min(get_threads(), len(bounds)) if len(bounds) > 1 else 1
     if threads <= 1:
         return [function(k, start, stop) for k, (start, stop) in enumerate(bounds)]
-    pool = _shared_pool()
+    with _lock:
+        if _pool is None:
+            _pool = ThreadPoolExecutor(max(1, get_threads() - 1), thread_name_prefix="ssdr")
+        pool = _pool
     # Each thread runs one task that takes chunks from a shared counter: waking a thread costs more
     # than a small chunk.
     results: list[Any] = [None] * len(bounds)
@@ -128,14 +132,6 @@ def run_chunks(function: Callable[..., Any], bounds: list[tuple[int, int]]) -> l
         if error is not None:
             raise error
     return results
-
-
-def _shared_pool() -> ThreadPoolExecutor:
-    global _pool
-    with _lock:
-        if _pool is None:
-            _pool = ThreadPoolExecutor(max(1, get_threads() - 1), thread_name_prefix="ssdr")
-        return _pool
 
 
 def _forget_pool() -> None:

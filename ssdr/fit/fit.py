@@ -20,8 +20,8 @@ from ..common.checks import (
 from ..common.errors import InputError
 from ..common.short_repr import short_repr
 from ..mesh.clips import names_of
-from ..mesh.coincident import told_apart
 from ..mesh.sequence import MeshSequence, as_sequences, labels_of, without_copies
+from ..mesh.surface import told_apart
 from ..model.drawn_normals import with_fitted_normals
 from ..model.frame_error import rmse_of, squared_error
 from ..model.skinning import Skinning, skinning_in

@@ -93,12 +93,10 @@ class SpanTask:
     arguments: Callable[[int], tuple[Any, ...]] = lambda _: ()
     shared: tuple[Any, ...] = ()
 
-    @property
-    def n_vertices(self) -> int:
-        return self.sequences[0].n_vertices
-
-    def pieces(self, k: int) -> Iterator[tuple[Any, int, int]]:
-        return _cut(((s.vertices, 0, len(s)) for s in self.sequences), *self.spans[k])
+    def frames(self, k: int) -> Frames:
+        """Frames of span k."""
+        shots = [(s.vertices, 0, len(s)) for s in self.sequences]
+        return Frames(tuple(_cut(shots, *self.spans[k])), self.sequences[0].n_vertices)
 
 
 class Local:
@@ -107,8 +105,7 @@ class Local:
     def map(self, task: SpanTask) -> Iterator[Any]:
         """Yield the results in the order of the spans, each computed when it is needed."""
         for k in range(len(task.spans)):
-            frames = Frames(tuple(task.pieces(k)), task.n_vertices)
-            yield task.function(frames, *task.arguments(k), *task.shared)
+            yield task.function(task.frames(k), *task.arguments(k), *task.shared)
 
 
 class Cluster:
@@ -131,8 +128,9 @@ class Cluster:
         most_waiting = 1 + sum(self.client.nthreads().values())
         with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 GiB"}):
             for k in range(len(task.spans)):
-                pieces = [self._portable(*p) for p in task.pieces(k)]
-                call = _remote, task.function, pieces, task.n_vertices, task.arguments(k), common
+                frames = task.frames(k)
+                pieces = [self._portable(*p) for p in frames.pieces]
+                call = _remote, task.function, pieces, frames.n_vertices, task.arguments(k), common
                 waiting.append(self.client.submit(*call, pure=False, retries=2))
                 if len(waiting) >= most_waiting:
                     yield waiting.popleft().result()

@@ -7,6 +7,8 @@ in memory, in a memory map or in a chunked array (zarr, dask), and are read by c
 from __future__ import annotations
 
 import dataclasses
+import itertools
+import operator
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -19,8 +21,16 @@ from scipy.spatial import cKDTree
 from ..common.checks import as_array, check_faces, check_range, remedy_of_shape
 from ..common.errors import InputError, is_real
 from ..common.short_repr import notebook_html
-from .coincident import Selected, coincident, distinct
-from .surface import UNKNOWN, Space, Surface, check_space, check_surface
+from .surface import (
+    UNKNOWN,
+    Selected,
+    Space,
+    Surface,
+    check_space,
+    check_surface,
+    coincident,
+    distinct,
+)
 
 _CHUNK_BYTES = 64 << 20  # bytes of frames that are read at a time
 
@@ -257,14 +267,9 @@ class MeshSequence:
 
 def labels_of(sequences: Sequence[MeshSequence]) -> NDArray[np.intp]:
     """Labels (V,), equal for vertices whose positions are equal in every frame of all shots."""
-
-    def blocks() -> Iterator[NDArray[np.floating]]:
-        yield sequences[0].frames(slice(0, 1))  # which tells most vertices apart
-        for sequence in sequences:
-            for _, block in sequence.chunks():
-                yield block
-
-    return coincident(blocks(), sequences[0].n_vertices)
+    first = [(0, sequences[0].frames(slice(0, 1)))]  # which tells most vertices apart
+    blocks = itertools.chain(first, *[sequence.chunks() for sequence in sequences])
+    return coincident(map(operator.itemgetter(1), blocks), sequences[0].n_vertices)
 
 
 def without_copies(

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from ..model.drawn_normals import NormalErrors
 from .comparison import Comparison, compare
 from .edge_difference import Sted, sted
 from .hausdorff_distance import Hausdorff, hausdorff
-from .normal_angles import NormalErrors, normals
+from .normal_angles import normals
 from .vertex_distances import Distances, distances, rmse
 
 __all__ = [

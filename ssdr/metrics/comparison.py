@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..common.errors import check_flag
 from ..common.short_repr import short_repr
+from ..model.drawn_normals import NormalErrors
 from ..model.shapes import Skinned
 from ..model.skinning import skinning_in
 from .edge_difference import Sted
@@ -18,7 +19,6 @@ from .edge_difference import sted as _sted
 from .hausdorff_distance import Hausdorff
 from .hausdorff_distance import hausdorff as _hausdorff
 from .matching import Frames, as_pair
-from .normal_angles import NormalErrors
 from .normal_angles import known_errors as _normals
 from .vertex_distances import Distances, distances
 

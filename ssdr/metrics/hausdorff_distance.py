@@ -62,7 +62,6 @@ def hausdorff(
     other: Frames,
     faces: ArrayLike | None = None,
     *,
-    other_faces: ArrayLike | None = None,
     surface: bool = True,
     subdivisions: int = 1,
 ) -> Hausdorff:
@@ -110,10 +109,10 @@ def hausdorff(
     2.0
     """
     first = as_sequence(reference, faces, "reference")
-    second = as_sequence(other, other_faces, "other")
+    second = as_sequence(other, None, "other")
     if first.n_frames != second.n_frames:
         raise InputError("other", f"{first.n_frames} frames", f"{second.n_frames} frames")
-    if len(second.faces) == 0 and len(first.faces) and other_faces is None:
+    if len(second.faces) == 0 and len(first.faces):
         second = as_sequence(second, first.faces, "other")
     elif len(first.faces) == 0 and len(second.faces) and faces is None:
         first = as_sequence(first, second.faces, "reference")

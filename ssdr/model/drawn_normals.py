@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.parallel import chunk_bounds, run_chunks
+from ..common.short_repr import short_repr
 from ..kernels.normals import angles_range, fit_range
 from ..mesh.executor import Executor, Frames, spans_of
 from ..mesh.normals import NormalHolders, normal_holders, normals_at_corners, surface_normals, unit
@@ -18,7 +19,7 @@ from ..mesh.surface import Surface
 from .frame_error import of_each_span
 from .lbs import skin, skin_each
 from .shaped_normals import shaped_normals
-from .shapes import ShapedSkinning, Skinned, skinning_and_shapes
+from .shapes import ShapedSkinning, Skinned
 from .skinning import Skinning
 
 Array = NDArray[np.float64]
@@ -27,6 +28,7 @@ _CHUNK = 512  # normals in a task
 _COMPARED = 6  # frames in which copies of a vertex coincide
 _PULL = 1e-9  # towards the rest pose's own normal, relative to the sum of all squares
 _LEAST = 1e-6  # norm of a fitted normal: a smaller one has no direction
+_MOST = 500  # frames measured of a result of the solver, or a few less
 _BINS = 18001  # of the histogram of angles, each a hundredth of a degree
 
 
@@ -72,7 +74,9 @@ def with_fitted_normals(
         return skinning
     holders = holders_of(sequences[0], skinning)
     gram, right = np.zeros((len(holders.vertex), 6)), np.zeros((len(holders.vertex), 3))
-    shared = (*_skin_of(skinning), holders, np.asarray(skinning.transforms, dtype=np.float64))
+    weights = np.asarray(skinning.weights, dtype=np.float64)
+    transforms = np.asarray(skinning.transforms, dtype=np.float64)
+    shared = skinning.indices, weights, holders, transforms
     for part in of_each_span(_fit_of_span, sequences, shared, executor):
         gram += part[0]
         right += part[1]
@@ -118,7 +122,8 @@ def drawn_angles(
     Angles
         To the normals of the skinning's own surface in each frame.
     """
-    skinning, shapes = skinning_and_shapes(model)
+    skinning = model.skinning
+    shapes = model.shapes if isinstance(model, ShapedSkinning) and len(model.shapes) else None
     holders = holders_of(sequences[0], model)
     position = np.asarray(skinning.rest, dtype=np.float64)[None]
     rest, amounts = rest_vectors(model, holders), np.zeros((skinning.n_frames, 0))
@@ -127,13 +132,14 @@ def drawn_angles(
         amounts = shapes.amounts
     spans = spans_of(skinning.n_frames, most)
     shared = (
-        *(position, rest, *_skin_of(skinning), holders),
-        np.asarray(skinning.transforms, dtype=np.float64),
+        *(position, rest, skinning.indices, np.asarray(skinning.weights, dtype=np.float64)),
+        *(holders, np.asarray(skinning.transforms, dtype=np.float64)),
     )
     walk = sequences, shared, executor, spans, (amounts,)
     found = list(of_each_span(_angles_of_span, *walk))
     frames = np.concatenate([np.arange(*span) for span in spans])
-    return frames, Angles.joined(one for one, _ in found), Angles.joined(one for _, one in found)
+    drawn, own = map(Angles.joined, zip(*found, strict=True))
+    return frames, drawn, own
 
 
 def rest_vectors(model: Skinned, holders: NormalHolders) -> Array:
@@ -141,7 +147,8 @@ def rest_vectors(model: Skinned, holders: NormalHolders) -> Array:
 
     The first are those without shapes, the others what each shape adds.
     """
-    skinning, shapes = skinning_and_shapes(model)
+    skinning = model.skinning
+    shapes = model.shapes if isinstance(model, ShapedSkinning) and len(model.shapes) else None
     normals = None if skinning.surface is None else skinning.surface.normals
     if normals is None:
         normals = normals_at_corners(skinning.rest, holders)
@@ -164,10 +171,6 @@ def posed(base: Array, indices: Any, weights: Any, moves: Array, factors: Array)
     if len(base) == 1:
         return skin(base[0], indices, weights, moves)
     return skin_each(base[0] + np.tensordot(factors, base[1:], 1), indices, weights, moves)
-
-
-def _skin_of(skinning: Skinning) -> tuple[NDArray[np.int32], Array]:
-    return skinning.indices, np.asarray(skinning.weights, dtype=np.float64)
 
 
 def _fit_of_span(
@@ -264,11 +267,102 @@ class Angles:
 
         `largest` is the maximum over the parts.
         """
-        listed = list(parts)
+        fields = zip(*[vars(part).values() for part in parts], strict=True)
+        histograms, largest, in_frame, frame_counts, at_vertex, vertex_counts = fields
+        frames = np.concatenate(in_frame), np.concatenate(frame_counts)
+        return cls(sum(histograms), max(largest), *frames, sum(at_vertex), sum(vertex_counts))
 
-        def of(name: str) -> list[Any]:
-            return [getattr(part, name) for part in listed]
 
-        frames = (np.concatenate(of(name)) for name in ("frame_sum", "frame_count"))
-        sums = (sum(of(name)) for name in ("vertex_sum", "vertex_count"))
-        return cls(sum(of("histogram")), max(of("largest")), *frames, *sums)
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class NormalErrors:
+    """Statistics of the angles, in degrees, between normals and those of a reference surface.
+
+    Attributes
+    ----------
+    mean, max : float
+        Mean and largest angle over all frames and vertices.
+    p95 : float
+        Angle that 95 % of all do not exceed, to a hundredth of a degree.
+    beyond_20, inwards : float
+        Share, from 0 to 1, of the angles of at least 20°, and of at least 90°.
+    surface : float or None
+        Of a skinning, the mean angle of the normals of its own surface, which are drawn by programs
+        that compute normals anew in every frame.
+    per_frame : (F,) float64
+        Mean of each frame; NaN where no normal of the reference is known.
+    per_vertex : (V,) float64
+        Mean of each vertex; NaN where its normal is never known.
+    frames : (F,) int64
+        Indices of the measured frames: about 500 for a result of the solver with more frames, all
+        otherwise.
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> ssdr.metrics.normals(dancer, dancer).mean
+    0.0
+    """
+
+    mean: float
+    p95: float
+    beyond_20: float
+    inwards: float
+    max: float
+    surface: float | None
+    per_frame: NDArray[np.float64]
+    per_vertex: NDArray[np.float64]
+    frames: NDArray[np.int64]
+
+    __repr__ = short_repr
+
+    def as_dict(self) -> dict[str, float | None]:
+        """Dictionary of the plain numbers, for JSON."""
+        return {k: v for k, v in vars(self).items() if not isinstance(v, np.ndarray)}
+
+    def __str__(self) -> str:
+        return (
+            f"{self.mean:.3g}° mean, {self.p95:.3g}° for 95 %, {100 * self.inwards:.2g} % inwards"
+        )
+
+
+def errors_of_model(
+    sequences: Sequence[MeshSequence],
+    model: Skinned,
+    *,
+    executor: Executor | None = None,
+    most: int | None = _MOST,
+) -> NormalErrors | None:
+    """Errors of a skinning's drawn normals against sequences, or None if no normal is known.
+
+    `most` and `executor` are as in :func:`drawn_angles`.
+    """
+    frames, drawn, own = drawn_angles(sequences, model, executor=executor, most=most)
+    return errors_of_angles(drawn, frames, model.n_vertices, own)
+
+
+def errors_of_angles(
+    angles: Angles, frames: NDArray[np.int64], n_vertices: int, own: Angles | None = None
+) -> NormalErrors | None:
+    """Errors of `angles` in the given frames, or None if there are no angles.
+
+    `own` are those of the normals of the model's own surface.
+    """
+    count = int(angles.histogram.sum())
+    if count == 0:
+        return None
+    most = np.searchsorted(np.cumsum(angles.histogram), 0.95 * count)
+    per_vertex = np.full(n_vertices, np.nan)
+    with np.errstate(invalid="ignore"):
+        per_frame = angles.frame_sum / angles.frame_count
+        per_vertex[: len(angles.vertex_sum)] = angles.vertex_sum / angles.vertex_count
+    return NormalErrors(
+        mean=float(angles.frame_sum.sum()) / count,
+        p95=min(0.01 * (float(most) + 1), angles.largest),
+        beyond_20=float(angles.histogram[2000:].sum()) / count,
+        inwards=float(angles.histogram[9000:].sum()) / count,
+        max=angles.largest,
+        surface=None if own is None else float(own.frame_sum.sum()) / count,
+        per_frame=per_frame,
+        per_vertex=per_vertex,
+        frames=frames,
+    )

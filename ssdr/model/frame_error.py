@@ -131,7 +131,7 @@ def motion_rms(sequences: Sequence[MeshSequence], *, executor: Executor | None =
     Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976.
     """
     first = np.asarray(sequences[0].frames(0), dtype=np.float64)
-    count = sum(len(shot) for shot in sequences)
+    count = sum(map(len, sequences))
     spans = spans_of(count, _MOST)
     total, squares = np.zeros_like(first), 0.0
     pose = first, np.zeros((count, 0))

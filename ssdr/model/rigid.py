@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..common.checks import as_array
-from ..common.errors import InputError, is_whole
+from ..common.errors import InputError
 
 __all__ = [
     "kabsch",
@@ -264,8 +264,8 @@ def matrix_from_quaternion(quaternion: ArrayLike) -> NDArray[np.float64]:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def unflip_quaternions(quaternion: ArrayLike, *, axis: int = 0) -> NDArray[np.float64]:
-    """Quaternions with signs such that neighbours along `axis` (time) have a dot product >= 0.
+def unflip_quaternions(quaternion: ArrayLike) -> NDArray[np.float64]:
+    """Quaternions with signs such that neighbours in time (axis 0) have a dot product >= 0.
 
     q and −q are the same rotation, but an engine that interpolates between keys
     of opposite sign takes the long way round.
@@ -273,7 +273,7 @@ def unflip_quaternions(quaternion: ArrayLike, *, axis: int = 0) -> NDArray[np.fl
     Raises
     ------
     InputError
-        If there is no such axis, or a number is complex or not finite.
+        If there is no axis of time, or a number is complex or not finite.
 
     Examples
     --------
@@ -282,15 +282,12 @@ def unflip_quaternions(quaternion: ArrayLike, *, axis: int = 0) -> NDArray[np.fl
     True
     """
     q = _numbers(quaternion, "quaternion", 4)
-    if not is_whole(axis):
-        raise InputError("axis", "an integer", repr(axis))
-    if q.ndim < 2 or not -q.ndim <= axis < q.ndim or axis in (-1, q.ndim - 1):
-        raise InputError("quaternion", "shape (..., 4) with a time axis", f"shape {q.shape}")
-    q = np.moveaxis(q, axis, 0)
+    if q.ndim < 2:
+        raise InputError("quaternion", "shape (F, ..., 4)", f"shape {q.shape}")
     flip = np.ones(q.shape[:-1])
     small, _ = _scaled(q, (-1,))
     flip[1:] = np.where((small[1:] * small[:-1]).sum(axis=-1) < 0, -1.0, 1.0)
-    return np.moveaxis(q * np.cumprod(flip, axis=0)[..., None], 0, axis)
+    return np.asarray(q * np.cumprod(flip, axis=0)[..., None])
 
 
 def slerp(a: ArrayLike, b: ArrayLike, u: ArrayLike) -> NDArray[np.float64]:

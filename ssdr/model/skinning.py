@@ -320,28 +320,22 @@ class Skinning(Articulated):
         safe = np.where(total > 0, total, 1.0)[:, None]
         return np.asarray(np.where(total[:, None] > 0, sums / safe, mean))
 
-    def prune(self, influences: int, *, minimum: float = 0.0) -> Skinning:
+    def prune(self, influences: int) -> Skinning:
         """Copy with only the largest weights of each vertex, renormalised where any are dropped.
 
-        At most `influences` weights of at least `minimum` are kept, and always the largest.
         ``metrics.compare(model.skin(), pruned.skin())`` measures the error that this adds.
 
         Raises
         ------
         InputError
-            If `influences` is below 1 or `minimum` is not in [0, 1).
+            If `influences` is below 1.
         """
         if not is_whole(influences) or influences < 1:
             raise InputError("influences", "an integer >= 1", repr(influences))
-        if not 0 <= minimum < 1:
-            raise InputError("minimum", "a number in [0, 1)", minimum)
         k = min(int(influences), self.n_influences)
         order = np.argsort(-self.weights, axis=1, kind="stable")[:, :k]
         weights = np.take_along_axis(self.weights, order, axis=1).astype(np.float64)
         indices = np.take_along_axis(self.indices, order, axis=1)
-        drop = weights < minimum
-        drop[:, 0] = False
-        weights[drop] = 0.0
         lost = np.count_nonzero(weights, axis=1) < np.count_nonzero(self.weights, axis=1)
         weights[lost] /= weights[lost].sum(axis=1, keepdims=True)
         return dataclasses.replace(

@@ -13,10 +13,9 @@ from ..model.frame_error import motion_rms
 from ..model.size import size
 from ..model.skinning import Skinning
 from ..search.descent import Descent
-from ..search.outcome import with_normals
 from ..search.problem import Problem
 from ..search.progress import Record, Stop
-from ..search.solve import SCANNED
+from ..search.solve import SCANNED, with_normals
 from ..search.starts import start_from_model
 from ..search.trees.tree_steps import attach_unattached
 from ..solver.model import Model

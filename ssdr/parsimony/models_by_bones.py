@@ -188,7 +188,7 @@ class ModelsByBones:
                 if frames.error(d.best.model) <= until:
                     raise Stop("held")
             ready = d.best.exists or bool(self.best)
-            self.fraction, self.iteration = done + work * d.fraction, before + d.iteration
+            self.fraction, self.iteration = done + work * d.fraction, before + d.work.iteration
             self.report(f"{bones} bone{'s' * (bones > 1)}: {phase}", ready)
 
         try:
@@ -219,12 +219,12 @@ class ModelsByBones:
             self.report(f"{model.n_bones} bones: level", True)
 
     def _keep(self, d: Descent, name: str) -> None:
-        self.iteration += d.iteration
+        self.iteration += d.work.iteration
         if not d.best.exists:
             return
         model, fewest = d.best.model, self.fewest
         error, bones = self.frames.error(model), model.n_bones
-        self.attempts.append(Attempt(bones, error, d.iteration, name))
+        self.attempts.append(Attempt(bones, error, d.work.iteration, name))
         self.best.setdefault(bones, Lowest()).offer(model, error)
         if error <= self.tolerance and (fewest is None or bones < fewest):
             self.held.append(model)

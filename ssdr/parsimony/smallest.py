@@ -15,10 +15,10 @@ from ..mesh.sequence import MeshSequence
 from ..model.skinning import Skinning, skinning_in
 from ..model.start import Skeleton, Start
 from ..search.check_problem import check_problem, refuse_weights
-from ..search.outcome import finished
 from ..search.problem import Effort, Problem
 from ..search.progress import Callback
 from ..search.result import Decomposition
+from ..search.solve import finished
 from ..solver.rest_surface import RestPose
 from .find_smallest import find_smallest
 from .report import Measure, Smallest

@@ -18,10 +18,9 @@ from ..model.size import size
 from ..model.skinning import Skinning
 from ..search.all_frames import ENTERING, fit_all_frames
 from ..search.descent import Descent
-from ..search.outcome import skinning_of
 from ..search.problem import Initial, Problem
 from ..search.scan import needs_streaming
-from ..search.solve import gathered, scan_of
+from ..search.solve import gathered, scan_of, skinning_of
 from ..solver.model import Model
 from ..solver.trajectories import Trajectories
 from .report import Measure

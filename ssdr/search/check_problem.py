@@ -24,8 +24,8 @@ from ..common.checks import (
     check_whole,
 )
 from ..common.errors import InputError, check_choice, check_flag, is_real, is_whole
-from ..mesh.coincident import told_apart
 from ..mesh.sequence import MeshSequence, as_sequences, labels_of, without_copies
+from ..mesh.surface import told_apart
 from ..model.skinning import Skinning, skinning_in
 from ..model.start import JointKind, Skeleton, Start
 from ..model.tree import Tree

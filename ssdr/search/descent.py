@@ -29,7 +29,7 @@ from ..solver.alternation import bone_costs, repeat_alternation, vertex_step
 from ..solver.initialization import by_motion
 from ..solver.model import Constraints, Lowest, Model
 from ..solver.objective import Objective, WeightSmoothness
-from ..solver.trajectories import Array, Trajectories
+from ..solver.trajectories import Trajectories
 from .moves import polish_steps
 from .problem import Initial
 from .progress import Monitor, Stop
@@ -141,20 +141,6 @@ class Descent:
     # --- what steps ask ------------------------------------------------------------------------
 
     @property
-    def start_parts(self) -> Initial:
-        """Parts of `initial` for starts that do not use a complete given model."""
-        return self.initial.beside_model()
-
-    @property
-    def iteration(self) -> int:
-        """Number of alternations and polish steps so far."""
-        return self.work.iteration
-
-    @iteration.setter
-    def iteration(self, count: int) -> None:
-        self.work.iteration = count
-
-    @property
     def planning(self) -> bool:
         """Whether a schedule is only planned: steps change nothing then."""
         return self.work.plan is not None
@@ -199,7 +185,7 @@ class Descent:
         few.constraints = self.constraints.select_vertices(chosen)
         if self.data.surface is not None and not free:
             few.data = dataclasses.replace(few.data, surface=self.data.surface.sampled(chosen))
-        few.initial, few.records = self.start_parts.of_vertices(chosen), []
+        few.initial, few.records = self.initial.beside_model().of_vertices(chosen), []
         few.smoothness, few.objective = None, Objective(few.constraints)
         if not self.planning:
             few.model = self.model.select_vertices(chosen)
@@ -215,10 +201,17 @@ class Descent:
         return bare
 
     def of_all(self, few: Model) -> Model:
-        """Model of all vertices, made by eight alternations from `few`, a model of the sample."""
-        parts, constraints = self.start_parts, self.constraints
+        """Model of all vertices, made by eight alternations from `few`, a model of the sample.
+
+        Each vertex starts with the weights of the nearest vertex of the sample, and with the offset
+        from it that it has in the first pose.
+        """
+        parts, constraints = self.initial.beside_model(), self.constraints
         rest = parts.first_pose(self.data)
-        model = model_of_all(few, rest, self._chosen)
+        nearest = np.asarray(cKDTree(rest[self._chosen]).query(rest)[1])
+        model = few.select_vertices(nearest)
+        model.rest = model.rest + rest - rest[self._chosen][nearest]
+        model.restart_support()
         if parts.rest is not None:
             model.rest = rest
         vertex_step(self.data, model, constraints=constraints)
@@ -331,7 +324,7 @@ class Descent:
         if self.best.offer(model, self.value(model)):
             # the error alone, without the penalty that `value` may carry
             error = model.weighted_error(self.data)
-            self.records.append((self.iteration, self.monitor.elapsed, error, phase))
+            self.records.append((self.work.iteration, self.monitor.elapsed, error, phase))
 
 
 Schedule = Callable[[Descent], None]
@@ -379,25 +372,7 @@ def step(
 LEAST, MOST = 48, 128  # bounds of the number of vertices of a sample, per bone
 
 
-def sample_size(n_vertices: int, bones: int, least: int = LEAST, most: int = MOST) -> int:
-    """Number of vertices of a sample: a third of all, between `least` and `most` per bone."""
-    return min(most * bones, max(least * bones, n_vertices // 3))
-
-
 def motion_sample(data: Trajectories, count: int) -> NDArray[np.intp]:
     """Indices of `count` vertices, ascending, evenly spaced in the order of :func:`by_motion`."""
     every = np.linspace(0, data.n_vertices - 1, count).round().astype(np.intp)
     return np.sort(by_motion(data)[every])
-
-
-def model_of_all(few: Model, rest: Array, chosen: NDArray[np.intp]) -> Model:
-    """Model of all vertices, made from `few`, a model of the vertices `chosen`.
-
-    Each vertex has the weights of the nearest chosen vertex, and the same offset from it as in the
-    pose `rest` (V, 3).  Its errors are not computed.
-    """
-    nearest = np.asarray(cKDTree(rest[chosen]).query(rest)[1])
-    model = few.select_vertices(nearest)
-    model.rest = model.rest + rest - rest[chosen][nearest]
-    model.restart_support()
-    return model

@@ -288,21 +288,11 @@ def patch_of_most_error(
     total = float(error[rows].sum())
     chance = None if not total > 0 else error[order] / total
     seeds = order[rng.choice(len(order), size=min(_CANDIDATES, len(order)), p=chance)]
-    seeds, size = np.searchsorted(rows, seeds), int(fraction * n / model.n_bones)
-    return rows[_neighbourhood_of_most_error(model.rest[rows], error[rows], seeds, size)]
-
-
-def _neighbourhood_of_most_error(
-    rest: Array, error: Array, seeds: NDArray[np.intp], size: int
-) -> NDArray[np.intp]:
-    """Find the patch with most error among patches of `size` vertices around the seeds.
-
-    A patch has at least four vertices, unless the mesh has fewer.
-    """
-    size = min(len(error), max(_FEWEST_VERTICES, size))
-    _, neighbours = cKDTree(rest).query(rest[seeds], k=size)
+    size = min(len(rows), max(_FEWEST_VERTICES, int(fraction * n / model.n_bones)))
+    _, neighbours = cKDTree(model.rest[rows]).query(model.rest[seeds], k=size)
     neighbours = np.asarray(neighbours).reshape(len(seeds), size)
-    return np.asarray(neighbours[error[neighbours].sum(axis=1).argmax()])
+    most = int(error[rows][neighbours].sum(axis=1).argmax())
+    return np.asarray(rows[neighbours[most]])
 
 
 def _with_more_bones(

@@ -82,14 +82,17 @@ class Initial:
 
     def of_vertices(self, kept: NDArray[np.intp]) -> Initial:
         """A copy for the vertices `kept` alone."""
-
-        def some(part: Any) -> Any:
+        some: dict[str, Any] = {}
+        for name in ("rest", "skin", "tree_pose", "nearest_bone", "skeleton_skin"):
+            part = getattr(self, name)
             if isinstance(part, Skin):
-                return Skin(*map(some, part))
-            return None if part is None else np.ascontiguousarray(part[kept])
-
-        names = ("rest", "skin", "tree_pose", "nearest_bone", "skeleton_skin")
-        return dataclasses.replace(self, **{name: some(getattr(self, name)) for name in names})
+                indices, weights = part
+                some[name] = Skin(
+                    np.ascontiguousarray(indices[kept]), np.ascontiguousarray(weights[kept])
+                )
+            elif part is not None:
+                some[name] = np.ascontiguousarray(part[kept])
+        return dataclasses.replace(self, **some)
 
     def of_frames(self, chosen: NDArray[np.int64]) -> Initial:
         """A copy for the frames `chosen` alone, ascending; `rest_frame` must be one of them."""
@@ -184,7 +187,7 @@ class Problem:
 
     @property
     def n_frames(self) -> int:
-        return sum(len(s) for s in self.sequences)
+        return sum(map(len, self.sequences))
 
     @property
     def n_vertices(self) -> int:
@@ -198,7 +201,7 @@ class Problem:
     @property
     def offsets(self) -> NDArray[np.int64]:
         """First frame of each of the S shots, followed by the number of frames, (S + 1,)."""
-        return np.cumsum([0, *[len(s) for s in self.sequences]])
+        return np.cumsum([0, *map(len, self.sequences)])
 
     def of_frames(self, chosen: NDArray[np.int64], importance: Array | None) -> Problem:
         """A copy for the frames `chosen` alone, ascending, which are read into memory.

@@ -118,6 +118,8 @@ class Monitor:
     stopped : str or None
         Why the run ends early, "cancelled" or "time limit", or None.  Once this is set, the
         callback is not called any more.
+    began : float
+        When the clock was at 0, as :func:`time.perf_counter` counts.
 
     Raises
     ------
@@ -133,19 +135,23 @@ class Monitor:
         checkpoint: Any = None,
     ) -> None:
         self.callback, self.time_limit = callback, time_limit
-        self.checkpoint = _checkpoint_path(checkpoint)
+        self.checkpoint: Path | None = None
+        if checkpoint is not None:
+            if not isinstance(checkpoint, (str, Path)):
+                came = type(checkpoint).__name__
+                raise InputError("checkpoint", "the path of an .npz, or None", came)
+            self.checkpoint = file = Path(checkpoint)
+            if file.suffix != ".npz" or not file.parent.is_dir() or file.is_dir():
+                wanted = "a name ending in .npz in a folder that exists"
+                raise InputError("checkpoint", wanted, checkpoint)
         self.stopped: str | None = None
         self._part = 0.0, 1.0
-        self._began, self._written = time.perf_counter(), time.monotonic()
-
-    def leave_out(self, seconds: float) -> None:
-        """Set the clock back by a time that does not count, such as that of compilation."""
-        self._began += seconds
+        self.began, self._written = time.perf_counter(), time.monotonic()
 
     @property
     def elapsed(self) -> float:
         """Seconds since this object was made."""
-        return time.perf_counter() - self._began
+        return time.perf_counter() - self.began
 
     @property
     def out_of_time(self) -> bool:
@@ -178,7 +184,12 @@ class Monitor:
         said = phase, iteration, rmse, 100 * fraction
         _logger.debug("%s, iteration %d, rmse %.6g, %.0f %% done", *said)
         if self.stopped is None:
-            if self._asks_to_stop(phase, iteration, rmse, fraction):
+            elapsed = self.elapsed
+            left = elapsed * (1 - fraction) / fraction if fraction > 0 else math.inf
+            if self.time_limit is not None:
+                left = min(left, max(0.0, self.time_limit - elapsed))
+            told = Progress(phase, iteration, elapsed, rmse, fraction, left)
+            if self.callback is not None and self.callback(told):
                 self.stopped = "cancelled"
             elif ready and self.out_of_time:
                 self.stopped = "time limit"
@@ -190,15 +201,6 @@ class Monitor:
         """Raise Stop if a report has asked for the end of the run."""
         if self.stopped is not None:
             raise Stop(self.stopped)
-
-    def _asks_to_stop(self, phase: str, iteration: int, rmse: float, fraction: float) -> bool:
-        if self.callback is None:
-            return False
-        elapsed = self.elapsed
-        left = elapsed * (1 - fraction) / fraction if fraction > 0 else math.inf
-        if self.time_limit is not None:
-            left = min(left, max(0.0, self.time_limit - elapsed))
-        return bool(self.callback(Progress(phase, iteration, elapsed, rmse, fraction, left)))
 
     def offer(self, skinning: Callable[[], Skinning], *, now: bool = False) -> None:
         """Write the model that `skinning` returns, at most once a minute unless `now` is set.
@@ -215,14 +217,3 @@ class Monitor:
             message = f"no checkpoint at {self.checkpoint}: {error}"
             warnings.warn(message, SsdrWarning, stacklevel=2)
         self._written = time.monotonic()
-
-
-def _checkpoint_path(path: Any) -> Path | None:
-    if path is None:
-        return None
-    if not isinstance(path, (str, Path)):
-        raise InputError("checkpoint", "the path of an .npz, or None", type(path).__name__)
-    file = Path(path)
-    if file.suffix != ".npz" or not file.parent.is_dir() or file.is_dir():
-        raise InputError("checkpoint", "a name ending in .npz in a folder that exists", path)
-    return file

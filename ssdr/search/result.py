@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.short_repr import notebook_html
-from ..metrics.normal_angles import NormalErrors
+from ..model.drawn_normals import NormalErrors
 from ..model.frame_error import share_of
 from ..model.skinning import Skinning
 from .progress import Record

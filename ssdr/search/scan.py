@@ -33,7 +33,7 @@ Report = Callable[[float], None]  # called with the fraction that is done; may r
 
 def needs_streaming(sequences: Sequence[MeshSequence]) -> bool:
     """Whether the trajectories of all frames are too large to be held in memory."""
-    frames = sum(len(s) for s in sequences)
+    frames = sum(map(len, sequences))
     return sequences[0].n_vertices * frames * 24 > _IN_MEMORY and frames > _FEWEST
 
 

@@ -304,16 +304,16 @@ def follow_effort(
     """
     size = float(d.data.n_vertices) * d.data.n_frames * d.bones
     starts_from_model = d.initial.is_model and not tries_model
-    stretching = d.constraints.bone_model != "rigid" and d.start_parts.transforms is None
+    stretching = d.constraints.bone_model != "rigid" and d.initial.beside_model().transforms is None
     if starts_from_model and d.smoothness is not None:
         smooth_from_model(d, effort)
     elif starts_from_model and rig == "rigid":
         tree_from_model(d, effort)
     elif starts_from_model:
         loose_from_model(d, effort)
-    elif d.start_parts.tree is not None and rig == "rigid":
+    elif d.initial.beside_model().tree is not None and rig == "rigid":
         bones_of_skeleton(d, effort)
-    elif d.start_parts.tree is not None:
+    elif d.initial.beside_model().tree is not None:
         loose_skeleton(d, effort)
     elif rig == "rigid":
         tree_of_bones(d, effort, size)

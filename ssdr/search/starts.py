@@ -43,7 +43,7 @@ def quick_start(d: Descent, *, influences: int | None = None) -> Iterator[None]:
     If there are 128 frames or more, and the caller gave no bones, the model is made from 64 frames
     and then fitted to all.
     """
-    data, initial = d.data, d.start_parts
+    data, initial = d.data, d.initial.beside_model()
     if data.n_frames < 2 * _FEW_FRAMES or initial.transforms is not None:
         d.model = _first_model(d, 1.0, influences, quick=True)
         vertex_step(data, d.model, constraints=d.constraints)
@@ -67,7 +67,7 @@ def quick_start(d: Descent, *, influences: int | None = None) -> Iterator[None]:
 def _first_model(
     d: Descent, factor: float, influences: int | None, *, quick: bool = False
 ) -> Model:
-    data, initial, k = d.data, d.start_parts, influences or d.influences
+    data, initial, k = d.data, d.initial.beside_model(), influences or d.influences
     rest = initial.first_pose(data)
     if initial.skin is not None:
         if initial.transforms is None or factor > 1:  # they have served as a start already

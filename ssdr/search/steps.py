@@ -22,7 +22,6 @@ from .descent import (
     Descent,
     Schedule,
     motion_sample,
-    sample_size,
     step,
 )
 from .moves import (
@@ -66,7 +65,7 @@ def alternate(d: Descent, *, steps: int, gain: float = _PLATEAU) -> Iterator[Non
         before = d.value(d.model)
         repeat_alternation(d.data, d.model, 1, d.constraints, d.smoothness)
         free_gauge(d.data, d.model, d.constraints)
-        d.iteration += 1
+        d.work.iteration += 1
         still = before - d.value(d.model) < max(gain, _PLATEAU) * before
         failures = failures + 1 if still else 0
         d.converged = failures >= _PLATEAU_ALTERNATIONS
@@ -84,7 +83,7 @@ def polish(d: Descent, *, steps: int, gain: float = 0.0) -> Iterator[None]:
     """
     newton = GaussNewton(d.data, d.model, constraints=d.constraints)
     for _ in newton.steps(steps, gain=gain):
-        d.iteration += 1
+        d.work.iteration += 1
         d.converged = newton.converged
         yield
 
@@ -102,7 +101,7 @@ def relax(d: Descent, *, steps: int = 4, polish_steps: int = 8) -> Iterator[None
     for _ in range(max(1, model.n_influences - k)):
         if model.n_influences > k:
             model = polish_then_drop_influence(d.data, model, d.constraints, steps=polish_steps)
-            d.iteration += polish_steps
+            d.work.iteration += polish_steps
         d.model = model
         yield
         model = d.model
@@ -179,7 +178,7 @@ def on_sample(
     the schedule runs on all.  Returns whether it ran on a sample.  If `free`, no surface holds the
     rest pose of the sample: that is enough to find where bones belong.
     """
-    count = sample_size(d.data.n_vertices, d.bones, least, most)
+    count = min(most * d.bones, max(least * d.bones, d.data.n_vertices // 3))
     if 2 * count >= d.data.n_vertices:
         schedule(d)
         return False
@@ -197,7 +196,7 @@ def all_vertices(d: Descent) -> Iterator[None]:
     """
     assert d.few is not None
     d.model, d.few = d.of_all(d.few.best.model), None
-    d.iteration += ALTERNATIONS_OF_ALL
+    d.work.iteration += ALTERNATIONS_OF_ALL
     yield
 
 
@@ -252,7 +251,7 @@ def merge(d: Descent, *, steps: int = 3, alternations: int = 4) -> Iterator[None
     """
     while d.model.n_bones > d.bones:
         d.model = merge_bones(d.data, d.model, d.bones, alternations, d.constraints)
-        d.iteration += alternations
+        d.work.iteration += alternations
         yield
 
 
@@ -277,7 +276,7 @@ def add_and_merge(d: Descent, *, alternations: int = 3) -> Iterator[None]:
     and a search.
     """
     d.model = add_and_merge_bones(d.data, d.model, d.rng, d.constraints, alternations=alternations)
-    d.iteration += alternations
+    d.work.iteration += alternations
     yield
 
 
@@ -336,7 +335,7 @@ def tried(
         waits = [(k - t) / (1 + m) for t, m in zip(last_turn, misses, strict=True)]
         kind = int(np.argmax(waits))
         trial = changes[kind](d.data, d.model, d.rng, d.constraints)
-        d.iteration += iterations
+        d.work.iteration += iterations
         if trial is None:
             yield
             return

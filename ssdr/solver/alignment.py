@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.checks import LARGEST, check_squarable
-from ..common.errors import InputError
 from ..common.parallel import chunk_bounds, run_chunks
 from ..kernels.alignment import inward_range
 from ..model.rigid import nearest_rotation
@@ -126,20 +125,6 @@ def centred(frames: NDArray[np.floating], share: Array | None) -> tuple[Array, A
     here -= mean
     check_squarable(here, "vertices", f"positions less than {LARGEST:g} apart")
     return here, (anchor + mean)[..., 0, :]
-
-
-def scale_of(size: float, spread: float) -> float:
-    """The solver's unit of length: `size`, the RMS distance from the centroids, or 1 if that is 0.
-
-    Raises
-    ------
-    InputError
-        If the square of `spread`, the largest coordinate, underflows to 0, as all errors then
-        would.
-    """
-    if 0 < spread < 1 / LARGEST:
-        raise InputError("vertices", f"an extent of 0, or above {1 / LARGEST:g}", "a smaller one")
-    return size or 1.0
 
 
 def rotations_onto(here: Array, first: Array, share: Array | None) -> Array:

@@ -102,7 +102,8 @@ class Recycled:
         few = pairs[: _NUMBERS // max(1, pairs[0][0].size)] if pairs else []
         if not few:
             return None
-        directions, images = (np.empty((len(few), few[0][0].size)) for _ in range(2))
+        directions = np.empty((len(few), few[0][0].size))
+        images = np.empty_like(directions)
         for k, (direction, image) in enumerate(few):
             scale = 1.0 / np.sqrt(np.vdot(direction, image))
             directions[k], images[k] = scale * direction.ravel(), scale * image.ravel()

@@ -279,10 +279,6 @@ class Lowest:
 ARRAYS = tuple(f.name for f in dataclasses.fields(Model) if f.name != "tree")  # transforms first
 
 
-def _none() -> NDArray[np.bool_]:
-    return np.zeros(0, dtype=bool)
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class Constraints:
     """Parts of a model that steps leave as they are, and the kind of transforms of its bones.
@@ -303,7 +299,7 @@ class Constraints:
     """
 
     rest: bool = False
-    weights: NDArray[np.bool_] = dataclasses.field(default_factory=_none)
+    weights: NDArray[np.bool_] = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=bool))
     bone_model: BoneModel = "rigid"
     joints: bool = False
     near_skin: bool = False

@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.checks import LARGEST
+from ..common.errors import InputError
 from ..common.parallel import chunk_bounds, run_chunks, serial_blas
 from ..kernels.normals import normals_range
 from ..mesh.sequence import MeshSequence
-from .alignment import Alignment, centred, rotations_onto, scale_of
+from .alignment import Alignment, centred, rotations_onto
 from .rest_surface import RestSurface
 
 Array = NDArray[np.float64]
@@ -134,18 +135,15 @@ class Trajectories:
 
     def select_vertices(self, chosen: NDArray[np.intp]) -> Trajectories:
         """A copy with the chosen vertices and the same basis, without triangles and surface."""
-
-        def rows(x: Array | None) -> Array | None:
-            return None if x is None else np.ascontiguousarray(x[chosen])
-
+        normals, n2 = self.normals, self.n2
         return dataclasses.replace(
             self,
             z=np.ascontiguousarray(self.z[chosen]),
             x2=self.x2[chosen],
             importance=self.importance[chosen],
             faces=self.faces[:0],
-            normals=rows(self.normals),
-            n2=rows(self.n2),
+            normals=None if normals is None else np.ascontiguousarray(normals[chosen]),
+            n2=None if n2 is None else n2[chosen],
             surface=None,
         )
 
@@ -225,7 +223,7 @@ def gather(
 ) -> Trajectories:
     """Read, align and scale all frames of all shots; if `compress`, compress for `bones` bones."""
     n_vertices = sequences[0].n_vertices
-    n_frames = sum(len(s) for s in sequences)
+    n_frames = sum(map(len, sequences))
     importance = np.ones(n_vertices)
     if vertex_importance is not None:
         importance = vertex_importance / vertex_importance.mean()
@@ -251,7 +249,10 @@ def gather(
                 x[:, t:last] = np.matmul(here, rotation[t:last]).transpose(1, 0, 2)
                 t = last
     size = float(np.sqrt(np.vdot(x, x) / (n_vertices * n_frames)))
-    scale = scale_of(size, size if size > 1 / LARGEST else float(np.abs(x).max()))
+    if size <= 1 / LARGEST and 0 < float(np.abs(x).max()) < 1 / LARGEST:
+        # squares would underflow to 0, and so would all errors
+        raise InputError("vertices", f"an extent of 0, or above {1 / LARGEST:g}", "a smaller one")
+    scale = size or 1.0
     x *= (frame_scale / scale)[None, :, None]
     flat = x.reshape(n_vertices, 3 * n_frames)
     x2 = np.einsum("ij,ij->i", flat, flat)

@@ -86,7 +86,14 @@ def optimise_vertices(
         rounds=rounds,
     )
     if data.surface is not None and not constraints.rest:
-        _recentre(gradient, hold, rest_pulls(data, model, constraints), model, constraints)
+        # the pulls have moved with the rest pose; their stiffness is the same
+        new = rest_pulls(data, model, constraints)
+        free = ~constraints.vertex_mask(len(gradient))
+        first = np.where(free, np.count_nonzero(model.weights, axis=1) - 1, 0)
+        columns = first[:, None] + np.arange(3)
+        moved = np.take_along_axis(gradient, columns, axis=1)
+        moved += hold[:, :1] * (hold[:, 1:] - new[:, 1:])
+        np.put_along_axis(gradient, columns, moved, axis=1)
     return VertexSystem(stacked, inverse, gradient, length)
 
 
@@ -121,19 +128,6 @@ def optimise_some(
         )
         for name in SOLVED:
             getattr(model, name)[rows] = getattr(some, name)
-
-
-def _recentre(
-    gradient: Array, old: Array, new: Array, model: Model, constraints: Constraints
-) -> None:
-    """Update the gradients (in place) when pulls `old` become `new`, of the same stiffness."""
-    free = ~constraints.vertex_mask(len(gradient))
-    first = np.where(free, np.count_nonzero(model.weights, axis=1) - 1, 0)
-    columns = first[:, None] + np.arange(3)
-    change = old[:, :1] * (old[:, 1:] - new[:, 1:])
-    np.put_along_axis(
-        gradient, columns, np.take_along_axis(gradient, columns, axis=1) + change, axis=1
-    )
 
 
 def newton_vertices(

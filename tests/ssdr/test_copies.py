@@ -11,7 +11,7 @@ import pytest
 
 import ssdr
 from helpers import motions
-from ssdr.mesh.coincident import coincident, distinct
+from ssdr.mesh.surface import coincident, distinct
 
 
 @pytest.fixture(scope="module")

@@ -157,13 +157,12 @@ def test_sixd_round_trip(seed):
     np.testing.assert_allclose(np.cross(fixed[:, :, 0], loose[:, :3]), np.zeros((9, 3)), atol=1e-12)
 
 
-@pytest.mark.parametrize("axis", [0, 1])
-def test_unflip_keeps_the_rotation_and_never_jumps(axis):
+def test_unflip_keeps_the_rotation_and_never_jumps():
     rng = np.random.default_rng(6)
     turns = np.cumsum(0.2 * rng.normal(size=(60, 3, 3)), axis=0)
     q = np.stack([Rotation.from_rotvec(turns[:, b]).as_quat() for b in range(3)], axis=1)
     q *= rng.choice([-1.0, 1.0], size=(60, 3, 1))
-    flipped = np.moveaxis(unflip_quaternions(np.moveaxis(q, 0, axis), axis=axis), axis, 0)
+    flipped = unflip_quaternions(q)
     assert ((flipped[1:] * flipped[:-1]).sum(axis=-1) >= 0).all()
     np.testing.assert_allclose(np.abs((flipped * q).sum(axis=-1)), 1, atol=1e-14)
     np.testing.assert_array_equal(flipped[0], q[0])
@@ -246,9 +245,6 @@ _REFUSED = [
     ("weights", lambda: kabsch(_POINTS, _POINTS, weights=-np.ones(5))),
     ("u", lambda: slerp(np.ones((2, 4)), np.ones((3, 4)), np.float64(0.5))),
     ("a", lambda: slerp(np.ones(3), np.ones(3), np.float64(0.5))),
-    ("quaternion", lambda: unflip_quaternions(np.ones((2, 4)), axis=5)),
-    ("axis", lambda: unflip_quaternions(np.ones((2, 4)), axis=0.5)),
-    ("quaternion", lambda: unflip_quaternions(np.zeros((5, 4)), axis=-1)),
     ("quaternion", lambda: unflip_quaternions(np.zeros(4))),
     ("quaternion", lambda: unflip_quaternions(np.zeros((5, 3)))),
     ("moment", lambda: rigid.nearest_rotation(np.ones((3, 2)))),

@@ -54,7 +54,7 @@ def attach(d: Descent, *, steps: int = 20) -> Iterator[None]:
         model.tree = spanning_tree(model)
     for k, stiffness in enumerate(np.geomspace(*_STIFFNESS, steps)):
         step_with_joint_penalty(d.data, model, float(stiffness), d.constraints)
-        d.iteration += 1
+        d.work.iteration += 1
         if k == steps - 1:
             snap_to_joints(d.data, model, d.constraints)
         yield
@@ -126,7 +126,7 @@ def remove_bones(d: Descent, *, steps: int = 3) -> Iterator[None]:
 
 def _polish_changed(d: Descent, model: Model) -> None:
     polish_steps(d.data, model, _POLISH_STEPS, d.constraints)
-    d.iteration += _POLISH_STEPS
+    d.work.iteration += _POLISH_STEPS
     d.model = model
 
 

@@ -14,7 +14,6 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
-from ...common.errors import check_flag
 from ...io.atomic import atomic_path
 from .payload import MAX_BYTES, Payload, payload
 
@@ -71,11 +70,9 @@ def view(
     *,
     title: str | None = None,
     up: str = "y",
-    keep_input: bool = True,
     file: Path | str | None = None,
     reference_name: str = "",
     max_bytes: int = MAX_BYTES,
-    open: bool | None = None,
 ) -> Page:
     """Write a page that shows a model or a sequence beside a reference; open it in the browser.
 
@@ -95,17 +92,12 @@ def view(
         Heading of the page; the name of the model by default.
     up : {"x", "y", "z", "-x", "-y", "-z"}
         The axis that points up.
-    keep_input : bool
-        Whether the page holds the vertices of `reference`, as 16-bit differences from the model.
-        Otherwise it only states the error.
     file : path, optional
         File of the model, whose size the page states.
     reference_name : str
         Where `reference` comes from, in words.
     max_bytes : int
         Largest size of the page. Frames are left out of a model that needs more.
-    open : bool, optional
-        Whether to open the page in the browser; by default if no `path` is given.
 
     Returns
     -------
@@ -130,12 +122,11 @@ def view(
         reference,
         title=title,
         up=up,
-        keep_input=keep_input,
         file=file,
         reference_name=reference_name,
         max_bytes=max_bytes,
     )
-    shown = path is None if open is None else check_flag(open, "open")
+    shown = path is None
     if path is None:
         path = Path(tempfile.mkdtemp(prefix="ssdr-")) / "page.html"
     target = Path(path)

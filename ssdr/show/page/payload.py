@@ -18,7 +18,7 @@ from rich.filesize import decimal
 
 from ... import metrics
 from ...common.checks import check_whole
-from ...common.errors import InputError, check_flag
+from ...common.errors import InputError
 from ...io.corners import rest_normals
 from ...mesh.clips import Clip
 from ...mesh.sequence import MeshSequence, as_sequences, joined
@@ -68,7 +68,6 @@ def payload(
     *,
     title: str | None = None,
     up: str = "y",
-    keep_input: bool = True,
     file: Path | str | None = None,
     reference_name: str = "",
     max_bytes: int = MAX_BYTES,
@@ -86,7 +85,6 @@ def payload(
         expected = "a Skinning, Decomposition or MeshSequence"
         raise InputError("model", expected, type(model).__name__)
     basis = np.stack([up_axes(up)[k] for k in (2, 0, 1)])
-    check_flag(keep_input, "keep_input")
     check_whole(max_bytes, "max_bytes", 1)
     file = None if file is None else Path(file)
     truth = None if reference is None else joined(as_sequences(reference))
@@ -97,7 +95,7 @@ def payload(
         model = _of_vertices(subject)
     else:
         model, alone = _standing(subject), True
-        truth, keep_input = subject, True
+        truth = subject
     notes = []
     if model.n_influences > MOST_INFLUENCES:
         model = model.prune(MOST_INFLUENCES)
@@ -145,9 +143,8 @@ def payload(
         **_shape_entries(shapes, scale, blocks),
         "rig": _rig(model, rest_center, scale, blocks) if skinned else None,
     }
-    held = truth if keep_input else None
     fixed = sum(map(len, blocks.data)) + len(json.dumps(document)) + _EMPTY_BYTES
-    step = _thinning(model, fixed, max_bytes, held is not None)
+    step = _thinning(model, fixed, max_bytes, truth is not None)
     frames = np.concatenate([np.arange(c.start, c.stop, step) for c in model.clips])
     if step > 1:
         notes.append(
@@ -170,7 +167,7 @@ def payload(
         "follow": bool(np.linalg.norm(np.ptp(motion.path, axis=0)) > _TRAVELS * scale),
         "error": errors and _error(motion, errors, frames),
         "angles": angles and {"mean": angles.mean, "top": max(angles.p95, _LEAST_ANGLE)},
-        "input": held and _input(shown, held, motion.reach, frames, scale, blocks),
+        "input": truth and _input(shown, truth, motion.reach, frames, scale, blocks),
         "summary": _summary(model, skinned, errors, file),
         "figures": _figures(
             shown,
@@ -332,7 +329,7 @@ def _figures(
         ("Frames", f"{model.n_frames:,}", f"{seconds:.3g} seconds"),
     ]
     if skinned:
-        held = size(shown)
+        held = size(shown).total
         tree = "without a hierarchy" if model.parents is None else "in a hierarchy"
         used = int((model.weights > 0).sum(axis=1).max())
         rows += [
@@ -341,14 +338,7 @@ def _figures(
         ]
         if file is not None:
             rows.append(("File", decimal(file.stat().st_size), file.name))
-        rows += [
-            ("Animation", decimal(held.keys), "keys of the bones in float32"),
-            ("Mesh and weights", decimal(held.total - held.keys), "as an engine stores them"),
-        ]
-        times = f"{cache / max(held.total, 1):,.1f} × the {decimal(held.total)} of"
-        times += " animation, mesh and weights"
-        if file is not None:
-            times = f"{cache / max(file.stat().st_size, 1):,.1f} × the file ({times})"
+        times = f"{cache / max(held, 1):,.1f} × the {decimal(held)} of animation, mesh and weights"
         rows.append(("Vertex cache", decimal(cache), f"{cached}: {times}"))
     else:
         rows.append(("Vertex cache", decimal(cache), cached))

@@ -80,7 +80,7 @@ def test_decompose_passes_options_and_writes_models_pages_and_pictures(faked, do
 def test_the_table_tells_the_error_and_quiet_tells_nothing(faked, run, clip):
     code, out, err = run("decompose", clip, "-o", clip.with_name("a.npz"), "-b", 2)
     assert (code, err) == (0, "")
-    for text in ("RMSE", "largest ", "E ", "the search converged", "a.npz", "2 bones"):
+    for text in ("RMSE", "largest ", "E ", "converged", "a.npz", "2 bones"):
         assert text in out
     quiet = ("decompose", clip, "-o", clip.with_name("b.npz"), "-b", 2, "--quiet")
     assert run(*quiet) == (0, "", "")
@@ -104,10 +104,10 @@ def test_a_rig_is_kept_and_gets_bones(done, tmp_path):
     ssdr.save(ssdr.MeshSequence(made.wavy), tmp_path / "walk.npz")
     out = tmp_path / "out.npz"
     line = ("decompose", tmp_path / "walk.npz", "-o", out, "-e", "fast", "-k", 2, "--rig")
-    done(*line, tmp_path / "rig.npz", "--extra-bones", "chest=1,arm=2")
+    done(*line, tmp_path / "rig.npz", "--extra-bones", 2)
     model = ssdr.load_skinning(out)
     assert model.joint_names[:4] == names
-    assert model.parents[4:].tolist() == [1, 2, 2]
+    assert model.n_bones == 6
     done(*line, tmp_path / "rig.npz", "--keep-weights")
     model = ssdr.load_skinning(out)
     np.testing.assert_allclose(model.rest, made.rest, atol=1e-6)

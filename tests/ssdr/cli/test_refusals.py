@@ -43,7 +43,6 @@ TABLE = [
     ((*OUT, "--start", "none.npz"), 2, "no such file"),
     (TREE, 2, "--bones: expected a number of bones, --rig FILE or --start MODEL"),
     ((*TREE, "--rig", "loose"), 2, "--bones"),
-    ((*RIG, "--extra-bones", "tail=1"), 2, "tail"),
     ((*RIG, "--extra-bones", "chest=x"), 2, "--extra-bones"),
     ((*RIG, "--keep-weights", "--start", "clip.npz"), 2, "--start: expected none"),
     ((*OUT, "--extra-bones", "1"), 2, "--extra-bones: expected the file of a rig beside it"),

@@ -52,7 +52,7 @@ def test_bones_are_attached_and_removed_one_by_one(made: trees.Skeleton) -> None
     d = _descent(made, 8)
     _attached(d, made.frames, 8)
     d.bones = 5
-    before = d.iteration
+    before = d.work.iteration
     left = [7, 6, 5]
 
     def after_step(_: str) -> None:
@@ -60,7 +60,7 @@ def test_bones_are_attached_and_removed_one_by_one(made: trees.Skeleton) -> None
 
     d.follow(remove_bones, after_step)
     assert not left
-    assert d.iteration == before + 18
+    assert d.work.iteration == before + 18
 
 
 @pytest.mark.parametrize("parents", [(-1, -1), (4, 2)])

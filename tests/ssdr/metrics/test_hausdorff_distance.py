@@ -82,10 +82,10 @@ def test_samples_see_what_vertices_miss():
     whole = np.array([[[0.0, 0, 0], [3, 0, 0], [0, 3, 0]]])
     flat = [[0, 0], [1, 0], [0, 1], [3, 0], [2, 1], [2, 0], [0, 3], [0, 2], [1, 2]]
     corners = np.array([[(x, y, 0.0) for x, y in flat]])
-    options = {"faces": [[0, 1, 2]], "other_faces": np.arange(9).reshape(3, 3)}
-    assert hausdorff(whole, corners, **options).surface_max == pytest.approx(0, abs=1e-12)
+    pair = MeshSequence(whole, [[0, 1, 2]]), MeshSequence(corners, np.arange(9).reshape(3, 3))
+    assert hausdorff(*pair).surface_max == pytest.approx(0, abs=1e-12)
     # The centroid, a probe of the triangle cut into nine, is farthest away.
-    fine = hausdorff(whole, corners, **options, subdivisions=3)
+    fine = hausdorff(*pair, subdivisions=3)
     assert fine.surface_max == pytest.approx(math.sqrt(0.5))
     assert fine.vertex_max == pytest.approx(math.sqrt(2))
 
@@ -123,6 +123,6 @@ def test_hausdorff_symmetry_scale_and_faces():
 def test_unreferenced_vertices_are_no_surface():
     a, faces = animation(F=1)
     far = np.concatenate([a, [[[50.0, 0, 0]]]], axis=1)
-    result = hausdorff(a, far, faces, other_faces=faces)
+    result = hausdorff(MeshSequence(a, faces), MeshSequence(far, faces))
     assert result.vertex_max > 40
     assert result.surface_max == 0

@@ -118,5 +118,5 @@ def test_a_stop_on_a_sample_keeps_what_it_found() -> None:
     assert d.best.value < first.best.value
     assert d.best.value == d.value(d.best.model)
     *_, (iteration, _, error, phase) = d.records
-    assert (iteration, phase) == (d.iteration, "all vertices")
+    assert (iteration, phase) == (d.work.iteration, "all vertices")
     assert error == d.best.model.weighted_error(d.data) < d.records[-2][2]

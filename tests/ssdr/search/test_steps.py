@@ -46,7 +46,7 @@ def searched(paying: set[int], *, steps: int) -> tuple[list[int], Descent]:
     d = descent_of(data, BONES, INFLUENCES)
     d.model = model
     d.follow(counted)
-    assert d.iteration == STEPS_OF_A_TRIAL * len(drawn)
+    assert d.work.iteration == STEPS_OF_A_TRIAL * len(drawn)
     successes = sum(kind in paying for kind in drawn)
     assert d.value(d.model) == pytest.approx(0.99**successes * d.value(model), rel=1e-9)
     return drawn, d
