@@ -105,7 +105,7 @@ def _command(line: str) -> str:
     if words[:1] != ["ssdr"]:
         return ""
     done = subprocess.run(
-        [sys.executable, "-m", *words],
+        [sys.executable, "-m", "ssdr.cli", *words[1:]],
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
