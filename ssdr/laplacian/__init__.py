@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from .factor import Backend
-from .operators import cotangent_laplacian, mass_matrix, uniform_laplacian
+from .operators import MassKind, cotangent_laplacian, mass_matrix, uniform_laplacian
 from .smoothing import FrequencySplit, LaplacianKind, LaplacianSmoother, split_frequencies
 from .weights import smooth_weights
 
@@ -12,6 +12,7 @@ __all__ = [
     "FrequencySplit",
     "LaplacianKind",
     "LaplacianSmoother",
+    "MassKind",
     "cotangent_laplacian",
     "mass_matrix",
     "smooth_weights",

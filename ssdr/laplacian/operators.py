@@ -7,13 +7,16 @@ semi-definite, so that −M⁻¹L with the masses M is the discrete Laplace–Be
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array, csr_array, dia_array
 
 from ..common.checks import LARGEST, check_faces, check_floats, check_squarable, check_whole
+from ..common.errors import check_choice
+
+MassKind = Literal["barycentric", "voronoi"]
 
 REGULAR = 1 / math.sqrt(3)  # both cotangents opposite to an edge of a regular triangulation
 _SLIVER = 1e-6  # least twice the area of a triangle, relative to its squared longest edge
@@ -98,19 +101,25 @@ def cotangent_laplacian(vertices: ArrayLike, faces: ArrayLike) -> csr_array:
     """
     points, triangles = check_mesh(vertices, faces)
     points, _ = _moderate(points)
-    cot = _cotangents(points, triangles)
+    cot, _ = _cotangents(points, triangles)
     a = triangles[:, [1, 2, 0]].ravel()
     b = triangles[:, [2, 0, 1]].ravel()
     return _assemble(a, b, 0.5 * cot.ravel(), len(points))
 
 
-def mass_matrix(vertices: ArrayLike, faces: ArrayLike) -> dia_array:
-    """Lumped mass matrix: on the diagonal, a third of the area of the triangles at each vertex.
+def mass_matrix(
+    vertices: ArrayLike, faces: ArrayLike, *, kind: MassKind = "barycentric"
+) -> dia_array:
+    """Lumped mass matrix, with the area that belongs to each vertex on the diagonal.
 
     Parameters
     ----------
     vertices : (V, 3) array
     faces : (T, 3) int array
+    kind : {"barycentric", "voronoi"}
+        A corner gets a third of its triangle, or its mixed Voronoi cell (Meyer et al. 2003): in a
+        triangle without an obtuse angle its Voronoi cell; in an obtuse triangle half of the area at
+        the obtuse corner and a quarter at the others.
 
     Returns
     -------
@@ -123,7 +132,12 @@ def mass_matrix(vertices: ArrayLike, faces: ArrayLike) -> dia_array:
     Raises
     ------
     InputError
-        If a shape, a number (1e100 and more) or a face index is not usable.
+        If a shape, a number (1e100 and more), a face index or `kind` is not usable.
+
+    References
+    ----------
+    Meyer et al., "Discrete differential-geometry operators for triangulated
+    2-manifolds", 2003, section 3.3.
 
     Examples
     --------
@@ -133,6 +147,7 @@ def mass_matrix(vertices: ArrayLike, faces: ArrayLike) -> dia_array:
     True
     """
     points, triangles = check_mesh(vertices, faces)
+    check_choice(kind, "kind", MassKind)
     check_squarable(points, "vertices", f"numbers of less than {LARGEST:g}, for areas")
     points, power = _moderate(points)
     n = len(points)
@@ -140,6 +155,12 @@ def mass_matrix(vertices: ArrayLike, faces: ArrayLike) -> dia_array:
     squares = (edges**2).sum(axis=2)
     area = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)[:, None]
     share = np.repeat(area / 3, 3, axis=1)
+    if kind == "voronoi":
+        cot, obtuse = _cotangents(points, triangles)
+        halves = squares * cot / 8  # of edge k, to each of its two ends
+        cells = halves[:, [1, 2, 0]] + halves[:, [2, 0, 1]]
+        mixed = np.where(obtuse, area / 2, area / 4)
+        share = np.where(obtuse.any(axis=1, keepdims=True), mixed, cells)
     mass = np.bincount(triangles.ravel(), weights=share.ravel(), minlength=n)
     owners = mass[mass > 0] if mass.any() else squares.ravel()
     unit = owners.mean() if owners.size else 0.0
@@ -156,15 +177,17 @@ def _moderate(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
     return np.ldexp(points, -power), power
 
 
-def _cotangents(points: NDArray[np.float64], triangles: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Cotangent of the angle at each corner, 0 if it is undefined."""
+def _cotangents(
+    points: NDArray[np.float64], triangles: NDArray[np.int32]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Cotangent of the angle at each corner (0 if undefined), and whether the angle is obtuse."""
     # Edge k is opposite to corner k, so the angle at k lies between edges k+1 and k+2.
     edges = points[triangles[:, [2, 0, 1]]] - points[triangles[:, [1, 2, 0]]]
     dots = -np.einsum("tkc,tkc->tk", edges[:, [1, 2, 0]], edges[:, [2, 0, 1]])
     double_area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
     longest = (edges**2).sum(axis=2).max(axis=1, initial=0.0)
     safe = np.maximum(double_area, _SLIVER * longest)[:, None]
-    return np.asarray(np.divide(dots, safe, out=np.zeros_like(dots), where=safe > 0))
+    return np.divide(dots, safe, out=np.zeros_like(dots), where=safe > 0), dots < 0
 
 
 def _assemble(a: Any, b: Any, weights: NDArray[np.float64], n: int) -> csr_array:

@@ -16,6 +16,7 @@ from ..mesh.sequence import MeshSequence
 from .factor import Backend, factor_spd
 from .operators import (
     REGULAR,
+    MassKind,
     check_mesh,
     cotangent_laplacian,
     mass_matrix,
@@ -49,6 +50,7 @@ class LaplacianSmoother:
         "uniform" is the graph Laplacian divided by √3, which equals the cotangent Laplacian on a
         regular triangulation.  On other meshes it also moves vertices along the surface.  It has no
         negative weights.
+    mass : {"barycentric", "voronoi"}
     backend : {"cholmod", "scipy"}, optional
         CHOLMOD (scikit-sparse) where installed, SciPy's SuperLU otherwise.
 
@@ -56,7 +58,7 @@ class LaplacianSmoother:
     ----------
     backend : {"cholmod", "scipy"}
         The library that made the factor.
-    length, kind
+    length, kind, mass
         Parameters of the call.
     n_vertices : int
 
@@ -94,6 +96,7 @@ class LaplacianSmoother:
         length: float,
         *,
         kind: LaplacianKind = "cotangent",
+        mass: MassKind = "barycentric",
         backend: Backend | None = None,
     ) -> None:
         points, triangles = check_mesh(vertices, faces)
@@ -102,8 +105,9 @@ class LaplacianSmoother:
             raise InputError("length", "a number >= 0, in the mesh's units", repr(length))
         self.length = float(length)
         self.kind: LaplacianKind = kind
+        self.mass: MassKind = mass
         self.n_vertices = len(points)
-        diagonal = mass_matrix(points, triangles)
+        diagonal = mass_matrix(points, triangles, kind=mass)
         if kind == "cotangent":
             laplacian = cotangent_laplacian(points, triangles)
         else:
@@ -218,6 +222,7 @@ def split_frequencies(
     length: float,
     rest: int | ArrayLike = 0,
     kind: LaplacianKind = "cotangent",
+    mass: MassKind = "barycentric",
     backend: Backend | None = None,
 ) -> FrequencySplit:
     """Split every frame into a smooth part and a detail, whose sum is the frame.
@@ -231,7 +236,7 @@ def split_frequencies(
         ℓ of :class:`LaplacianSmoother`, in the mesh's units.
     rest : int or (V, 3) array
         Index of a frame, or a pose, from which the operator is built.
-    kind, backend
+    kind, mass, backend
         As in :class:`LaplacianSmoother`.
 
     Returns
@@ -264,7 +269,7 @@ def split_frequencies(
         pose = np.asarray(rest)
         if pose.shape != (frames.n_vertices, 3):
             raise InputError("rest", f"shape ({frames.n_vertices}, 3)", f"shape {pose.shape}")
-    smoother = LaplacianSmoother(pose, triangles, length, kind=kind, backend=backend)
+    smoother = LaplacianSmoother(pose, triangles, length, kind=kind, mass=mass, backend=backend)
     low = np.empty(frames.vertices.shape, dtype=frames.vertices.dtype)
     high = np.empty_like(low)
     for start, block in frames.chunks():

@@ -11,6 +11,7 @@ from ..common.checks import check_influences
 from ..common.errors import InputError
 from ..model.skinning import Skinning, check_skinning
 from .factor import Backend
+from .operators import MassKind
 from .smoothing import LaplacianKind, LaplacianSmoother
 
 
@@ -20,6 +21,7 @@ def smooth_weights(
     *,
     influences: int | None = None,
     kind: LaplacianKind = "cotangent",
+    mass: MassKind = "barycentric",
     backend: Backend | None = None,
 ) -> Skinning:
     """Copy of a model with weights diffused over its rest pose, by :class:`LaplacianSmoother`.
@@ -38,7 +40,7 @@ def smooth_weights(
         ℓ in the mesh's units: steps between weights are spread over about twice this length.
     influences : int, optional
         Most influences per vertex; the largest are kept.  By default as many as the model has.
-    kind, backend
+    kind, mass, backend
         As in :class:`LaplacianSmoother`; "uniform" makes no weight negative.
 
     Returns
@@ -67,7 +69,9 @@ def smooth_weights(
     if not len(model.faces):
         wanted = "a model with triangles (dataclasses.replace(model, faces=faces) has them)"
         raise InputError("skinning", wanted, "none")
-    smoother = LaplacianSmoother(model.rest, model.faces, length, kind=kind, backend=backend)
+    smoother = LaplacianSmoother(
+        model.rest, model.faces, length, kind=kind, mass=mass, backend=backend
+    )
     weights = np.maximum(smoother.smooth(model.dense_weights().astype(np.float64)), 0.0)
     weights /= weights.sum(axis=1, keepdims=True)
     found = Skinning.from_dense(model.rest, weights, model.transforms, influences=count)

@@ -67,6 +67,26 @@ def barycentric_mass(vertices, faces):
     return mass
 
 
+def voronoi_mass(vertices, faces):
+    """Mixed Voronoi areas from angles (Meyer et al. 2003, figure 4)."""
+    mass = np.zeros(len(vertices))
+    for face in faces:
+        p = [vertices[i] for i in face]
+        area = triangle_area(*p)
+        angle = []
+        for k in range(3):
+            u, v = p[(k + 1) % 3] - p[k], p[(k + 2) % 3] - p[k]
+            angle.append(math.acos(u @ v / np.linalg.norm(u) / np.linalg.norm(v)))
+        for k in range(3):
+            if max(angle) > math.pi / 2:
+                mass[face[k]] += area / 2 if angle[k] > math.pi / 2 else area / 4
+                continue
+            for other, opposite in (((k + 1) % 3, (k + 2) % 3), ((k + 2) % 3, (k + 1) % 3)):
+                side = math.dist(p[k], p[other])
+                mass[face[k]] += side**2 / math.tan(angle[opposite]) / 8
+    return mass
+
+
 def point_triangle_distance(point, a, b, c):
     """Distance by projection on the plane, else on the nearest of the three segments."""
     normal = np.cross(b - a, c - a)

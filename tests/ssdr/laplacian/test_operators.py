@@ -30,7 +30,8 @@ def test_one_triangle_by_hand():
     # The edge 0-1 (length 4) is opposite to vertex 2, whose cotangent is 3/4; 0-2 to vertex 1.
     expected = [[3 / 8 + 4 / 6, -3 / 8, -4 / 6], [-3 / 8, 3 / 8, 0.0], [-4 / 6, 0.0, 4 / 6]]
     np.testing.assert_allclose(cotangent_laplacian(vertices, faces).toarray(), expected, atol=1e-15)
-    np.testing.assert_allclose(mass_matrix(vertices, faces).diagonal(), [2, 2, 2])
+    for kind, mass in (("barycentric", [2, 2, 2]), ("voronoi", [3, 1.5, 1.5])):
+        np.testing.assert_allclose(mass_matrix(vertices, faces, kind=kind).diagonal(), mass)
     np.testing.assert_array_equal(
         uniform_laplacian(faces, 3).toarray(), [[2, -1, -1], [-1, 2, -1], [-1, -1, 2]]
     )
@@ -54,9 +55,10 @@ def test_matrices_equal_naive_loops(soup):
         np.testing.assert_allclose(matrix.sum(axis=1), 0, atol=1e-13 * size)
         assert np.linalg.eigvalsh(matrix).min() >= -1e-12 * size
     used = np.unique(faces)
-    got, twin = mass_matrix(vertices, faces).diagonal(), naive.barycentric_mass(vertices, faces)
-    np.testing.assert_allclose(got[used], twin[used], rtol=1e-6)
-    assert got.min() > 0
+    for kind, twin in (("barycentric", naive.barycentric_mass), ("voronoi", naive.voronoi_mass)):
+        got = mass_matrix(vertices, faces, kind=kind).diagonal()
+        np.testing.assert_allclose(got[used], twin(vertices, faces)[used], rtol=1e-6)
+        assert got.min() > 0
 
 
 def test_linear_precision_on_a_flat_patch():
@@ -72,7 +74,8 @@ def test_linear_precision_on_a_flat_patch():
 def test_area_of_the_mesh_is_shared_out():
     vertices, faces = sphere()
     area = trimesh.Trimesh(vertices, faces, process=False).area
-    assert mass_matrix(vertices, faces).diagonal().sum() == pytest.approx(area)
+    for kind in ("barycentric", "voronoi"):
+        assert mass_matrix(vertices, faces, kind=kind).diagonal().sum() == pytest.approx(area)
 
 
 def test_scale_and_rigid_motion_leave_the_cotangents_alone():
@@ -104,10 +107,11 @@ def test_the_cotangent_laplacian_of_any_size_is_the_same(size: float) -> None:
 def test_masses_are_numbers_or_refused() -> None:
     dancer = ssdr.samples.load("dancer_small")
     points = dancer.vertices[0].astype(np.float64)
-    plain = mass_matrix(points, dancer.faces).diagonal()
-    for size in (1e60, 1e98):
-        large = mass_matrix(points * size, dancer.faces).diagonal()
-        np.testing.assert_allclose(large / size**2, plain, rtol=1e-9)
-    for size in (1e101, 1e200):
-        with pytest.raises(ssdr.InputError, match="less than 1e"):
-            mass_matrix(points * size, dancer.faces)
+    for kind in ("barycentric", "voronoi"):
+        plain = mass_matrix(points, dancer.faces, kind=kind).diagonal()
+        for size in (1e60, 1e98):
+            large = mass_matrix(points * size, dancer.faces, kind=kind).diagonal()
+            np.testing.assert_allclose(large / size**2, plain, rtol=1e-9)
+        for size in (1e101, 1e200):
+            with pytest.raises(ssdr.InputError, match="less than 1e"):
+                mass_matrix(points * size, dancer.faces, kind=kind)
