@@ -84,14 +84,25 @@ def test_files_play_the_expressions(made, tmp_path):
         back = ssdr.load_skinning(tmp_path / name)
         assert [c.name for c in back.clips] == list(made.names)
         assert largest_distance(back.skin(), made.skinning.skin()) < 1e-5
-        assert back.driven == (name == "a.npz")
-        back, weights = dataclasses.replace(back, driven=True), np.full((1, 3), 0.5)
+        assert back.driven
+        weights = np.full((1, 3), 0.5)
         both = (ssdr.drive(x, weights).skin() for x in (back, made))
         assert largest_distance(*both) < 1e-5
+    resampled = ssdr.load_skinning(tmp_path / "a.glb", fps=3 * back.fps)
+    assert not resampled.driven  # more than two frames a clip
     document, _ = opened(tmp_path / "a.glb")
     moved = [len(one["channels"]) for one in document["animations"]]
     still = (made.skinning.skinning.transforms[1::2] == np.eye(3, 4)).all(axis=(2, 3)).sum(axis=1)
     assert moved == [2 * (4 - n) + 1 for n in still]  # bones at rest have no keys
+
+
+def test_a_face_of_bones_alone_is_read_as_one(made, tmp_path):
+    none = ssdr.Shapes(np.zeros((0, made.skinning.n_vertices, 3)), np.zeros((6, 0)))
+    bones = dataclasses.replace(made.skinning, shapes=none)
+    back = ssdr.load_skinning(ssdr.save(bones, tmp_path / "a.glb").path)
+    weights = np.full((1, 3), 0.5)
+    moved = (ssdr.drive(x, weights).skin() for x in (back, bones))
+    assert largest_distance(*moved) < 1e-5
 
 
 def test_from_the_shapes_of_a_file(made, tmp_path):

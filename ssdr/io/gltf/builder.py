@@ -322,7 +322,7 @@ def state_targets(mesh: dict[str, Any], shapes: Shapes) -> None:
     """
     amounts = shapes.amounts * bool(shapes.amounts.any(axis=1).all())
     mesh["weights"] = amounts.mean(axis=0).tolist()
-    mesh["extras"] = {"targetNames": list(shapes.names)}
+    mesh.setdefault("extras", {})["targetNames"] = list(shapes.names)
 
 
 def add_channel(

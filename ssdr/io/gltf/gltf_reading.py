@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import logging
 from collections.abc import Sequence
@@ -11,10 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...common.errors import InputError
 from ...mesh.clips import Clip, in_order
 from ...mesh.sequence import MeshSequence
 from ...mesh.surface import METRES_Y_UP, Material
-from ...model.shapes import Skinned
+from ...model.shapes import ShapedSkinning, Shapes, Skinned, skinning_and_shapes
 from ..file_clips import pick_clip
 from ..file_errors import reading
 from ..sampling import Sample, part_starts
@@ -154,7 +156,21 @@ def read_skinning(
         else:
             parts = read_parts(document, clips[0], meshes)
         samples = [_sample(parts, nodes, fps) for nodes in clips]
-        return join_skinning(samples, read_materials(document), mesh_name(document), METRES_Y_UP)
+        model = join_skinning(samples, read_materials(document), mesh_name(document), METRES_Y_UP)
+        extras = [mesh.get("extras") for mesh in document.items("meshes")]
+        stated = [one.get("ssdr") for one in extras if isinstance(one, dict)]
+        driven = any(isinstance(one, dict) and one.get("driven") is True for one in stated)
+        return _as_face(model) if driven else model
+
+
+def _as_face(model: Skinned) -> Skinned:
+    """Model that weights drive, unless its clips are no expressions (as at another frame rate)."""
+    skinning, shapes = skinning_and_shapes(model)
+    if shapes is None:
+        shapes = Shapes(np.zeros((0, model.n_vertices, 3)), np.zeros((model.n_frames, 0)))
+    with contextlib.suppress(InputError):
+        return ShapedSkinning(skinning, shapes, driven=True)
+    return model
 
 
 _log = logging.getLogger(__name__)

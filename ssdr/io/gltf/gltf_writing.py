@@ -128,6 +128,8 @@ def _document(model: Skinned, rig: Rig, title: str) -> Builder:
         add_animation(builder, rig, clip, title if clip.name in unnamed else clip.name, 1)
         for clip in rig.clips
     ]
+    if isinstance(model, ShapedSkinning) and model.driven:
+        json["meshes"][0]["extras"] = {"ssdr": {"driven": True}}
     if rig.shapes is not None:
         state_targets(json["meshes"][0], rig.shapes)
         for clip, animation in zip(rig.clips, json["animations"], strict=True):
