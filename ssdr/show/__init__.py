@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from .figures import Film, contact_sheet, draw, render_frame, write_picture
+from .drawing import draw
+from .figures import contact_sheet, render_frame, write_picture
+from .film import Film
 from .palette import CLAY, FABRIC, NEUTRAL, SKIN
 from .subject import Style
 

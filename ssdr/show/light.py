@@ -140,7 +140,7 @@ def sky(camera: Camera, points: Float, faces: NDArray[np.int32]) -> Lights:
 
 
 def lamp(camera: Camera, points: Float, faces: NDArray[np.int32]) -> Lights:
-    """Lights spread over the disc of the lamp."""
+    """Lights of the lamp, spread evenly over its disc."""
     k = np.arange(_LAMP_LIGHTS)
     radius = _LAMP_SIZE * np.sqrt((k + 0.5) / _LAMP_LIGHTS)
     turn = k * np.pi * (3 - np.sqrt(5))

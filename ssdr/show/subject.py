@@ -118,7 +118,7 @@ class Scene:
 
     @functools.cached_property
     def vertex(self) -> NDArray[np.integer]:
-        """Vertex of each lit vertex ``(N,)``: one for each normal, or every one of a cloud."""
+        """Index ``(N,)`` of the vertex at which each normal stands; in a cloud, of every vertex."""
         if not len(self.faces):
             return np.arange(self.subject.n_vertices)
         return np.asarray(self._lit.vertex[self._used[0]])

@@ -41,7 +41,7 @@ def notebook_html(thing: Any) -> str:
 
 
 def _frame(subject: MeshSequence | Skinned) -> str:
-    """The page as the source of an ``<iframe>``; empty if it is too large."""
+    """An ``<iframe>`` that holds the page; empty if the page is too large."""
     from .page import page_text
 
     if subject.n_frames * subject.n_vertices > _PAGE_VERTICES:
