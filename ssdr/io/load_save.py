@@ -108,12 +108,12 @@ def load(
     """
     source, format_ = _to_read(path, fps, scale)
     space, functions = Space(units, up), format_.functions()
-    if not reads(options.get("faces")):  # a scene that holds the mesh
-        options["faces"] = load(options["faces"])
     if functions.list_clips is not None and clip is not None:
         options["clip"] = clip
     check_options(functions.read, format_.title, options)
     with trusting(folder):
+        if not reads(options.get("faces")):  # a scene that holds the mesh
+            options["faces"] = load(options["faces"])
         sequence = functions.read(source, fps=fps, **options)
     if functions.list_clips is None:
         pick([_only_clip(sequence, source).name], clip)
@@ -198,7 +198,7 @@ def list_meshes(
 def _to_read(
     path: Any, fps: float | None = None, scale: float = 1.0, *, skinning: bool = False
 ) -> tuple[Path, Format]:
-    """Path of a file that can be read, and its format.
+    """Checked path of a file to read, and its format.
 
     If `skinning` is true, the format must be one that holds skinnings.
     """

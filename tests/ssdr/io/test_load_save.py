@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import types
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -94,3 +95,14 @@ def test_a_mesh_without_triangles_is_no_mesh_to_other_programs(tmp_path, wave):
     assert "triangles" not in str(
         ssdr.save(ssdr.initialize(wave, bones=2), tmp_path / "b.glb").notes
     )
+
+
+def test_the_mesh_of_vertices_is_read_after_the_options_are_checked(tmp_path: Path) -> None:
+    path = tmp_path / "a.obj"
+    ssdr.save(ssdr.samples.load("dancer_small"), tmp_path / "%d.obj")
+    (tmp_path / "0.obj").rename(path)
+    with pytest.raises(ssdr.InputError, match=r"^options: .* got faces"):
+        ssdr.load(path, faces="missing.glb")
+    np.save(tmp_path / "v.npy", np.zeros((2, 3, 3)))
+    with pytest.raises(FileNotFoundError, match=r"missing\.glb"):
+        ssdr.load(tmp_path / "v.npy", faces="missing.glb")
