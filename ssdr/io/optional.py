@@ -7,28 +7,30 @@ from typing import Any
 
 from ..common.errors import MissingDependencyError
 
-# Packages of the extras, for pip: ``ssdr`` is in no index, where anyone may take its name.
+# Module that is imported for each extra, and its package for pip: ``ssdr`` is in no index, where
+# anyone may take its name.
 PACKAGES = {
-    "alembic": "alembic3d>=1.8.12",
-    "draco": "DracoPy>=2.0",
-    "meshopt": "meshoptimizer>=0.2.30a0",
-    "usd": "usd-core>=24.8",
-    "zarr": "zarr>=3.0",
+    "alembic": ("alembic3d", "alembic3d>=1.8.12"),
+    "draco": ("DracoPy", "DracoPy>=2.0"),
+    "meshopt": ("meshoptimizer", "meshoptimizer>=0.2.30a0"),
+    "usd": ("pxr.UsdSkel", "usd-core>=24.8"),
+    "zarr": ("zarr", "zarr>=3.0"),
 }
 
 
-def require(module: str, extra: str, what: str) -> Any:
-    """Import a package that belongs to the optional dependencies `extra`, and return it.
+def require(extra: str, what: str) -> Any:
+    """Import the module of the optional dependencies `extra`, and return it.
 
     `what` begins the error message, as in :func:`import_optional`.
     """
-    return import_optional(module, PACKAGES[extra], what)
+    return import_optional(*PACKAGES[extra], what)
 
 
-def check_installed(module: str, extra: str, what: str) -> None:
+def check_installed(extra: str, what: str) -> None:
     """Raise the error of :func:`require` if a package is not installed, without importing it."""
+    module, requirement = PACKAGES[extra]
     if importlib.util.find_spec(module) is None:
-        raise _missing(PACKAGES[extra], what)
+        raise _missing(requirement, what)
 
 
 def import_optional(module: str, requirement: str, what: str) -> Any:

@@ -16,12 +16,11 @@ from ..common.errors import FormatError, InputError, MissingDependencyError, Ssd
 from ..mesh.clips import Clip, names_of
 from ..mesh.sequence import MeshSequence
 from .atomic import check_writable
-from .formats import as_path, format_of, option_names
+from .formats import FORMATS, as_path, format_of, option_names
 from .load_save import list_clips, save
-from .optional import require
+from .optional import PACKAGES, require
 from .save_report import SaveReport
 
-_PACKAGES = {"alembic": "alembic3d", "usd": "pxr", "zarr": "zarr"}
 _GLTF = (".glb", ".gltf")
 _TRIED_INFLUENCES = 16  # more than any format with a limit takes
 _SHEARED = np.array([[1.0, 0.5, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
@@ -65,10 +64,10 @@ def check_outputs(
                 finder.command("")
             except MissingDependencyError as error:
                 raise MissingDependencyError(f"{path}: FBX needs Blender. {error}") from error
-        if format_.extra in _PACKAGES:
-            require(_PACKAGES[format_.extra], format_.extra, f"{path}: {format_.title}")
+        if format_.extra in PACKAGES:
+            require(format_.extra, f"{path}: {format_.title}")
         # the folder of numbered files is made with them
-        made = format_.title.startswith("numbered") and "%" in path.name
+        made = format_ is FORMATS[".obj"] and "%" in path.name
         check_file(path, "output", others=seen, with_folder=made)
         seen.append(path)
 

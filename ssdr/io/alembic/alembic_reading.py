@@ -127,7 +127,7 @@ def _check_file(path: Path) -> None:
             "abcconvert -toOgawa OLD NEW of the Alembic library converts it"
         )
     check(head.startswith(b"Ogawa"), f"not an .abc file: {describe(head)}")
-    check_installed("alembic3d", "alembic", "reading Alembic")
+    check_installed("alembic", "reading Alembic")
 
 
 def _stamps(clocks: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:

@@ -34,7 +34,7 @@ def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:
     MissingDependencyError
         If alembic3d is not installed.
     """
-    library = require("alembic3d", "alembic", "writing Alembic")
+    library = require("alembic", "writing Alembic")
     error = StorageError()
     with atomic_path(path) as temporary:
         _write(library, sequence, temporary, error)

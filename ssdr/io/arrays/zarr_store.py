@@ -45,7 +45,7 @@ def read(
         If the store is damaged or hostile, a chunk is missing, or chunks are compressed by
         anything but zstd and Blosc.
     """
-    zarr = require("zarr", "zarr", str(path))
+    zarr = require("zarr", str(path))
     with reading(path):
         check(path.is_dir(), "not a folder, as a zarr store is")
         for folder, folders, files in os.walk(path):
@@ -129,7 +129,7 @@ def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:
 
     Each chunk of ``vertices`` holds whole frames. Numbers keep their full precision.
     """
-    zarr = require("zarr", "zarr", str(path))
+    zarr = require("zarr", str(path))
     if not path.parent.is_dir():
         raise InputError("path", "a folder in a folder that exists", str(path))
     if path.exists() and not any((path / name).is_file() for name in _METADATA):

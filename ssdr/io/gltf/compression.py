@@ -30,7 +30,7 @@ def decode_mesh(data: bytes, path: Path) -> tuple[dict[int, NDArray[Any]], NDArr
     FormatError
         If the data are damaged.
     """
-    draco = require("DracoPy", "draco", f"{path}: geometry compressed with Draco")
+    draco = require("draco", f"{path}: geometry compressed with Draco")
     try:
         mesh = draco.decode(data)
     except (draco.FileTypeException, RuntimeError, ValueError) as error:
@@ -51,7 +51,7 @@ def decode_view(
     FormatError
         If the data are damaged, or the mode or filter is unknown or does not fit the elements.
     """
-    library = require("meshoptimizer", "meshopt", f"{path}: buffers compressed with meshopt")
+    library = require("meshopt", f"{path}: buffers compressed with meshopt")
     state = f"{mode!r} and a stride of {stride} bytes"
     words, short = stride in range(4, 257, 4), stride in (2, 4)
     known = words if mode == "ATTRIBUTES" else short and mode in ("TRIANGLES", "INDICES")

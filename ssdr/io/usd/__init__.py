@@ -5,4 +5,4 @@ Importing this package raises a :class:`~ssdr.MissingDependencyError` if usd-cor
 
 from ..optional import require
 
-require("pxr.UsdSkel", "usd", "USD")
+require("usd", "USD")

@@ -85,7 +85,7 @@ def test_a_missing_package_says_what_to_install(tmp_path, wave, monkeypatch):
 
 def test_the_packages_to_install_are_those_of_the_extras():
     project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]
-    for extra, package in PACKAGES.items():
+    for extra, (_, package) in PACKAGES.items():
         assert project["optional-dependencies"][extra] == [package]
 
 
