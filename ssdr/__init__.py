@@ -27,12 +27,12 @@ __all__ = sorted([*_HOME, "__version__"])
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    path = [__name__, *_HOME[name].split(".")] if _HOME[name] else [__name__]
-    home = importlib.import_module(".".join(path))
-    if path == [__name__] or not hasattr(home, name):  # the name is that of a module
-        value = importlib.import_module(".".join([*path, name]))
-    else:
-        value = getattr(home, name)
+    home = f"{__name__}.{_HOME[name]}".rstrip(".")
+    module = importlib.import_module(home)
+    if module.__name__ != __name__ and hasattr(module, name):
+        value = getattr(module, name)
+    else:  # the name is that of a module
+        value = importlib.import_module(f"{home}.{name}")
     globals()[name] = value
     return value
 

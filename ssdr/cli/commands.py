@@ -135,7 +135,7 @@ def _shots(thing: MeshSequence | Skinned) -> dict[str, Any]:
 
 
 def _measure(a: MeshSequence, b: Any, **options: Any) -> Any:
-    """Compare with a model or, if its triangles are others, with its vertices alone."""
+    """Errors of `b` from `a`; of a model with other triangles, only its vertices are compared."""
     if isinstance(b, Skinned) and b.vertex_map is None and not np.array_equal(b.faces, a.faces):
         b = MeshSequence(b.skin(), b.faces, b.fps, validate=False)
     return ssdr.metrics.compare(a, b, **options)

@@ -35,7 +35,7 @@ _logger = logging.getLogger(__name__)
 
 @dataclasses.dataclass(frozen=True)
 class Frames:
-    """Frames of one span, read from one or several shots.
+    """Successive frames that one task reads, from one or several shots.
 
     Attributes
     ----------

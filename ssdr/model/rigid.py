@@ -352,7 +352,7 @@ def sixd_from_matrix(rotation: ArrayLike) -> NDArray[np.float64]:
 
 
 def matrix_from_sixd(sixd: ArrayLike) -> NDArray[np.float64]:
-    """Rotation matrices ``(..., 3, 3)`` of two column vectors ``(..., 6)`` by Gram–Schmidt.
+    """Rotation matrices ``(..., 3, 3)`` of their first two columns ``(..., 6)``, by Gram–Schmidt.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Size of models in bytes, and the report of ``ssdr.smallest``."""
+"""The search of ``ssdr.smallest`` and its report; what a model takes to store."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
-"""Numbers of steps, starts and trials of the three efforts, some by the size of the problem.
+"""Numbers by effort for given bones, trees and smooth weights; numbers of rebuilds of "best".
 
-The size is the number of vertices × frames × bones.
+Those of free bones stand in ``schedules.py``, where they are used.  Rebuilds depend on the size of
+the problem: vertices × frames × bones.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from .problem import Effort
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Numbers:
-    """Numbers of steps, starts and trials of an effort.
+    """Numbers of steps, starts and trials where bones are given, joined or smooth.
 
     Attributes
     ----------
