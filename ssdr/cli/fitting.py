@@ -232,10 +232,9 @@ def _check_motion(shots: Sequence[MeshSequence], path: Path) -> None:
 
 def _measured(result: Any, shots: Sequence[MeshSequence]) -> dict[str, Any]:
     """Entries of the JSON object about a result."""
-    from ..model.frame_error import largest_error, motion_rms, share_of
+    from ..model.frame_error import largest_error
 
     model, diagonal = result.skinning, max(shot.diagonal() for shot in shots)
-    motion = motion_rms(shots)
     arrays = (model.rest, model.indices, model.weights, model.transforms)
     largest = largest_error(shots, *arrays)
     percent = 100 / diagonal if diagonal > 0 else math.nan
@@ -250,8 +249,8 @@ def _measured(result: Any, shots: Sequence[MeshSequence]) -> dict[str, Any]:
         "influences": model.n_influences,
         "rmse": result.rmse,
         "rmse_percent": percent * result.rmse,
-        "motion": motion,
-        "percent_of_motion": 100 * share_of(result.rmse, motion),
+        "motion": result.motion,
+        "percent_of_motion": 100 * result.motion_lost,
         "max_error": largest,
         "max_error_percent": percent * largest,
         "E": 1000 * result.rmse / math.sqrt(3),

@@ -15,6 +15,7 @@ from types import SimpleNamespace
 import numpy as np
 
 import ssdr
+from ssdr.model.frame_error import motion_rms
 
 ROOT = Path(__file__).parents[2]
 
@@ -56,15 +57,13 @@ def fake_decompose(sequence, *, bones, callback, influences=4, steps=3, pause=0.
         if pause and step == 1:
             sys.stderr.write("solving\n")
         time.sleep(pause)
-    return SimpleNamespace(
+    return ssdr.Decomposition(
         skinning=model_of(sequence, bones, influences),
         rmse=0.25,
-        converged=reason == "converged",
         stop_reason=reason,
-        history=(SimpleNamespace(iteration=step),),
-        copies=0,
-        normals=None,
-        compile_seconds=0.0,
+        history=(),
+        offsets=np.array([0, sequence.n_frames]),
+        motion=motion_rms([sequence]),
     )
 
 
