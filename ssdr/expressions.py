@@ -16,7 +16,7 @@ from .common.short_repr import short_repr
 from .mesh.clips import Clip, unique_names
 from .mesh.sequence import MeshSequence
 from .model.shaped_normals import fit_vectors
-from .model.shapes import ShapedSkinning, Shapes, Skinned, skinning_and_shapes
+from .model.shapes import ShapedSkinning, Shapes, Skinned, shaped, skinning_and_shapes
 from .model.skinning import Skinning, skinning_in
 from .model.start import Start
 from .model.transforms import rest_diagonal
@@ -277,9 +277,8 @@ def _as_clips(face: Skinned, names: tuple[str, ...]) -> ShapedSkinning:
     Shapes that move no vertex are left out.
     """
     index = np.stack([np.zeros(len(names), dtype=int), 1 + np.arange(len(names))], axis=1).ravel()
-    model, shapes = skinning_and_shapes(face)
-    if shapes is None:
-        shapes = Shapes(np.zeros((0, model.n_vertices, 3)), np.zeros((model.n_frames, 0)))
+    face = shaped(face)
+    model, shapes = face.skinning, face.shapes
     used = np.flatnonzero(shapes.moved.any(axis=1))
     clips = tuple(Clip(name, 2 * k, 2 * k + 2, model.fps) for k, name in enumerate(names))
     return ShapedSkinning(

@@ -207,6 +207,14 @@ def skinning_and_shapes(model: Skinned) -> tuple[Skinning, Shapes | None]:
     return model.skinning, model.shapes
 
 
+def shaped(model: Skinned) -> ShapedSkinning:
+    """A model as one with shapes, of which there may be none."""
+    if isinstance(model, ShapedSkinning):
+        return model
+    none = Shapes(np.zeros((0, model.n_vertices, 3)), np.zeros((model.n_frames, 0)))
+    return ShapedSkinning(model, none)
+
+
 def without_shapes(model: Skinned, where: str) -> Skinning:
     """The skinning of a model, which must have no shapes, since `where` cannot hold them.
 

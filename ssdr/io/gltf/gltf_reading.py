@@ -16,7 +16,7 @@ from ...common.errors import InputError
 from ...mesh.clips import Clip, in_order
 from ...mesh.sequence import MeshSequence
 from ...mesh.surface import METRES_Y_UP, Material
-from ...model.shapes import ShapedSkinning, Shapes, Skinned, skinning_and_shapes
+from ...model.shapes import Skinned, shaped
 from ..file_clips import pick_clip
 from ..file_errors import reading
 from ..sampling import Sample, part_starts
@@ -165,11 +165,8 @@ def read_skinning(
 
 def _as_face(model: Skinned) -> Skinned:
     """Model that weights drive, unless its clips are no expressions (as at another frame rate)."""
-    skinning, shapes = skinning_and_shapes(model)
-    if shapes is None:
-        shapes = Shapes(np.zeros((0, model.n_vertices, 3)), np.zeros((model.n_frames, 0)))
     with contextlib.suppress(InputError):
-        return ShapedSkinning(skinning, shapes, driven=True)
+        return dataclasses.replace(shaped(model), driven=True)
     return model
 
 
