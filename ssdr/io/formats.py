@@ -54,8 +54,8 @@ class Format:
         Imports the format's modules and returns its `Functions`.
     sequences, skinnings : bool
         Whether sequences and skinnings can be written; all that is written can be read.
-    extra : str or None
-        Extra of ssdr that the format needs.
+    package : str
+        Module that the format needs beside those of ssdr; empty if it needs none.
     space : Space or None
         Space that its files must have.  If its unit or up axis is unknown, a file may choose that;
         None if files cannot state a space.
@@ -65,7 +65,7 @@ class Format:
     functions: Callable[[], Functions]
     sequences: bool = True
     skinnings: bool = False
-    extra: str | None = None
+    package: str = ""
     space: Space | None = None
 
 
@@ -155,7 +155,7 @@ def _fbx() -> Functions:
 
 
 _NUMBERED = Format(title="numbered OBJ or PLY", functions=_numbered)
-_ZARR = Format(title="zarr store", functions=_zarr, extra="zarr")
+_ZARR = Format(title="zarr store", functions=_zarr, package="zarr")
 _GLTF = Format(
     title="glTF 2.0", functions=_gltf, sequences=False, skinnings=True, space=METRES_Y_UP
 )
@@ -163,7 +163,7 @@ _USD = Format(
     title="Universal Scene Description",
     functions=_usd,
     skinnings=True,
-    extra="usd",
+    package="pxr",
     space=UNKNOWN,
 )
 
@@ -180,13 +180,13 @@ FORMATS: Mapping[str, Format] = {
     ".usd": _USD,
     ".usda": _USD,
     ".usdc": _USD,
-    ".abc": Format(title="Alembic", functions=_alembic, extra="alembic"),
+    ".abc": Format(title="Alembic", functions=_alembic, package="alembic3d"),
     ".fbx": Format(
         title="FBX",
         functions=_fbx,
         sequences=False,
         skinnings=True,
-        extra="blender",
+        package="bpy",
         space=METRES_Y_UP,
     ),
 }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import logging
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -18,7 +17,6 @@ from ..model.lbs import skin
 from .frame_rates import Frames, Times
 from .save_report import frame_blocks
 
-_log = logging.getLogger(__name__)
 _MOST_LOOKS, _MOST_BYTES = 256, 64 << 20  # limits of the key times at which vertices are compared
 _LEAST = 1e-6  # of the diagonal: rounding of float32 vertices
 
@@ -54,12 +52,13 @@ class Sample:
     def tell_missed(self) -> None:
         """Warn of keys between frames, with the largest error of vertices at these keys.
 
+        Nothing is said of frames at a rate that the caller chose.
         The error is the distance between the vertices at a key and those interpolated linearly
         between the two frames around it, as players do. At most 256 keys are compared.
         """
         frames, width = self.frames, sum(len(part.indices) for part in self.parts)
         missed = frames.missed
-        if not len(missed) or not (self.own or _log.isEnabledFor(logging.INFO)):
+        if not (self.own and len(missed)):
             return
 
         def vertices(times: Times) -> NDArray[np.floating]:
@@ -75,7 +74,7 @@ class Sample:
         shown = (1 - share) * around[0] + share * around[1]
         distance = np.linalg.norm(there - shown, axis=2).max()
         diagonal = np.linalg.norm(np.ptp(there, axis=1), axis=1).max()
-        tell(self.path, self.clip, len(missed), distance, diagonal, own=self.own)
+        tell(self.path, self.clip, len(missed), distance, diagonal)
 
 
 def part_starts(parts: Sequence[Any]) -> NDArray[np.int64]:
@@ -99,10 +98,8 @@ def vertices_of(parts: Sequence[Any], time: Any, n_frames: int) -> NDArray[np.fl
     return frames
 
 
-def tell(
-    path: Path, clip: Clip, count: int, distance: float, diagonal: float, *, own: bool
-) -> None:
-    """Warn, or log if not `own`, that `count` keys of a clip lie between its frames.
+def tell(path: Path, clip: Clip, count: int, distance: float, diagonal: float) -> None:
+    """Warn that `count` keys of a clip lie between its frames.
 
     `distance` is the largest error of a vertex that results.
     """
@@ -114,7 +111,4 @@ def tell(
         f"{clip.fps:g} a second: vertices are up to {distance:.3g}{share} from where the file has "
         "them (fps= samples at another rate)"
     )
-    if own:
-        warnings.warn(text, SsdrWarning, stacklevel=2)
-    else:
-        _log.info(text)
+    warnings.warn(text, SsdrWarning, stacklevel=2)

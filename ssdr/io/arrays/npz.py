@@ -37,7 +37,7 @@ _SURFACE = (
     *("surface_uv", "surface_normals", "surface_material_index", "materials", "texture_*"),
     "vertex_normals",  # (V, 3), in place of surface_normals where no vertex has two
 )
-_SKINNING = ("rest", "weights", "transforms", "faces", "fps", "format_version")
+_SKINNING = ("rest", "indices", "weights", "transforms", "faces", "fps", "format_version")
 _FIELDS = {"uv": "float32", "normals": "float32", "material_index": "int32"}  # of a Surface
 _SPACE = ("units", "up")
 _WHERE_GIVEN = ("keyframes", "vertex_map", "parents", "joint_positions")
@@ -152,24 +152,22 @@ def read_skinning(path: Path, *, fps: float | None = None, max_bytes: int | None
         path,
         required=_SKINNING,
         optional=(
-            *("indices", "joints", "bone_model", "bone_names", "name", *_WHERE_GIVEN, *_SURFACE),
+            *("bone_model", "bone_names", "name", *_WHERE_GIVEN, *_SURFACE),
             *("clip_names", "clip_offsets", "clip_fps", *_SPACE, *_SHAPES, "driven"),
         ),
         max_bytes=max_bytes,
     )
     with reading(path):
         version = int(_number(arrays, "format_version", 0))
-        problem = f"format_version {version}; this release reads up to {FORMAT_VERSION}"
-        check(1 <= version <= FORMAT_VERSION, problem)
-        indices = "joints" if version == 1 else "indices"
-        check(indices in arrays, f"no array {indices}, as format_version {version} has it")
+        problem = f"format_version {version}; this release reads 2 to {FORMAT_VERSION}"
+        check(2 <= version <= FORMAT_VERSION, problem)
         names = _text(arrays, "bone_names")
         clips = _clips_from(arrays)
         if fps is not None and clips is not None:
             clips = [dataclasses.replace(clip, fps=fps) for clip in clips]
         skinning = Skinning(
             arrays["rest"],
-            arrays[indices],
+            arrays["indices"],
             arrays["weights"],
             arrays["transforms"],
             faces=arrays["faces"],

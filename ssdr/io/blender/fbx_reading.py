@@ -193,9 +193,10 @@ def _clips(arrays: dict[str, NDArray[Any]], path: Path) -> tuple[Clip, ...]:
 def _tell_missed(
     arrays: dict[str, NDArray[Any]], clips: Sequence[Clip], path: Path, fps: float | None
 ) -> None:
-    """Warn of keys that lie between the sampled frames of clips."""
-    for clip, (count, distance, diagonal) in zip(clips, arrays["missed"], strict=False):
-        tell(path, clip, int(count), distance, diagonal, own=fps is None)
+    """Warn of keys that lie between the sampled frames of clips, unless the caller chose `fps`."""
+    missed = arrays["missed"] if fps is None else ()
+    for clip, (count, distance, diagonal) in zip(clips, missed, strict=False):
+        tell(path, clip, int(count), distance, diagonal)
 
 
 def _title(arrays: dict[str, NDArray[Any]], path: Path) -> str:

@@ -44,7 +44,6 @@ def write_skinning(
     template: str | os.PathLike[str] | None = None,
     meshes: str | Sequence[str] | None = None,
     clip_names: Mapping[str, str | None] | None = None,
-    strict: bool = False,
 ) -> SaveReport:
     """Write a skinning as ``.glb``, or as ``.gltf`` with a ``.bin`` of the same name beside it.
 
@@ -73,9 +72,6 @@ def write_skinning(
     clip_names : mapping of str to str, optional
         Maps the name of a clip in the template to its name in the model, where these differ, or to
         None if the clip is left out on purpose and not to be reported as lost.
-    strict : bool
-        Whether to raise an error, instead of reporting the loss, if contents of the template
-        cannot be kept.
 
     Returns
     -------
@@ -86,8 +82,7 @@ def write_skinning(
     Raises
     ------
     InputError
-        If the model does not fit the format (see :func:`ssdr.io.rig.build_rig`) or the template,
-        or if `strict` is true and contents of the template cannot be kept.
+        If the model does not fit the format (see :func:`ssdr.io.rig.build_rig`) or the template.
 
     References
     ----------
@@ -102,9 +97,6 @@ def write_skinning(
     plain = without_shapes(skinning, "a file with a template")
     old = Template(Path(template), plain, meshes, clip_names or {})
     old.put(rig, title)
-    if strict and old.builder.lost:
-        lost = "; ".join(old.builder.lost)
-        raise InputError("template", "a file all of which can be kept", lost)
     return _report(skinning, rig, path, old.builder)
 
 

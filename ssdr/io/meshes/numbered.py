@@ -56,7 +56,7 @@ def read(path: Path, *, fps: float | None = None) -> MeshSequence:
         )
 
 
-def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> SaveReport:
+def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:
     """Write one OBJ or PLY file per frame, with vertices and faces without loss.
 
     OBJ keeps UVs, the normals of the first frame and the names of materials.
@@ -65,24 +65,19 @@ def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> Sav
     ----------
     sequence : MeshSequence
     path : Path
-        A pattern such as ``folder/frame_%04d.obj``; the folder is made if it is missing. A sequence
-        of one frame may have a plain name. Files of these names are overwritten. A warning is
-        issued if other files match the pattern.
-    start : int
-        Number of the first file.
+        A pattern such as ``folder/frame_%04d.obj``, numbered from 0; the folder is made if it is
+        missing. A sequence of one frame may have a plain name. Files of these names are
+        overwritten. A warning is issued if other files match the pattern.
 
     Raises
     ------
     InputError
-        If a sequence of several frames has a plain name, a name has two numbers, or `start` is
-        negative.
+        If a sequence of several frames has a plain name, or a name has two numbers.
     """
     several = _PRINTF.findall(path.name)
     if len(several) > 1 or (not several and sequence.n_frames > 1):
         expected = "one number such as %04d in the name, for a file a frame"
         raise InputError("path", expected, path.name)
-    if start < 0:
-        raise InputError("start", "a number >= 0", start)
     if several:
         path.parent.mkdir(parents=True, exist_ok=True)
     notes: list[str] = []
@@ -96,7 +91,7 @@ def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> Sav
         notes.append("PLY has no seams: texture coordinates, normals and materials are not kept")
     for k, block in sequence.chunks():
         for t, vertices in enumerate(block, k):
-            name = _PRINTF.sub(lambda m, t=t: m.group() % (start + t), path.name)  # type: ignore[misc]
+            name = _PRINTF.sub(lambda m, t=t: m.group() % t, path.name)  # type: ignore[misc]
             file = path.with_name(name)
             written.add(name)
             if obj:

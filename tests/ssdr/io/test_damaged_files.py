@@ -43,8 +43,8 @@ def written(request, tmp_path, wave, seam, skinned):
         options = {"faces": wave.faces}
     if suffix in ("obj", "ply"):
         thing = dataclasses.replace(thing, vertices=thing.vertices[1:])
-        ssdr.save(thing, folder / f"a_%d.{suffix}", start=1)
-        return [folder / f"a_2.{suffix}"], lambda: read(folder)
+        ssdr.save(thing, folder / f"a_%d.{suffix}")
+        return [folder / f"a_1.{suffix}"], lambda: read(folder)
     if suffix == "npy":
         np.save(path, wave.vertices)
     else:

@@ -275,7 +275,7 @@ def test_normals_turn_with_the_first_frame(tmp_path):
     np.testing.assert_allclose(found, truth[OUTWARD[:, ::-1]], atol=1e-6)
 
 
-def test_resampling_is_said_with_its_error(tmp_path, caplog):
+def test_resampling_is_said_with_its_error(tmp_path):
     points, times = moving(6), np.array([0.3, 0.37, 0.5, 0.52, 0.77, 1.01])
     path = one_mesh(tmp_path / "a.abc", points, (None, times.tolist()))
     with pytest.warns(ssdr.SsdrWarning, match=r"a\.abc: 5 keys of the clip a lie between") as said:
@@ -291,9 +291,7 @@ def test_resampling_is_said_with_its_error(tmp_path, caplog):
     np.testing.assert_allclose(back.vertices, lines(frames, times, points), atol=1e-6)
     off = np.linalg.norm(lines(times, frames, back.vertices) - points, axis=2).max()
     assert f"24 a second: vertices are up to {off:.3g} (" in str(said[0].message)
-    with caplog.at_level(logging.INFO, "ssdr"):
-        assert len(ssdr.load(path, fps=10.0)) == 8  # the caller's choice is no warning
-    assert "4 keys of the clip a lie between its frames, which are 10 a second" in caplog.text
+    assert len(ssdr.load(path, fps=10.0)) == 8  # the caller's choice is no warning
 
 
 def test_samples_at_two_rates_do_not_make_a_rate_above_both(tmp_path):
