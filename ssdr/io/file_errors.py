@@ -128,3 +128,42 @@ def refuse_bomb(
             f"{path}: {what} needs {n_bytes} bytes, inflated {n_bytes // max(1, stored)}-fold like "
             f"a zip bomb; max_bytes={n_bytes} admits it"
         )
+
+
+class SceneBudget:
+    """Limit of the memory that a scene file may ask for: 1000 times its size, from 1 to 16 GiB.
+
+    The limit is needed because a small file can ask for any amount of memory: it can state counts,
+    frames and copies of meshes without holding data for each.
+
+    Parameters
+    ----------
+    path : Path
+    n_bytes : int
+        Size of the file and of the files that it refers to.
+    max_bytes : int, optional
+        Limit set by the caller, used in place of that by size.
+    """
+
+    def __init__(self, path: Path, n_bytes: int, max_bytes: int | None = None) -> None:
+        self.path, self.spent, self._fixed = path, 0.0, max_bytes
+        self.most = 1 << 30 if max_bytes is None else max_bytes
+        self.grow(n_bytes)
+
+    def grow(self, n_bytes: int) -> None:
+        """Raise the limit for another file of `n_bytes`, unless the caller has set it."""
+        if self._fixed is None:
+            self.most = min(MOST_BYTES, max(self.most, 1000 * n_bytes))
+
+    def spend(self, n_bytes: float, what: str) -> None:
+        """Add `n_bytes` to the memory needed so far, and check the sum against the limit.
+
+        `what` names what needs these bytes, for the error message.
+
+        Raises
+        ------
+        FormatError
+            If the sum exceeds the limit; see :func:`afford`.
+        """
+        self.spent += n_bytes
+        afford(self.spent, what, self.path, self.most)

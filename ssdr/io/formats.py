@@ -106,39 +106,41 @@ def _pointcache() -> Functions:
 
 
 def _gltf() -> Functions:
-    from .gltf import gltf_reading as reader
     from .gltf import gltf_writing as writer
+    from .gltf.gltf_reading import GltfFile as Reader
 
     return Functions(
-        read=reader.read,
-        read_skinning=reader.read_skinning,
+        read=Reader.read,
+        read_skinning=Reader.read_skinning,
         write_skinning=writer.write_skinning,
-        list_clips=reader.list_clips,
-        list_meshes=reader.list_meshes,
+        list_clips=Reader.list_clips,
+        list_meshes=Reader.list_meshes,
     )
 
 
 def _usd() -> Functions:
-    from .usd import usd_reading as reader
     from .usd import usd_writing as writer
+    from .usd.usd_reading import StageFile as Reader
 
     return Functions(
-        read=reader.read,
-        read_skinning=reader.read_skinning,
+        read=Reader.read,
+        read_skinning=Reader.read_skinning,
         write_sequence=writer.write_sequence,
         write_skinning=writer.write_skinning,
-        list_clips=reader.list_clips,
-        list_meshes=reader.list_meshes,
+        list_clips=Reader.list_clips,
+        list_meshes=Reader.list_meshes,
     )
 
 
 def _alembic() -> Functions:
-    from .alembic import alembic_reading, alembic_writing
+    from .alembic import alembic_writing as writer
+    from .alembic.alembic_reading import AlembicFile as Reader
 
     return Functions(
-        read=alembic_reading.read,
-        write_sequence=alembic_writing.write_sequence,
-        list_meshes=alembic_reading.list_meshes,
+        read=Reader.read,
+        write_sequence=writer.write_sequence,
+        list_clips=Reader.list_clips,
+        list_meshes=Reader.list_meshes,
     )
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..common.errors import SsdrWarning
 from ..mesh.clips import Clip
 from ..model.lbs import skin
+from .file_errors import SceneBudget
 from .frame_rates import Frames, Times
 from .save_report import frame_blocks
 
@@ -36,7 +37,8 @@ class Sample:
         Function from n times to that form.
     frames : Frames
         Frames of the clip, in the file's unit of time.
-    path : Path
+    budget : SceneBudget
+        Memory that reading the file may take.
     own : bool
         Whether the reader chose the frame rate, since the caller gave none.
     """
@@ -46,7 +48,7 @@ class Sample:
     time: Any
     at: Callable[[Times], Any]
     frames: Frames
-    path: Path
+    budget: SceneBudget
     own: bool
 
     def tell_missed(self) -> None:
@@ -74,7 +76,7 @@ class Sample:
         shown = (1 - share) * around[0] + share * around[1]
         distance = np.linalg.norm(there - shown, axis=2).max()
         diagonal = np.linalg.norm(np.ptp(there, axis=1), axis=1).max()
-        tell(self.path, self.clip, len(missed), distance, diagonal)
+        tell(self.budget.path, self.clip, len(missed), distance, diagonal)
 
 
 def part_starts(parts: Sequence[Any]) -> NDArray[np.int64]:

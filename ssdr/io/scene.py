@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import logging
 from collections.abc import Callable, Hashable, Iterable, Sequence
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -18,51 +17,12 @@ from ..mesh.sequence import MeshSequence
 from ..mesh.surface import Material, Space, Surface
 from ..model.shapes import ShapedSkinning, Shapes, Skinned
 from ..model.skinning import Skinning
-from .file_errors import MOST_BYTES, afford, check
+from .file_errors import afford, check
 from .sampling import Sample, part_starts, vertices_of
 
 _log = logging.getLogger(__name__)
 
 Shape = NDArray[np.float64] | Callable[[int], NDArray[np.float64]]
-
-
-class SceneBudget:
-    """Limit of the memory that a scene file may ask for: 1000 times its size, from 1 to 16 GiB.
-
-    The limit is needed because a small file can ask for any amount of memory: it can state counts,
-    frames and copies of meshes without holding data for each.
-
-    Parameters
-    ----------
-    path : Path
-    n_bytes : int
-        Size of the file and of the files that it refers to.
-    max_bytes : int, optional
-        Limit set by the caller, used in place of that by size.
-    """
-
-    def __init__(self, path: Path, n_bytes: int, max_bytes: int | None = None) -> None:
-        self.path, self.spent, self._fixed = path, 0.0, max_bytes
-        self.most = 1 << 30 if max_bytes is None else max_bytes
-        self.grow(n_bytes)
-
-    def grow(self, n_bytes: int) -> None:
-        """Raise the limit for another file of `n_bytes`, unless the caller has set it."""
-        if self._fixed is None:
-            self.most = min(MOST_BYTES, max(self.most, 1000 * n_bytes))
-
-    def spend(self, n_bytes: float, what: str) -> None:
-        """Add `n_bytes` to the memory needed so far, and check the sum against the limit.
-
-        `what` names what needs these bytes, for the error message.
-
-        Raises
-        ------
-        FormatError
-            If the sum exceeds the limit; see :func:`~ssdr.io.file_errors.afford`.
-        """
-        self.spent += n_bytes
-        afford(self.spent, what, self.path, self.most)
 
 
 class ScenePart(Protocol):
@@ -221,6 +181,8 @@ def join_sequence(
 ) -> MeshSequence:
     """Sequence called `name` of the skinned vertices of all parts in the frames of one clip."""
     clip, parts = sample.clip, sample.parts
+    count = int(part_starts(parts)[-1])
+    sample.budget.spend(12.0 * clip.n_frames * count, f"{clip.n_frames} frames of {count} vertices")
     frames = vertices_of(parts, sample.time, clip.n_frames)
     shapes = [part.shape(sample.time) for part in parts]
     rest_poses = [shape(0) if callable(shape) else shape for shape in shapes]

@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.errors import FormatError
-from ..file_errors import check
+from ..file_errors import SceneBudget, check
 from ..references import HINT, OUTSIDE, locate
-from ..scene import SceneBudget
 from ..signatures import describe
 from .compression import DRACO, MESHOPT, decode_view
 from .numbering import check_numbers
@@ -41,7 +40,7 @@ class Document:
     ----------
     path : Path
     max_bytes : int, optional
-        Most memory that reading the file may take; see :class:`~ssdr.io.scene.SceneBudget`.
+        Most memory that reading the file may take; see :class:`~ssdr.io.file_errors.SceneBudget`.
     """
 
     def __init__(self, path: Path, max_bytes: int | None = None) -> None:

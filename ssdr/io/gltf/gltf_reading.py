@@ -1,8 +1,7 @@
-"""Reading of glTF 2.0, either baked to vertices or as a skinning."""
+"""Open files of glTF 2.0, and their materials."""
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import logging
 from collections.abc import Sequence
@@ -12,9 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...common.errors import InputError
-from ...mesh.clips import Clip, in_order
-from ...mesh.sequence import MeshSequence
+from ...mesh.clips import Clip
 from ...mesh.surface import METRES_Y_UP, Material
 from ...model.shapes import Skinned, shaped
 from ..file_clips import pick_clip
@@ -173,9 +170,57 @@ def _as_face(model: Skinned) -> Skinned:
 _log = logging.getLogger(__name__)
 
 
-def read_materials(document: Document) -> list[Material]:
-    """All materials of the file."""
-    return [_material(document, item) for item in document.items("materials")]
+class GltfFile(SceneFile):
+    """A glTF file; all its animations move the same parts."""
+
+    space = METRES_Y_UP
+
+    def __init__(self, path: Path, max_bytes: int | None = None, meshes: Any = None) -> None:
+        self.document, self._wanted = Document(path, max_bytes), meshes
+        self.name, self.clip_names = mesh_name(self.document), animation_names(self.document)
+        extras = [mesh.get("extras") for mesh in self.document.items("meshes")]
+        stated = [one.get("ssdr") for one in extras if isinstance(one, dict)]
+        self.driven = any(isinstance(one, dict) and one.get("driven") is True for one in stated)
+        self._parts: Sequence[PrimitiveGroup] = ()
+
+    def clips(self, fps: float | None) -> list[Clip]:
+        return [one.clip for one in read_animations(self.document, fps)]
+
+    def mesh_names(self) -> tuple[str, ...]:
+        """Names of the meshes of the scene: that of the node, or else that of the mesh itself."""
+        still = Nodes(self.document, still_frame())
+        held = [number for number in still.shown if "mesh" in still.items[number]]
+        return tuple(dict.fromkeys(names_of(self.document, number)[0] for number in held))
+
+    def sample(self, index: int, fps: float | None, joints_alone: bool = False) -> Sample:
+        """Parts of the scene and the nodes that move them in one animation.
+
+        If `joints_alone` and there are no meshes, there is one part, of the moving nodes.
+        """
+        document = self.document
+        one = read_animation(document, index, fps, self.clip_names[index])
+        nodes = Nodes(document, one)
+        if not self._parts:
+            if joints_alone and not any("mesh" in nodes.items[k] for k in nodes.shown):
+                self._parts = [JointPoints(document)]
+            else:
+                self._parts = read_parts(document, nodes, self._wanted)
+
+        def at(times: NDArray[np.float64]) -> Nodes:
+            return Nodes(document, dataclasses.replace(one, times=times))
+
+        return Sample(
+            clip=one.clip,
+            parts=self._parts,
+            time=nodes,
+            at=at,
+            frames=one.frames,
+            budget=document.budget,
+            own=fps is None,
+        )
+
+    def materials(self, _parts: Sequence[Any]) -> list[Material]:
+        return [_material(self.document, item) for item in self.document.items("materials")]
 
 
 def _material(document: Document, item: dict[str, Any]) -> Material:

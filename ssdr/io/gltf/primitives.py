@@ -282,7 +282,7 @@ def read_parts(
 class JointPoints(PrimitiveGroup):
     """Point cloud for a file without a mesh, with a vertex at each moving node.
 
-    Moving nodes are those that one of the `clips` moves, and all nodes below them. The rest pose is
+    Moving nodes are those that an animation moves, and all nodes below them. The rest pose is
     that of the file without an animation.
 
     Raises
@@ -291,10 +291,14 @@ class JointPoints(PrimitiveGroup):
         If no node moves, or one has size 0 at rest.
     """
 
-    def __init__(self, document: Document, clips: Sequence[Nodes]) -> None:
+    def __init__(self, document: Document) -> None:
         still = Nodes(document, still_frame())
         moved = {
-            node for one in clips for node, path in one.animation.channels if path != "weights"
+            channel["target"]["node"]
+            for one in document.items("animations")
+            for channel in one.get("channels", [])
+            if "node" in channel["target"]
+            and channel["target"].get("path") in ("translation", "rotation", "scale")
         }
         below = set(descendants(still.items, sorted(moved))).intersection(still.shown)
         joints = [node for node in still.order if node in below]

@@ -15,16 +15,13 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdSkel
 
 from ...common.errors import is_real, is_whole
-from ...mesh.clips import Clip, in_order, unique_names
-from ...mesh.sequence import MeshSequence
-from ...mesh.surface import Space
-from ...model.shapes import Skinned
-from ..file_clips import pick_clip
-from ..file_errors import check, reading
+from ...mesh.clips import Clip, unique_names
+from ...mesh.surface import Material, Space
+from ..file_errors import SceneBudget, check
 from ..frame_rates import Frames, frame_rate, frames_between, off_frames
 from ..mesh_names import choose
 from ..sampling import Sample
-from ..scene import SceneBudget, join_sequence, join_skinning
+from ..scene_file import SceneFile
 from .mesh_prims import MeshPrim, SkeletonPoints
 from .preview_materials import read_materials
 from .stage import open_stage
@@ -61,15 +58,15 @@ class StageClip:
     clock: tuple[float, int] | None = None
 
 
-class StageReader:
+class StageFile(SceneFile):
     """An open stage and its clips.
 
     Attributes
     ----------
     name : str
         Name of the default prim or, if there is none, of the file.
-    clips : list of StageClip
-        Clips of the stage; that of the bound animation comes first.
+    clip_names : list of str
+        That of the bound animation comes first.
     space : Space
         Unit and up axis that the stage states.
 
@@ -79,18 +76,14 @@ class StageReader:
         If the file is not a stage, or opening it would be unsafe.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        max_bytes: int | None = None,
-        meshes: str | Sequence[str] | None = None,
-    ) -> None:
+    def __init__(self, path: Path, max_bytes: int | None = None, meshes: Any = None) -> None:
         self.path = path
         self._wanted = meshes
         self.stage = open_stage(path)
         root = self.stage.GetDefaultPrim()
         self.name = str(root.GetName()) if root else path.stem
-        self.clips = self._find_clips()
+        self._clips = self._find_clips()
+        self.clip_names = [clip.name for clip in self._clips]
         files = [Path(layer.realPath) for layer in self.stage.GetUsedLayers() if layer.realPath]
         self.budget = SceneBudget(
             path, sum(f.stat().st_size for f in files if f.is_file()), max_bytes
@@ -146,9 +139,10 @@ class StageReader:
         names = unique_names([clip.name for clip in clips])
         return [dataclasses.replace(clip, name=n) for clip, n in zip(clips, names, strict=True)]
 
-    def sample(
-        self, clip: StageClip, fps: float | None = None, joints_alone: bool = False
-    ) -> Sample:
+    def materials(self, parts: Sequence[MeshPrim]) -> list[Material]:
+        return read_materials(self.path, parts)
+
+    def sample(self, index: int, fps: float | None, joints_alone: bool = False) -> Sample:
         """Bind a clip and return the visible meshes and the time codes of the clip's frames.
 
         `fps` replaces the frame rate of the clip. If `joints_alone` and there are no meshes, the
@@ -159,6 +153,7 @@ class StageReader:
         FormatError
             If there is no visible mesh, or a mesh is damaged.
         """
+        clip = self._clips[index]
         if clip.animation is not None:
             with Usd.EditContext(self.stage, self.stage.GetSessionLayer()):
                 binding = UsdSkel.BindingAPI.Apply(self.stage.GetPrimAtPath(clip.skeleton))
@@ -192,7 +187,7 @@ class StageReader:
             time=codes,
             at=np.asarray,
             frames=frames,
-            path=self.path,
+            budget=self.budget,
             own=fps is None,
         )
 
@@ -249,11 +244,9 @@ class StageReader:
             on_codes = not len(off_frames(stamps, first, 1.0))
             rate = fps or (None if on_codes else frame_rate(stamps / tempo)) or tempo
             frames = frames_between(stamps, first, last, rate / tempo, asked=fps is not None)
-        n_vertices = sum(mesh.n_points for mesh in meshes)
         n_bones = sum(mesh.n_bones for mesh in meshes)
         self.budget.spend(
-            frames.count * (12.0 * n_vertices + 96.0 * n_bones),
-            f"{frames.count} frames of {n_vertices} vertices and {n_bones} bones",
+            96.0 * frames.count * n_bones, f"{frames.count} frames of {n_bones} bones"
         )
         return rate, frames, np.asarray(first + np.arange(frames.count) * (tempo / rate))
 
@@ -264,96 +257,3 @@ def _names(prims: Sequence[Any]) -> tuple[str, ...]:
     return tuple(
         str(prim.GetName() if count[str(prim.GetName())] == 1 else prim.GetPath()) for prim in prims
     )
-
-
-def read(
-    path: Path,
-    *,
-    clip: str | int | None = None,
-    fps: float | None = None,
-    meshes: str | Sequence[str] | None = None,
-    max_bytes: int | None = None,
-) -> MeshSequence:
-    """Read all visible meshes in world space, with UsdSkel and blend shapes baked to vertices.
-
-    Parameters
-    ----------
-    path : Path
-    clip : str or int, optional
-        Name or index of the SkelAnimation, if the only skeleton has several; by default the one
-        that is bound.
-    fps : float, optional
-        Frames per second at which to sample; by default those that the clip states, else one frame
-        per time code or, if samples lie between time codes, the rate of the samples.
-    meshes : str or several of them, optional
-        Names of the meshes to read, or of prims above them; all by default.
-    max_bytes : int, optional
-        Most memory that reading may take; by default 1000 times the size of the file, but at
-        least 1 GiB and at most 16 GiB.
-
-    Returns
-    -------
-    MeshSequence
-        Vertices in float32, in the unit and with the up axis of the file, which `space` states.
-        Each polygon is cut into a fan of triangles.
-
-    Raises
-    ------
-    FormatError
-        If the file is damaged or holds no visible mesh, or if a mesh's topology changes over time.
-    InputError
-        If there is no such clip or mesh.
-    """
-    with reading(path, "clip", "meshes"):
-        reader = StageReader(path, max_bytes, meshes)
-        index = pick_clip([one.name for one in reader.clips], clip, path)
-        sample = reader.sample(reader.clips[index], fps)
-        materials = read_materials(path, sample.parts)
-        return join_sequence(sample, materials, reader.name, reader.space)
-
-
-def list_clips(path: Path, *, fps: float | None = None) -> tuple[Clip, ...]:
-    """Clips of a file, with frames numbered as in :func:`read_skinning`."""
-    with reading(path):
-        reader = StageReader(path)
-        return in_order(reader.sample(clip, fps).clip for clip in reader.clips)
-
-
-def list_meshes(path: Path) -> tuple[str, ...]:
-    """Names of the visible meshes."""
-    with reading(path):
-        return StageReader(path).mesh_names()
-
-
-def read_skinning(
-    path: Path,
-    *,
-    fps: float | None = None,
-    meshes: str | Sequence[str] | None = None,
-    joints_alone: bool = False,
-    max_bytes: int | None = None,
-) -> Skinned:
-    """Read the UsdSkel skins of a file without baking them; a mesh without a skin gets one bone.
-
-    The parent of a joint is the nearest joint above it in its path. If no joint has a parent, the
-    skinning has no hierarchy.
-
-    Parameters
-    ----------
-    path, meshes, max_bytes
-        As in :func:`read`.
-    fps : float, optional
-        As in :func:`read`, for every clip.
-    joints_alone : bool
-        Read the skeletons of a file without a mesh, with a vertex at each joint.
-
-    Raises
-    ------
-    FormatError
-        As in :func:`read`, and if the points of a mesh move, which a skinning cannot store.
-    """
-    with reading(path, "meshes"):
-        reader = StageReader(path, max_bytes, meshes)
-        samples = [reader.sample(clip, fps, joints_alone) for clip in reader.clips]
-        materials = read_materials(path, samples[0].parts)
-        return join_skinning(samples, materials, reader.name, reader.space)

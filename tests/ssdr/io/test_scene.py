@@ -11,7 +11,7 @@ import ssdr
 from helpers.blender_scene import needs_blender
 from helpers.rig_model import largest_distance, tube
 from helpers.rig_tree import NAMES, PARENTS, creature, differences, flat, tree_of
-from ssdr.io.scene import SceneBudget
+from ssdr.io.file_errors import SceneBudget
 
 FILES = ["a model.glb", "a.gltf", "a.usda", "a.usdc"]
 FBX = pytest.param("a.fbx", marks=[pytest.mark.slow, needs_blender])

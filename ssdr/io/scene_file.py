@@ -1,0 +1,169 @@
+"""Reading of scene files (glTF, USD): baked to vertices or as a skinning, and lists of contents."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..common.errors import InputError
+from ..mesh.clips import Clip, in_order
+from ..mesh.sequence import MeshSequence
+from ..mesh.surface import Material, Space
+from ..model.shapes import ShapedSkinning, Shapes, Skinned, skinning_and_shapes
+from .file_clips import pick_clip
+from .file_errors import reading
+from .sampling import Sample
+from .scene import join_sequence, join_skinning
+
+
+class SceneFile:
+    """An open file of one format, and the functions that read files of that format.
+
+    A format derives a class that opens a file, given its path, a limit of memory in bytes (or None)
+    and the names of the meshes to read (or None for all).
+
+    Attributes
+    ----------
+    name : str
+        Name of what the file holds.
+    space : Space
+    clip_names : sequence of str
+        At least one.
+    driven : bool
+        Whether the file says that each of its clips is an expression of a face.
+    """
+
+    name: str
+    space: Space
+    clip_names: Sequence[str]
+    driven = False
+
+    def __init__(self, path: Path, max_bytes: int | None = None, meshes: Any = None) -> None:
+        raise NotImplementedError
+
+    def sample(self, index: int, fps: float | None, joints_alone: bool = False) -> Sample:
+        """One clip and the parts to show in it, which are the same in all clips of the file."""
+        raise NotImplementedError
+
+    def clips(self, fps: float | None) -> list[Clip]:
+        """All clips, of which only rates and numbers of frames are known."""
+        return [self.sample(k, fps).clip for k in range(len(self.clip_names))]
+
+    def mesh_names(self) -> Sequence[str]:
+        raise NotImplementedError
+
+    def materials(self, parts: Sequence[Any]) -> list[Material]:
+        raise NotImplementedError
+
+    @classmethod
+    def read(
+        cls,
+        path: Path,
+        *,
+        clip: str | int | None = None,
+        fps: float | None = None,
+        meshes: str | Sequence[str] | None = None,
+        max_bytes: int | None = None,
+    ) -> MeshSequence:
+        """Read all meshes that are shown, with skins, shapes and moving nodes baked to vertices.
+
+        Parameters
+        ----------
+        path : Path
+        clip : str or int, optional
+            Name or index of the clip; by default the first or, in USD, the one that is bound. The
+            log lists all of them. Clips of a USD file are the SkelAnimations of its only skeleton.
+        fps : float, optional
+            Frames per second at which to sample. By default those that the file states or its keys
+            imply: in glTF else 24, in USD one frame per time code or, if samples lie between time
+            codes, the rate of the samples.
+        meshes : str or several of them, optional
+            Names of the meshes to read, or of nodes that hold them (in USD, of prims above them);
+            all by default.
+        max_bytes : int, optional
+            Most memory that reading may take; by default 1000 times the size of the file, but at
+            least 1 GiB and at most 16 GiB.
+
+        Returns
+        -------
+        MeshSequence
+            Vertices in float32, in the file's unit and with its up axis; for glTF, metres with y
+            up. Meshes follow each other in the order of the scene. Polygons are cut into fans.
+
+        Raises
+        ------
+        FormatError
+            If the file is damaged, needs more memory than `max_bytes`, requires what is not
+            supported, or holds no mesh that is shown, or a mesh's topology changes.
+        InputError
+            If there is no such clip or mesh.
+        """
+        with reading(path, "clip", "meshes"):
+            file = cls(path, max_bytes, meshes)
+            sample = file.sample(pick_clip(file.clip_names, clip, path), fps)
+            return join_sequence(sample, file.materials(sample.parts), file.name, file.space)
+
+    @classmethod
+    def list_clips(cls, path: Path, *, fps: float | None = None) -> tuple[Clip, ...]:
+        """Clips of a file, with frames numbered as in :meth:`read_skinning`."""
+        with reading(path):
+            return in_order(cls(path).clips(fps))
+
+    @classmethod
+    def list_meshes(cls, path: Path) -> tuple[str, ...]:
+        """Names of the meshes that are shown."""
+        with reading(path):
+            return tuple(cls(path).mesh_names())
+
+    @classmethod
+    def read_skinning(
+        cls,
+        path: Path,
+        *,
+        fps: float | None = None,
+        meshes: str | Sequence[str] | None = None,
+        joints_alone: bool = False,
+        max_bytes: int | None = None,
+    ) -> Skinned:
+        """Read the skins of a file without baking them; a mesh without a skin gets one bone.
+
+        The parent of a joint is the nearest joint above it that is of the same skin. If no joint
+        has a parent, the skinning has no hierarchy.
+
+        Parameters
+        ----------
+        path, meshes, max_bytes
+            As in :meth:`read`.
+        fps : float, optional
+            As in :meth:`read`, for every clip; all are read.
+        joints_alone : bool
+            Read a file without a mesh, with a vertex at each joint: in glTF the nodes that move,
+            and those below them, in USD the joints of skeletons.
+
+        Raises
+        ------
+        FormatError
+            As in :meth:`read`, and if the points of a mesh move, which a skinning cannot store.
+        InputError
+            If there is no such mesh.
+        """
+        with reading(path, "meshes"):
+            file = cls(path, max_bytes, meshes)
+            samples = [file.sample(k, fps, joints_alone) for k in range(len(file.clip_names))]
+            materials = file.materials(samples[0].parts)
+            model = join_skinning(samples, materials, file.name, file.space)
+            return _as_face(model) if file.driven else model
+
+
+def _as_face(model: Skinned) -> Skinned:
+    """Model that weights drive, unless its clips are no expressions (as at another frame rate)."""
+    skinning, shapes = skinning_and_shapes(model)
+    if shapes is None:
+        shapes = Shapes(np.zeros((0, model.n_vertices, 3)), np.zeros((model.n_frames, 0)))
+    with contextlib.suppress(InputError):
+        return ShapedSkinning(skinning, shapes, driven=True)
+    return model
