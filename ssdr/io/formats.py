@@ -6,6 +6,7 @@ A format's modules are imported at its first use.
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import inspect
 import os
 import types
@@ -81,83 +82,64 @@ def _npz() -> Functions:
     )
 
 
-def _npy() -> Functions:
-    from .arrays import npy
-
-    return Functions(read=npy.read, write_sequence=npy.write_sequence)
-
-
-def _zarr() -> Functions:
-    from .arrays import zarr_store
-
-    return Functions(read=zarr_store.read, write_sequence=zarr_store.write_sequence)
+def _sequences(name: str) -> Functions:
+    """Functions of a module of this package for a format that holds sequences alone."""
+    module = importlib.import_module(f".{name}", __package__)
+    return Functions(read=module.read, write_sequence=module.write_sequence)
 
 
-def _numbered() -> Functions:
-    from .meshes import numbered
+def _scenes(reader: Any, **writers: Callable[..., SaveReport]) -> Functions:
+    """Functions of a format for scenes, read by those of a :class:`~ssdr.io.scene_file.SceneFile`.
 
-    return Functions(read=numbered.read, write_sequence=numbered.write_sequence)
-
-
-def _pointcache() -> Functions:
-    from . import pointcache
-
-    return Functions(read=pointcache.read, write_sequence=pointcache.write_sequence)
+    `reader` may also be a module with functions of the same names.
+    """
+    return Functions(
+        read=reader.read,
+        read_skinning=reader.read_skinning,
+        list_clips=reader.list_clips,
+        list_meshes=reader.list_meshes,
+        **writers,
+    )
 
 
 def _gltf() -> Functions:
     from .gltf import gltf_writing as writer
-    from .gltf.gltf_reading import GltfFile as Reader
+    from .gltf.gltf_reading import GltfFile
 
-    return Functions(
-        read=Reader.read,
-        read_skinning=Reader.read_skinning,
-        write_skinning=writer.write_skinning,
-        list_clips=Reader.list_clips,
-        list_meshes=Reader.list_meshes,
-    )
+    return _scenes(GltfFile, write_skinning=writer.write_skinning)
 
 
 def _usd() -> Functions:
     from .usd import usd_writing as writer
-    from .usd.usd_reading import StageFile as Reader
+    from .usd.usd_reading import StageFile
 
-    return Functions(
-        read=Reader.read,
-        read_skinning=Reader.read_skinning,
-        write_sequence=writer.write_sequence,
-        write_skinning=writer.write_skinning,
-        list_clips=Reader.list_clips,
-        list_meshes=Reader.list_meshes,
+    return _scenes(
+        StageFile, write_sequence=writer.write_sequence, write_skinning=writer.write_skinning
     )
 
 
 def _alembic() -> Functions:
-    from .alembic import alembic_writing as writer
-    from .alembic.alembic_reading import AlembicFile as Reader
+    from .alembic.alembic_reading import AlembicFile
+    from .alembic.alembic_writing import write_sequence
 
     return Functions(
-        read=Reader.read,
-        write_sequence=writer.write_sequence,
-        list_clips=Reader.list_clips,
-        list_meshes=Reader.list_meshes,
+        read=AlembicFile.read,
+        write_sequence=write_sequence,
+        list_clips=AlembicFile.list_clips,
+        list_meshes=AlembicFile.list_meshes,
     )
 
 
 def _fbx() -> Functions:
     from .blender import fbx_reading, fbx_writing
 
-    return Functions(
-        read=fbx_reading.read,
-        read_skinning=fbx_reading.read_skinning,
-        write_skinning=fbx_writing.write_skinning,
-        list_clips=fbx_reading.list_clips,
-        list_meshes=fbx_reading.list_meshes,
-    )
+    return _scenes(fbx_reading, write_skinning=fbx_writing.write_skinning)
 
 
-_NUMBERED = Format(title="numbered OBJ or PLY", functions=_numbered)
-_ZARR = Format(title="zarr store", functions=_zarr, package="zarr")
+_NUMBERED = Format(title="numbered OBJ or PLY", functions=lambda: _sequences("meshes.numbered"))
+_ZARR = Format(
+    title="zarr store", functions=lambda: _sequences("arrays.zarr_store"), package="zarr"
+)
 _GLTF = Format(
     title="glTF 2.0", functions=_gltf, sequences=False, skinnings=True, space=METRES_Y_UP
 )
@@ -171,12 +153,12 @@ _USD = Format(
 
 FORMATS: Mapping[str, Format] = {
     ".npz": Format(title="NumPy archive", functions=_npz, skinnings=True, space=UNKNOWN),
-    ".npy": Format(title="NumPy array", functions=_npy),
+    ".npy": Format(title="NumPy array", functions=lambda: _sequences("arrays.npy")),
     ".zarr": _ZARR,
     ".obj": _NUMBERED,
     ".ply": _NUMBERED,
-    ".pc2": Format(title="PC2 point cache", functions=_pointcache),
-    ".mdd": Format(title="MDD point cache", functions=_pointcache),
+    ".pc2": Format(title="PC2 point cache", functions=lambda: _sequences("pointcache")),
+    ".mdd": Format(title="MDD point cache", functions=lambda: _sequences("pointcache")),
     ".glb": _GLTF,
     ".gltf": _GLTF,
     ".usd": _USD,

@@ -14,8 +14,8 @@ from ..common.errors import FormatError, InputError, SsdrWarning, is_real
 from ..mesh.clips import Clip, pick
 from ..mesh.sequence import MeshSequence
 from ..mesh.surface import Space, Up
+from .arrays.npy import reads
 from .atomic import check_beside
-from .companion import reads
 from .file_clips import bake
 from .formats import (
     FORMATS,

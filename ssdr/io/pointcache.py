@@ -19,8 +19,8 @@ import numpy as np
 
 from ..common.errors import InputError, SsdrWarning
 from ..mesh.sequence import MeshSequence
+from .arrays.npy import over_mesh
 from .atomic import atomic_path
-from .companion import over_mesh
 from .file_clips import seconds
 from .file_errors import check, reading
 from .save_report import SaveReport, StorageError

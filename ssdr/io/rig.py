@@ -128,14 +128,10 @@ class Rig:
         shift = moved - np.einsum("fbij,bj->fbi", rotation, self.centers.astype(np.float64))
         return np.concatenate([rotation, shift[..., None]], axis=-1)
 
-    def bone_matrices(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Transforms of the model's bones, in their order, at `times`; see :meth:`matrices`."""
-        moves = self.matrices(times)
-        return moves if self.moving is None else moves[:, self.moving]
-
     def skin(self, times: NDArray[np.float64]) -> NDArray[np.floating]:
         """Vertices ``(n, V, 3)`` at n `times` (in frames), from the stored arrays in float64."""
-        rest, moves = self.rest.astype(np.float64), self.bone_matrices(times)
+        rest, moves = self.rest.astype(np.float64), self.matrices(times)
+        moves = moves if self.moving is None else moves[:, self.moving]
         skinned = self.indices, weight_values(self.weights)
         if self.shapes is None:
             return skin(rest, *skinned, moves)

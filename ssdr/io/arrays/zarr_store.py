@@ -13,10 +13,10 @@ from ...common.checks import check_faces
 from ...common.errors import InputError
 from ...mesh.sequence import MeshSequence
 from ..atomic import free_name, naming, remove
-from ..companion import over_mesh
 from ..file_errors import afford, check, reading, refuse_bomb, refuse_device
 from ..optional import require
 from ..save_report import SaveReport
+from .npy import over_mesh
 
 _CHUNK = 8 << 20  # bytes of a stored chunk: larger ones make reading single frames slower
 _METADATA = ("zarr.json", ".zarray", ".zattrs", ".zgroup", ".zmetadata")

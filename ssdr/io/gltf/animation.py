@@ -80,14 +80,11 @@ def read_animations(document: Document, fps: float | None = None) -> list[Animat
     return [read_animation(document, k, fps, name) for k, name in enumerate(names)]
 
 
-def read_animation(
-    document: Document, index: int, fps: float | None = None, name: str | None = None
-) -> Animation:
+def read_animation(document: Document, index: int, fps: float | None, name: str) -> Animation:
     """Animation with the index `index` in the file, with frames at its own rate or at `fps`.
 
-    `name` is its entry of `animation_names`, if that is known already.
+    `name` is its entry of `animation_names`.
     """
-    name = animation_names(document)[index] if name is None else name
     if not document.items("animations"):
         return still_frame(name, fps)
     item = document.items("animations")[index]

@@ -77,16 +77,16 @@ def write_skinning(
         top = Sdf.Path("/" + identifier(name or skinning.name or path.stem))
         stage.SetDefaultPrim(UsdSkel.Root.Define(stage, top).GetPrim())
         skeleton = top.AppendChild("Skeleton")
-        tokens = put_skeleton(stage, skeleton, rig, skinning.name)
+        tokens = _put_skeleton(stage, skeleton, rig, skinning.name)
         mesh = _define_mesh(stage, top, skinning, path, notes)
         mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(rig.rest))
         mesh.CreateExtentAttr(_extent(rig.rest))
         normals = rest_normals(skinning.skinning, rig.rest)
         if normals is not None:
             _put_primvar(mesh, "normals", Sdf.ValueTypeNames.Normal3fArray, normals)
-        bind(mesh.GetPrim(), rig.indices, rig.weights, skeleton, tokens)
+        _bind(mesh.GetPrim(), rig, skeleton, tokens)
         if rig.shapes is not None:
-            bind_shapes(stage, mesh.GetPrim(), rig.shapes)
+            _bind_shapes(stage, mesh.GetPrim(), rig.shapes)
     size = path.stat().st_size
     return rig.report(skinning, path=path, bytes=size, notes=tuple(notes))
 
@@ -164,7 +164,7 @@ def _put_primvar(mesh: Any, name: str, kind: Any, values: NDArray[Any]) -> None:
     primvar.SetIndices(Vt.IntArray.FromNumpy(index.reshape(-1).astype(np.int32)))
 
 
-def put_skeleton(stage: Any, place: Any, rig: Rig, title: str) -> list[str] | None:
+def _put_skeleton(stage: Any, place: Any, rig: Rig, title: str) -> list[str] | None:
     """Define a skeleton with an animation for each clip at a path, and bind the first animation.
 
     Parameters
@@ -248,7 +248,7 @@ def _put_keys(animation: Any, rig: Rig, order: NDArray[np.int64], clip: Clip) ->
             weights.Set(Vt.FloatArray.FromNumpy(rig.shapes.amounts[frame]), code)
 
 
-def bind_shapes(stage: Any, prim: Any, shapes: Shapes) -> None:
+def _bind_shapes(stage: Any, prim: Any, shapes: Shapes) -> None:
     """Define blend shapes below a mesh that is bound to a skeleton, with the points they move."""
     tokens = _shape_tokens(shapes)
     places = [prim.GetPath().AppendChild(token) for token in tokens]
@@ -268,24 +268,16 @@ def _shape_tokens(shapes: Shapes) -> list[str]:
     return list(unique_names([identifier(name) for name in shapes.names], "shape"))
 
 
-def bind(
-    prim: Any,
-    indices: NDArray[np.int32],
-    weights: NDArray[np.float32],
-    skeleton: Any,
-    tokens: Sequence[str] | None,
-) -> None:
-    """Bind a mesh to the skeleton at the path `skeleton`, with skin weights `weights` (V, K).
+def _bind(prim: Any, rig: Rig, skeleton: Any, tokens: Sequence[str] | None) -> None:
+    """Bind a mesh to the skeleton at the path `skeleton`.
 
-    `indices` (V, K) are bones of the rig. `tokens` are the joints in the order of the bones; None
-    if the skeleton has its joints in that order.
+    `tokens` are the joints in the order of the bones; None if the skeleton has them in that order.
     """
+    joints, weights = rig.indices.reshape(-1), rig.weights.reshape(-1)
     binding = UsdSkel.BindingAPI.Apply(prim)
-    width = indices.shape[1]
-    binding.CreateJointIndicesPrimvar(False, width).Set(Vt.IntArray.FromNumpy(indices.reshape(-1)))
-    binding.CreateJointWeightsPrimvar(False, width).Set(
-        Vt.FloatArray.FromNumpy(weights.reshape(-1))
-    )
+    width = rig.indices.shape[1]
+    binding.CreateJointIndicesPrimvar(False, width).Set(Vt.IntArray.FromNumpy(joints))
+    binding.CreateJointWeightsPrimvar(False, width).Set(Vt.FloatArray.FromNumpy(weights))
     binding.CreateSkeletonRel().SetTargets([skeleton])
     if tokens is not None:
         binding.CreateJointsAttr(tokens)
