@@ -55,8 +55,9 @@ class Format:
         Imports the format's modules and returns its `Functions`.
     sequences, skinnings : bool
         Whether sequences and skinnings can be written; all that is written can be read.
-    package : str
-        Module that the format needs beside those of ssdr; empty if it needs none.
+    extra : str or None
+        Optional dependencies of ssdr that the format needs ("blender" is a program); None if it
+        needs none.
     space : Space or None
         Space that its files must have.  If its unit or up axis is unknown, a file may choose that;
         None if files cannot state a space.
@@ -66,7 +67,7 @@ class Format:
     functions: Callable[[], Functions]
     sequences: bool = True
     skinnings: bool = False
-    package: str = ""
+    extra: str | None = None
     space: Space | None = None
 
 
@@ -137,9 +138,7 @@ def _fbx() -> Functions:
 
 
 _NUMBERED = Format(title="numbered OBJ or PLY", functions=lambda: _sequences("meshes.numbered"))
-_ZARR = Format(
-    title="zarr store", functions=lambda: _sequences("arrays.zarr_store"), package="zarr"
-)
+_ZARR = Format(title="zarr store", functions=lambda: _sequences("arrays.zarr_store"), extra="zarr")
 _GLTF = Format(
     title="glTF 2.0", functions=_gltf, sequences=False, skinnings=True, space=METRES_Y_UP
 )
@@ -147,7 +146,7 @@ _USD = Format(
     title="Universal Scene Description",
     functions=_usd,
     skinnings=True,
-    package="pxr",
+    extra="usd",
     space=UNKNOWN,
 )
 
@@ -164,13 +163,13 @@ FORMATS: Mapping[str, Format] = {
     ".usd": _USD,
     ".usda": _USD,
     ".usdc": _USD,
-    ".abc": Format(title="Alembic", functions=_alembic, package="alembic3d"),
+    ".abc": Format(title="Alembic", functions=_alembic, extra="alembic"),
     ".fbx": Format(
         title="FBX",
         functions=_fbx,
         sequences=False,
         skinnings=True,
-        package="bpy",
+        extra="blender",
         space=METRES_Y_UP,
     ),
 }

@@ -57,7 +57,7 @@ def check_outputs(
             format_ = format_of(path)
         except FormatError as error:
             raise InputError("output", "a known suffix", str(error)) from error
-        if format_.package == "bpy":
+        if format_.extra == "blender":
             from .blender import finder
 
             try:
@@ -137,7 +137,7 @@ def try_outputs(
     model = Skinning(*arrays, transforms, clips=pairs, bone_model=kind, **same)
     files = list(map(as_path, paths))
     for path, given in zip(files, _settings(model, files, **options), strict=True):
-        if format_of(path).package == "bpy":  # starts another program, for seconds
+        if format_of(path).extra == "blender":  # starts another program, for seconds
             continue
         # Errors of the temporary folder say nothing about that of the output.
         with contextlib.suppress(OSError), warnings.catch_warnings():

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from ..common.errors import InputError
 from ..mesh.clips import Clip, in_order
 from ..mesh.sequence import MeshSequence
 from ..mesh.surface import Material, Space
-from ..model.shapes import ShapedSkinning, Shapes, Skinned, skinning_and_shapes
+from ..model.shapes import Skinned, shaped
 from .file_clips import pick_clip
 from .file_errors import reading
 from .sampling import Sample
@@ -161,9 +160,6 @@ class SceneFile:
 
 def _as_face(model: Skinned) -> Skinned:
     """Model that weights drive, unless its clips are no expressions (as at another frame rate)."""
-    skinning, shapes = skinning_and_shapes(model)
-    if shapes is None:
-        shapes = Shapes(np.zeros((0, model.n_vertices, 3)), np.zeros((model.n_frames, 0)))
     with contextlib.suppress(InputError):
-        return ShapedSkinning(skinning, shapes, driven=True)
+        return dataclasses.replace(shaped(model), driven=True)
     return model

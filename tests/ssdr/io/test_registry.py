@@ -31,7 +31,7 @@ def test_every_row_of_the_table_says_what_it_can():
                 functions.list_clips is not None,
                 functions.list_meshes is not None,
             )
-    assert {s for s, row in FORMATS.items() if row.package == "bpy"} == {".fbx"}
+    assert {s for s, row in FORMATS.items() if row.extra == "blender"} == {".fbx"}
 
 
 def test_importing_the_package_imports_no_format():
@@ -62,13 +62,6 @@ def test_unknown_suffixes_name_those_that_are_known(tmp_path, wave):
         ssdr.save(wave.vertices, tmp_path / "b.npz")
 
 
-def extras_of_packages():
-    """Extra of ssdr that installs each of the packages, by the package's module."""
-    project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]
-    extras = project["optional-dependencies"].items()
-    return {m: e for m, package in PACKAGES.items() for e, needs in extras if needs == [package]}
-
-
 def test_the_page_on_formats_names_them_all():
     page = (Path(__file__).parents[3] / "docs" / "io.md").read_text(encoding="utf-8")
     table = page[page.index("| suffix") : page.index("Options of every format")]
@@ -78,10 +71,8 @@ def test_the_page_on_formats_names_them_all():
         able = [True, row.skinnings, row.sequences]
         assert [cell == "yes" for cell in cells[2:5]] == able
         assert cells[5]
-        needs = {"": "", "bpy": "[Blender](#blender)"} | {
-            module: f"`ssdr[{extra}]`" for module, extra in extras_of_packages().items()
-        }
-        assert cells[6].startswith(needs[row.package])
+        needs = {None: "", "blender": "[Blender](#blender)"}
+        assert cells[6].startswith(needs.get(row.extra, f"`ssdr[{row.extra}]`"))
 
 
 def test_a_missing_package_says_what_to_install(tmp_path, wave, monkeypatch):
