@@ -8,7 +8,6 @@ pytest.importorskip("torch")
 from scipy.spatial.transform import Rotation
 
 from garmentnet.configs.config import FeatureOptions, load_config
-from garmentnet.data.skeleton import check_joints
 from garmentnet.networks.features import Normaliser, PoseFeatures
 from helpers import toy_store as toy
 from ssdr.common.errors import InputError
@@ -115,16 +114,6 @@ def test_faithful_sees_heading_but_not_where_it_starts(moved):
     assert np.abs(features(world(joints, 1.0, 0.0)[0])[0] - x).max() > 0.5
 
 
-def test_vector_features_are_relative_rotations(moved):
-    skeleton, joints, _ = moved
-    x, _, _ = PoseFeatures(skeleton, FAITHFUL, toy.FPS)(joints)
-    leg = joints[5, 0, :, :3].T @ joints[5, 1, :, :3]
-    assert np.allclose(x[5, 6:9], Rotation.from_matrix(leg).as_rotvec(), atol=1e-12)
-    assert np.allclose(x[5, 3:6], Rotation.from_matrix(joints[5, 0, :, :3]).as_rotvec())
-    place = joints[:, 0, :, :3] @ skeleton.rest[0] + joints[:, 0, :, 3]
-    assert np.allclose(x[:, :3], place - place[0])
-
-
 def test_root_motion_of_a_steady_spin():
     _, skeleton = toy.body()
     time = np.arange(20) / toy.FPS
@@ -155,20 +144,6 @@ def test_normaliser_floors_and_clamps():
     plain = Normaliser.fit([x], floor=0.0, clamp=0.0)
     assert plain.deviation[1] == 1.0
     assert plain(np.array([[1e9, 3.0]]))[0, 0] > 1e8
-
-
-def test_bad_joints(moved):
-    _, joints, _ = moved
-    broken = joints.copy()
-    broken[3, 1, 0, 0] = np.nan
-    with pytest.raises(InputError, match="frame 3, joint 1"):
-        check_joints(broken, 3)
-    with pytest.raises(InputError, match="shape"):
-        check_joints(joints[:, :2], 3)
-    with pytest.raises(InputError, match="rigid"):
-        check_joints(joints * np.array([-1, 1, 1, 1]), 3)
-    with pytest.raises(InputError, match="shape"):
-        check_joints(joints[:0], 3)
 
 
 def test_only_some_joints_are_read(moved):
