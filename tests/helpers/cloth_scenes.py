@@ -75,3 +75,15 @@ def slope(degrees):
 
 def still(frames, joints=1):
     return Motion(np.tile(np.eye(3, 4), (frames, joints, 1, 1)), np.zeros(frames, np.int8))
+
+
+def tube(heights, radii, columns=10):
+    """Rest (V, 3) and triangles that face out of rings around the y axis, from the top down."""
+    heights, radii = np.broadcast_arrays(heights, radii)
+    turn = np.arange(columns) * 2 * np.pi / columns
+    around = np.stack([np.cos(turn), 0 * turn, np.sin(turn)], axis=-1)
+    rest = radii[:, None, None] * around + heights[:, None, None] * np.array([0.0, 1.0, 0.0])
+    k = np.arange(columns * (len(heights) - 1))
+    n = k - k % columns + (k + 1) % columns
+    lower, upper = [k, k + columns, n + columns], [k, n + columns, n]
+    return rest.reshape(-1, 3), np.concatenate([np.stack(lower, 1), np.stack(upper, 1)])

@@ -21,10 +21,12 @@ from garmentnet.data.parameters import SimulationParameters
 from garmentnet.data.store import ClipStore
 from garmentnet.importing.importing import ImportOptions, import_clips
 from garmentnet.importing.scene_files import Source
+from helpers.cloth_scenes import tube
 from ssdr import MeshSequence, Skinning
-from ssdr.common.errors import FormatError, InputError, SsdrError
+from ssdr.common.errors import InputError, SsdrError
 
 FRAMES, FPS = 60, 30.0
+SPLITS = ("train", "validation", "test")
 NAMES, PARENTS = ("hips", "leg_l", "leg_r"), [-1, 0, 0]
 JOINTS = np.array([[0, 1.0, 0], [0.1, 0.9, 0], [-0.1, 0.9, 0]])
 CORNERS = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1.0]])
@@ -66,30 +68,38 @@ def rig(moved=None, **changes):
 
 def cloth(moved=None, seed=0):
     """A tube whose upper ring the hips carry and whose lower rings wave."""
-    around, rings = 10, 5
-    turn, down = np.meshgrid(np.arange(around) * 2 * np.pi / around, np.arange(rings))
-    radius = 0.15 + 0.03 * down
-    rest = np.stack([radius * np.cos(turn), 1 - 0.12 * down, radius * np.sin(turn)], -1)
-    rest = rest.reshape(-1, 3)
-    k = np.arange(around * (rings - 1))
-    n = k - k % around + (k + 1) % around
-    faces = np.concatenate(
-        [np.stack([k, k + around, n + around], 1), np.stack([k, n + around, n], 1)]
-    )
+    down = np.repeat(np.arange(5), 10)[:, None]
+    rest, faces = tube(1 - 0.12 * np.arange(5), 0.15 + 0.03 * np.arange(5))
     m = motion() if moved is None else moved
     t = np.arange(len(m))[:, None, None] / FPS
-    wave = 0.02 * down.reshape(-1, 1) * np.sin(5 * t + seed + turn.reshape(-1, 1)) * [1, 0, 1]
+    turn = np.arctan2(rest[:, 2:], rest[:, :1])
+    wave = 0.02 * down * np.sin(5 * t + seed + turn) * [1, 0, 1]
     wave -= wave[:1]
     v = (rest + wave) @ m[:, 0, :, :3].swapaxes(1, 2) + m[:, None, 0, :, 3]
     return MeshSequence(v.astype(np.float32), faces, FPS, name="skirt")
 
 
 @pytest.fixture
-def files(tmp_path):
+def pair(tmp_path):
+    """Save a cloth and a rig under a name; their paths."""
+
+    def save(name="walk", new_cloth=None, new_rig=None, cloth_as="usda", rig_as="glb"):
+        paths = tmp_path / f"{name}.{cloth_as}", tmp_path / f"{name}.{rig_as}"
+        for path, model in zip(paths, (new_cloth or cloth(), new_rig or rig()), strict=True):
+            ssdr.save(model, path)
+        return paths
+
+    return save
+
+
+@pytest.fixture
+def files(pair):
     """A cloth as USD and its rig as glTF."""
-    ssdr.save(cloth(), tmp_path / "walk.usda")
-    ssdr.save(rig(), tmp_path / "walk.glb")
-    return tmp_path / "walk.usda", tmp_path / "walk.glb"
+    return pair()
+
+
+def joints_of(store, name="walk"):
+    return np.concatenate([store.clip(f"{name}-{s}").joints for s in SPLITS])
 
 
 def largest_gap(a, b):
@@ -104,12 +114,10 @@ def test_a_store_has_the_files_vertices_and_motion(files, tmp_path):
     assert [store.clip(n).n_frames for n in store.names()] == [6, 48, 6]
     assert (store.skeleton.names, store.fps) == (NAMES, FPS)
     np.testing.assert_allclose(store.skeleton.rest, JOINTS, atol=1e-6)
-    order = ("walk-train", "walk-validation", "walk-test")
-    clips = [store.clip(n) for n in order]
+    clips = [store.clip(f"walk-{s}") for s in SPLITS]
     vertices = np.concatenate([c.sequence.frames(slice(None)) for c in clips])
     np.testing.assert_allclose(vertices, cloth().vertices, atol=1e-6)
-    joints = np.concatenate([c.joints for c in clips])
-    np.testing.assert_allclose(joints, motion(), atol=1e-5)
+    np.testing.assert_allclose(joints_of(store), motion(), atol=1e-5)
     baked = ssdr.load(files[1]).vertices  # by the reader, which knows nothing of the store
     for t, body in enumerate(np.concatenate([c.body() for c in clips])):
         assert largest_gap(body, baked[t]) < 1e-5
@@ -119,43 +127,31 @@ def test_a_store_has_the_files_vertices_and_motion(files, tmp_path):
     assert not any("warning" in text or "pushed" in text for text in said)
 
 
-def test_the_rest_pose_is_found_later_in_a_clip_and_elsewhere(files, tmp_path):
+def test_the_rest_pose_is_found_later_in_a_clip_and_elsewhere(pair, tmp_path):
     moved = motion()[::-1]
-    ssdr.save(cloth(moved), tmp_path / "back.usda")
-    ssdr.save(rig(moved), tmp_path / "back.glb")
-    pair = tmp_path / "back.usda", tmp_path / "back.glb"
-    store = import_clips([pair], tmp_path / "a.clips")
-    expected = cloth(moved).vertices[-1]
-    np.testing.assert_allclose(store.rest, expected, atol=1e-5)
+    back = pair("back", cloth(moved), rig(moved))
+    store = import_clips([back], tmp_path / "a.clips")
+    np.testing.assert_allclose(store.rest, cloth(moved).vertices[-1], atol=1e-5)
     cut = MeshSequence(cloth().vertices[:1] * np.float32(1.01), cloth().faces)
     ssdr.save(cut, tmp_path / "cut.npz")
-    store = import_clips([pair], tmp_path / "b.clips", rest=tmp_path / "cut.npz")
+    store = import_clips([back], tmp_path / "b.clips", rest=tmp_path / "cut.npz")
     np.testing.assert_allclose(store.rest, cut.vertices[0], atol=1e-6)
 
 
-def test_triangles_that_face_the_body_are_turned_round(files, tmp_path):
-    tube = cloth()
-    inside_out = MeshSequence(tube.vertices, tube.faces[:, ::-1], FPS)
-    for name, mesh in (("one", inside_out), ("other", tube)):
-        ssdr.save(mesh, tmp_path / f"{name}.npz")
-    said: list[str] = []
-    pairs = [(tmp_path / f"{name}.npz", files[1]) for name in ("one", "other")]
-    store = import_clips(pairs, tmp_path / "a.clips", say=said.append)
+def test_triangles_that_face_the_body_are_turned_round(pair, tmp_path):
+    inside_out = MeshSequence(cloth().vertices, cloth().faces[:, ::-1], FPS)
+    store = import_clips([pair("one", inside_out), pair("other")], tmp_path / "a.clips")
     a, b, c = store.rest[store.faces].swapaxes(0, 1)
     away = (a + b + c) / 3 * [1, 0, 1]  # from the axis of the tube
     assert (np.einsum("tc,tc->t", np.cross(b - a, c - a), away) > 0).all()
-    assert sum("turned round" in text for text in said) <= 1
-    assert "other: warning: its rig moves as that of one does" in said
     assert len(store.names()) == 6
 
 
-def test_clips_go_to_named_splits_and_are_added_once(files, tmp_path):
-    pairs = [files]
-    for seed, name in enumerate(("run", "jump"), start=1):
-        moved = motion(seed=seed)
-        ssdr.save(cloth(moved, seed), tmp_path / f"{name}.usda")
-        ssdr.save(rig(moved), tmp_path / f"{name}.glb")
-        pairs.append((tmp_path / f"{name}.usda", tmp_path / f"{name}.glb"))
+def test_clips_go_to_named_splits_and_are_added_once(pair, tmp_path):
+    def other(name, seed):
+        return pair(name, cloth(motion(seed=seed), seed), rig(motion(seed=seed)))
+
+    pairs = [pair(), other("run", 1), other("jump", 2)]
     options = ImportOptions(test=("run",), parameters=SimulationParameters(bending=1.5))
     for _ in range(2):
         store = import_clips(pairs, tmp_path / "a.clips", options)
@@ -163,10 +159,8 @@ def test_clips_go_to_named_splits_and_are_added_once(files, tmp_path):
     assert store.names("train") == ("jump-train", "walk-train")
     assert store.names("validation") == ("jump-validation", "walk-validation")
     assert {c.parameters.bending for c in store.clips()} == {1.5}
-    ssdr.save(cloth(motion(seed=9), 9), tmp_path / "run.usda")
-    ssdr.save(rig(motion(seed=9)), tmp_path / "run.glb")
     with pytest.raises(InputError, match="clip run is of"):
-        import_clips(pairs[1:2], tmp_path / "a.clips", ImportOptions(test=("run",)))
+        import_clips([other("run", 9)], tmp_path / "a.clips", ImportOptions(test=("run",)))
 
 
 @pytest.mark.parametrize("first", [{}, {"test": ("walk",)}])
@@ -181,70 +175,62 @@ def test_a_clip_is_in_a_store_in_one_way_alone(files, tmp_path, first):
         assert ClipStore.open(store.path).names() == names
 
 
-def test_another_rate_is_resampled_and_said(files, tmp_path):
+def test_another_rate_is_resampled_and_said(pair, tmp_path):
     fast = motion(frames=2 * FRAMES - 1, fps=2 * FPS)
-    ssdr.save(rig(fast, fps=2 * FPS), tmp_path / "fast.glb")
     said: list[str] = []
-    store = import_clips([(files[0], tmp_path / "fast.glb")], tmp_path / "a.clips", say=said.append)
+    source = pair(new_rig=rig(fast, fps=2 * FPS))
+    store = import_clips([source], tmp_path / "a.clips", say=said.append)
     assert any("resampled from 60 to 30" in text for text in said)
-    joints = np.concatenate(
-        [store.clip(f"walk-{s}").joints for s in ("train", "validation", "test")]
-    )
-    np.testing.assert_allclose(joints, fast[::2], atol=1e-5)
-    ssdr.save(dataclasses.replace(cloth(), fps=25.0), tmp_path / "cache.npz")
-    with pytest.raises(InputError, match=r"cache\.npz: expected 30 frames a second, got 25"):
-        import_clips([(tmp_path / "cache.npz", files[1])], tmp_path / "a.clips")
-    with pytest.raises(InputError, match="fps: expected 30"):
-        import_clips([files], tmp_path / "a.clips", ImportOptions(fps=24.0))
+    np.testing.assert_allclose(joints_of(store), fast[::2], atol=1e-5)
 
 
-def test_units_and_axes_are_applied_or_hinted_at(files, tmp_path):
-    turned = cloth().vertices[..., [0, 2, 1]] * np.float32([1, -1, 1])  # z up
-    cases = {
-        "cloth-scale 0.01": cloth().vertices * np.float32(100),
-        "cloth-up z": turned,
-        "cloth-up z and cloth-scale 0.01": turned * np.float32(100),
-    }
-    for k, (hint, vertices) in enumerate(cases.items()):
-        source = tmp_path / f"c{k}.npz"
-        ssdr.save(MeshSequence(vertices, cloth().faces, FPS), source)
-        with pytest.raises(InputError, match=f"away from it; {hint} would fit"):
-            import_clips([(source, files[1])], tmp_path / "a.clips")
-        assert not (tmp_path / "a.clips").exists()
-        right = Source(scale=0.01 if "scale" in hint else 1.0, up="z" if "up" in hint else None)
-        store = import_clips(
-            [(source, files[1])], tmp_path / f"{k}.clips", ImportOptions(cloth=right)
-        )
-        np.testing.assert_allclose(store.rest, cloth().vertices[0], atol=1e-5)
-    ssdr.save(cloth(), tmp_path / "c.npz")
-    for kind in ("cloth", "rig"):
-        wrong = ImportOptions(**{kind: Source(up="z")})
-        with pytest.raises(InputError, match=f"away from it; {kind}-up y would fit"):
-            import_clips([(tmp_path / "c.npz", files[1])], tmp_path / "a.clips", wrong)
-    ssdr.save(
-        MeshSequence(cloth().vertices + np.float32(3), cloth().faces, FPS), tmp_path / "far.npz"
-    )
-    with pytest.raises(
-        InputError, match=r"got one 0\.\d+ m large, \d\.\d+ m away from it \(far\)$"
+TURNED = cloth().vertices[..., [0, 2, 1]] * np.float32([1, -1, 1])  # z up
+FITS = {"scale": 0.01, "up": "z"}
+
+
+@pytest.mark.parametrize(
+    ("hint", "vertices"),
+    [
+        ("cloth-scale 0.01", cloth().vertices * np.float32(100)),
+        ("cloth-up z", TURNED),
+        ("cloth-up z and cloth-scale 0.01", TURNED * np.float32(100)),
+    ],
+)
+def test_units_and_axes_are_applied_or_hinted_at(pair, tmp_path, hint, vertices):
+    source = pair("c", MeshSequence(vertices, cloth().faces, FPS), cloth_as="npz")
+    with pytest.raises(InputError, match=f"away from it; {hint} would fit"):
+        import_clips([source], tmp_path / "a.clips")
+    assert not (tmp_path / "a.clips").exists()
+    right = Source(**{k: v for k, v in FITS.items() if k in hint})
+    store = import_clips([source], tmp_path / "a.clips", ImportOptions(cloth=right))
+    np.testing.assert_allclose(store.rest, cloth().vertices[0], atol=1e-5)
+
+
+def test_a_wrong_axis_and_a_cloth_far_away(pair, tmp_path):
+    still = pair("c", cloth_as="npz")
+    far = pair("far", MeshSequence(cloth().vertices + np.float32(3), cloth().faces, FPS))
+    for source, options, text in (
+        (still, {"cloth": Source(up="z")}, "away from it; cloth-up y would fit"),
+        (still, {"rig": Source(up="z")}, "away from it; rig-up y would fit"),
+        (far, {}, r"got one 0\.\d+ m large, \d\.\d+ m away from it \(far\)$"),
     ):
-        import_clips([(tmp_path / "far.npz", files[1])], tmp_path / "a.clips")
+        with pytest.raises(InputError, match=text):
+            import_clips([source], tmp_path / "a.clips", ImportOptions(**options))
 
 
-def test_candidates_are_ranked_and_a_tiny_cloth_is_not_taken_in_silence(files, tmp_path):
+@pytest.mark.parametrize("up", ["z", None])
+def test_a_tiny_cloth_is_not_taken_in_silence(pair, tmp_path, up):
     """In centimetres with z up: a tenth of the right size lies close to the body, too."""
-    turned = cloth().vertices[..., [0, 2, 1]] * np.float32([100, -100, 100])
-    source = tmp_path / "cape.npz"
-    ssdr.save(MeshSequence(turned, cloth().faces, FPS), source)
-    with pytest.raises(InputError, match=r"; cloth-up z and cloth-scale 0\.01 would fit"):
-        import_clips([(source, files[1])], tmp_path / "a.clips")
-    for scale, up in ((0.0014, "z"), (0.0014, None)):
-        said: list[str] = []
-        options = ImportOptions(cloth=Source(scale=scale, up=up))
-        try:
-            import_clips([(source, files[1])], tmp_path / f"{up}.clips", options, say=said.append)
-        except InputError as error:
-            said.append(str(error))
-        assert any("cloth-scale 0.014 would fit" in text for text in said), said
+    source = pair(
+        "cape", MeshSequence(TURNED * np.float32(100), cloth().faces, FPS), cloth_as="npz"
+    )
+    said: list[str] = []
+    options = ImportOptions(cloth=Source(scale=0.0014, up=up))
+    try:
+        import_clips([source], tmp_path / "a.clips", options, say=said.append)
+    except InputError as error:
+        said.append(str(error))
+    assert any("cloth-scale 0.014 would fit" in text for text in said), said
 
 
 def test_the_output_is_checked_before_anything_is_read(files, tmp_path):
@@ -256,75 +242,81 @@ def test_the_output_is_checked_before_anything_is_read(files, tmp_path):
         import_clips([missing], tmp_path / "file" / "a.clips")
 
 
-def test_a_skeleton_of_another_size_and_one_that_lies_are_two_messages(tmp_path):
-    def said_of(scale, turn):
-        def put(x):
-            return (x[..., [0, 2, 1]] * [1, -1, 1] if turn else x) * scale
+@pytest.mark.parametrize(
+    ("scale", "turn", "hint"),
+    [(1.0, False, ""), (0.1, False, "--rig-scale"), (1.0, True, "--rig-up z")],
+)
+def test_a_skeleton_of_another_size_and_one_that_lies_are_two_messages(
+    pair, tmp_path, scale, turn, hint
+):
+    def put(x):
+        return (x[..., [0, 2, 1]] * [1, -1, 1] if turn else x) * scale
 
-        m = np.tile(np.eye(3, 4), (FRAMES, 3, 1, 1))
-        tall = JOINTS * [1, 1, 1] - [[0, 0, 0], [0, 0.6, 0], [0, 0.6, 0]]
-        body = rig(m, joint_positions=put(tall))
-        ssdr.save(dataclasses.replace(body, rest=put(body.rest)), tmp_path / "r.npz")
-        still = np.repeat(put(np.asarray(cloth().vertices[:1], float)), FRAMES, axis=0)
-        ssdr.save(MeshSequence(still.astype(np.float32), cloth().faces, FPS), tmp_path / "c.npz")
-        said: list[str] = []
-        path = tmp_path / f"{scale}-{turn}.clips"
-        import_clips([(tmp_path / "c.npz", tmp_path / "r.npz")], path, say=said.append)
-        return " ".join(text for text in said if "warning" in text)
-
-    assert said_of(1.0, False) == ""
-    assert "--rig-scale" in said_of(0.1, False)
-    assert "--rig-up" not in said_of(0.1, False)
-    assert "--rig-up z" in said_of(1.0, True)
-    assert "--rig-scale" not in said_of(1.0, True)
+    tall = JOINTS * [1, 1, 1] - [[0, 0, 0], [0, 0.6, 0], [0, 0.6, 0]]
+    body = rig(np.tile(np.eye(3, 4), (FRAMES, 3, 1, 1)), joint_positions=put(tall))
+    body = dataclasses.replace(body, rest=put(body.rest))
+    still = np.repeat(put(np.asarray(cloth().vertices[:1], float)), FRAMES, axis=0)
+    still = MeshSequence(still.astype(np.float32), cloth().faces, FPS)
+    said: list[str] = []
+    source = pair("c", still, body, "npz", "npz")
+    import_clips([source], tmp_path / "a.clips", say=said.append)
+    warnings = " ".join(text for text in said if "warning" in text)
+    assert (warnings == "") == (hint == "")
+    assert {x for x in ("--rig-scale", "--rig-up z") if x in warnings} == {hint} - {""}
 
 
-def test_usd_in_centimetres_with_z_up_is_read_in_metres_with_y_up(files, tmp_path):
+def test_usd_in_centimetres_with_z_up_is_read_in_metres_with_y_up(pair, tmp_path):
     from pxr import Usd, UsdGeom
 
-    turned = cloth().vertices[..., [0, 2, 1]] * np.float32([100, -100, 100])
-    ssdr.save(MeshSequence(turned, cloth().faces, FPS), tmp_path / "cm.usda")
-    stage = Usd.Stage.Open(str(tmp_path / "cm.usda"))
+    source = pair("cm", MeshSequence(TURNED * np.float32(100), cloth().faces, FPS))
+    stage = Usd.Stage.Open(str(source[0]))
     UsdGeom.SetStageMetersPerUnit(stage, 0.01)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     stage.Save()
-    store = import_clips([(tmp_path / "cm.usda", files[1])], tmp_path / "a.clips")
+    store = import_clips([source], tmp_path / "a.clips")
     np.testing.assert_allclose(store.rest, cloth().vertices[0], atol=1e-5)
 
 
-def test_other_skeletons_topologies_and_times_are_refused(files, tmp_path):
+FIRST = "cloth: expected the mesh of the first clip, 50 vertices and 80 triangles"
+LOWER = JOINTS - [[0, 0, 0], [0, 0.3, 0], [0, 0, 0]]
+SCALED = motion()
+SCALED[20:, 2, :, :3] *= 1.5
+DOUBLED = np.concatenate([cloth().vertices, cloth().vertices[:, :1]], axis=1)
+REFUSED = {
+    "rig: expected a skeleton: joints with parents": {
+        "new_rig": rig(parents=None, joint_positions=None)
+    },
+    "joints and parents .* others: arm_r, leg_r": {
+        "new_rig": rig(bone_names=("hips", "leg_l", "arm_r"))
+    },
+    "others: leg_r": {"new_rig": rig(parents=[-1, 0, 1])},
+    "bind pose of the first clip, got leg_l 0.": {"new_rig": rig(joint_positions=LOWER)},
+    "joints that turn and move, got leg_r scaled": {
+        "new_rig": rig(SCALED, bone_model="similarity")
+    },
+    rf"{FIRST}, got 50 and 79 \(other\)": {
+        "new_cloth": MeshSequence(cloth().vertices, cloth().faces[:-1], FPS)
+    },
+    f"{FIRST}, got as many in another order": {
+        "new_cloth": MeshSequence(cloth().vertices, cloth().faces[::2].tolist() * 2, FPS)
+    },
+    f"{FIRST}, got 51 and 80": {"new_cloth": MeshSequence(DOUBLED, cloth().faces, FPS)},
+    "a time that cloth and rig have in common, got 60 frames of cloth": {"offset": 2.5},
+    "expected some of other, got walk": {"test": ("walk",)},
+    "fps: expected 30": {"fps": 24.0},
+    r"other\.npz: expected 30 frames a second, got 25": {
+        "new_cloth": dataclasses.replace(cloth(), fps=25.0), "cloth_as": "npz"
+    },
+}  # fmt: skip
+
+
+def test_other_skeletons_topologies_and_times_are_refused(pair, files, tmp_path):
     import_clips([files], tmp_path / "a.clips")
-
-    def refused(match, new_cloth=None, new_rig=None, **options):
-        ssdr.save(new_cloth or cloth(), tmp_path / "other.usda")
-        ssdr.save(new_rig or rig(), tmp_path / "other.glb")
-        pair = tmp_path / "other.usda", tmp_path / "other.glb"
-        with pytest.raises(InputError, match=match):
-            import_clips([pair], tmp_path / "a.clips", ImportOptions(**options))
-
-    bare = {"parents": None, "joint_positions": None}
-    refused("rig: expected a skeleton: joints with parents", new_rig=rig(**bare))
-    refused(
-        "joints and parents .* others: arm_r, leg_r",
-        new_rig=rig(bone_names=("hips", "leg_l", "arm_r")),
-    )
-    refused("others: leg_r", new_rig=rig(parents=[-1, 0, 1]))
-    lower = JOINTS - [[0, 0, 0], [0, 0.3, 0], [0, 0, 0]]
-    refused("bind pose of the first clip, got leg_l 0.", new_rig=rig(joint_positions=lower))
-    scaled = motion()
-    scaled[20:, 2, :, :3] *= 1.5
-    refused(
-        "joints that turn and move, got leg_r scaled", new_rig=rig(scaled, bone_model="similarity")
-    )
-    fewer = MeshSequence(cloth().vertices, cloth().faces[:-1], FPS)
-    first = "cloth: expected the mesh of the first clip, 50 vertices and 80 triangles"
-    refused(rf"{first}, got 50 and 79 \(other\)", fewer)
-    other_order = MeshSequence(cloth().vertices, cloth().faces[::2].tolist() * 2, FPS)
-    refused(f"{first}, got as many in another order", other_order)
-    loose = np.concatenate([cloth().vertices, cloth().vertices[:, :1]], axis=1)
-    refused(f"{first}, got 51 and 80", MeshSequence(loose, cloth().faces, FPS))
-    refused("a time that cloth and rig have in common, got 60 frames of cloth", offset=2.5)
-    refused("expected some of other, got walk", test=("walk",))
+    for text, given in REFUSED.items():
+        models = {k: v for k, v in given.items() if k in ("new_cloth", "new_rig", "cloth_as")}
+        options = ImportOptions(**{k: v for k, v in given.items() if k not in models})
+        with pytest.raises(InputError, match=text):
+            import_clips([pair("other", **models)], tmp_path / "a.clips", options)
     with pytest.raises(InputError, match="different names"):
         import_clips([files, files], tmp_path / "b.clips")
     ssdr.save(MeshSequence(cloth().vertices[:1], cloth().faces[:-1]), tmp_path / "cut.npz")
@@ -332,39 +324,27 @@ def test_other_skeletons_topologies_and_times_are_refused(files, tmp_path):
         import_clips([files], tmp_path / "b.clips", rest=tmp_path / "cut.npz")
 
 
-def test_only_common_frames_are_taken(files, tmp_path):
+def test_only_common_frames_are_taken(pair, tmp_path):
     late = motion()[10:]
-    ssdr.save(cloth(late), tmp_path / "late.usda")
-    pair = tmp_path / "late.usda", files[1]
-    said: list[str] = []
-    store = import_clips([pair], tmp_path / "b.clips", ImportOptions(offset=1 / 3), say=said.append)
-    assert any("50 frames in common of 50 frames of cloth, 60 of the rig" in text for text in said)
-    np.testing.assert_allclose(store.clip("late-train").joints, late[:40], atol=1e-5)
+    source = pair(new_cloth=cloth(late))
+    store = import_clips([source], tmp_path / "b.clips", ImportOptions(offset=1 / 3))
+    np.testing.assert_allclose(joints_of(store), late, atol=1e-5)
 
 
-def test_a_skeleton_in_another_place_and_order_is_the_same(files, tmp_path):
-    turn = Rotation.from_euler("y", 0.7).as_matrix()
-    place = turn @ JOINTS.T + [[0.4], [0.0], [-0.2]]
-    order = [0, 2, 1]
-    there, back = place.T[order], rig()
-    rest = back.rest @ turn.T + [0.4, 0.0, -0.2]
-    m = motion()
+def test_a_skeleton_in_another_place_and_order_is_the_same(pair, tmp_path):
+    turn, shift = Rotation.from_euler("y", 0.7).as_matrix(), [0.4, 0.0, -0.2]
+    order, body, m = [0, 2, 1], rig(), motion()
     linear = m[..., :3] @ turn.T
-    shift = m[..., 3] - linear @ [0.4, 0.0, -0.2]
-    moved = np.concatenate([linear, shift[..., None]], axis=-1)[:, order]
-    names = tuple(np.array(NAMES)[order])
-    other = rig(moved, bone_names=names, joint_positions=there)
-    indices = np.argsort(order)[back.indices]
-    ssdr.save(dataclasses.replace(other, rest=rest, indices=indices), tmp_path / "again.glb")
-    ssdr.save(cloth(), tmp_path / "again.usda")
-    pairs = [files, (tmp_path / "again.usda", tmp_path / "again.glb")]
-    store = import_clips(pairs, tmp_path / "a.clips")
-    np.testing.assert_allclose(
-        store.clip("again-train").joints, store.clip("walk-train").joints, atol=1e-5
-    )
+    moved = np.concatenate([linear, (m[..., 3] - linear @ shift)[..., None]], axis=-1)[:, order]
+    there = (JOINTS @ turn.T + shift)[order]
+    other = rig(moved, bone_names=tuple(np.array(NAMES)[order]), joint_positions=there)
+    indices = np.argsort(order)[body.indices]
+    other = dataclasses.replace(other, rest=body.rest @ turn.T + shift, indices=indices)
+    store = import_clips([pair(), pair("again", new_rig=other)], tmp_path / "a.clips")
+    np.testing.assert_allclose(joints_of(store, "again"), joints_of(store), atol=1e-5)
 
 
-def test_a_prop_and_an_open_body_do_no_harm(files, tmp_path):
+def test_a_prop_and_an_open_body_do_no_harm(pair, tmp_path):
     body = rig()
     floor = np.array([[-2, 0, -2], [2, 0, -2], [0, 0, 2.0]])
     still = np.tile(np.eye(3, 4), (FRAMES, 1, 1, 1))
@@ -379,9 +359,9 @@ def test_a_prop_and_an_open_body_do_no_harm(files, tmp_path):
         parents=[*PARENTS, -1],
         joint_positions=np.concatenate([JOINTS, np.zeros((1, 3))]),
     )
-    ssdr.save(model, tmp_path / "prop.npz")
     said: list[str] = []
-    store = import_clips([(files[0], tmp_path / "prop.npz")], tmp_path / "a.clips", say=said.append)
+    source = pair("prop", new_rig=model, rig_as="npz")
+    store = import_clips([source], tmp_path / "a.clips", say=said.append)
     assert (store.skeleton.names, store.body.n_vertices) == (NAMES, 18)
     assert any("not closed: nothing can be pushed out" in text for text in said)
 
@@ -397,9 +377,7 @@ def test_a_rig_without_a_body_is_learned_and_drawn(files, tmp_path):
     stage.Save()
 
     def call(*words):
-        result = CliRunner().invoke(app, [str(w) for w in words])
-        if result.exception is not None and not isinstance(result.exception, SystemExit):
-            raise result.exception
+        result = CliRunner().invoke(app, [str(w) for w in words], catch_exceptions=False)
         assert result.exit_code == 0, result.output
         return result
 
@@ -407,20 +385,17 @@ def test_a_rig_without_a_body_is_learned_and_drawn(files, tmp_path):
     done = call("import", "--cloth", files[0], "--rig", tmp_path / "bones.usda", "-o", store)
     assert "no body: nothing can be pushed out" in done.stderr
     assert len(ClipStore.open(store).body.faces) == 0
-    small = [
-        "bones.count=6",
-        "low.hidden=8",
-        "high.hidden=8",
-        "train.epochs=1",
-        "train.high_epochs=1",
-    ]
-    small += [
-        "train.tensorboard=false",
-        "train.threads=1",
-        "high.mlp=[4]",
-        "high.edge_features=[4]",
-    ]
-    call("train", "tiny", "--store", store, "-o", run, *(w for s in small for w in ("--set", s)))
+    small = "bones.count=6 low.hidden=8 high.hidden=8 train.epochs=1 train.high_epochs=1 "
+    small += "train.tensorboard=false train.threads=1 high.mlp=[4] high.edge_features=[4]"
+    call(
+        "train",
+        "tiny",
+        "--store",
+        store,
+        "-o",
+        run,
+        *(w for s in small.split() for w in ("--set", s)),
+    )
     network, clip = run / "checkpoint.safetensors", store / "clips" / "walk-test"
     done = call("predict", network, clip, "-o", tmp_path / "a.png", "-o", tmp_path / "a.npz")
     assert "nothing is pushed out: the body has no closed mesh" in done.stderr
@@ -433,18 +408,9 @@ def test_a_rig_without_a_body_is_learned_and_drawn(files, tmp_path):
 def test_the_command_takes_patterns_and_one_rig_for_all(files, tmp_path):
     call = CliRunner().invoke
     ssdr.save(cloth(motion()[::-1]), tmp_path / "back.usda")
-    both = Skinning(
-        rig().rest,
-        rig().indices,
-        rig().weights,
-        np.concatenate([motion(), motion()[::-1]]),
-        faces=rig().faces,
-        bone_names=NAMES,
-        parents=PARENTS,
-        joint_positions=JOINTS,
-        clips=(ssdr.Clip("walk", 0, 60, FPS), ssdr.Clip("back", 60, 120, FPS)),
-    )
-    ssdr.save(both, tmp_path / "both.glb")
+    clips = (ssdr.Clip("walk", 0, 60, FPS), ssdr.Clip("back", 60, 120, FPS))
+    both = np.concatenate([motion(), motion()[::-1]])
+    ssdr.save(rig(both, clips=clips, fps=None), tmp_path / "both.glb")
     words = ["import", "--cloth", f"{tmp_path}/*.usda", "--rig", f"{tmp_path}/both.glb"]
     words += ["-o", str(tmp_path / "a.clips"), "--test", "back", "--validation", "back"]
     result = call(app, [*words, "--parameters", "bending=2,density=0.3"])
@@ -453,10 +419,8 @@ def test_the_command_takes_patterns_and_one_rig_for_all(files, tmp_path):
     assert store.names() == ("back", "walk")
     assert store.clip("walk").parameters == SimulationParameters(2.0, 0.3)
     np.testing.assert_allclose(store.clip("back").joints, motion()[::-1], atol=1e-5)
-    for bad, match in (
+    for bad, text in (
         (["--parameters", "weight=2"], "weight"),
         (["--rig", "x.glb", "--rig", "y.glb"], "as cloths"),
     ):
-        error = call(app, [*words, *bad]).exception
-        assert isinstance(error, (InputError, FormatError))
-        assert match in str(error)
+        assert text in str(call(app, [*words, *bad]).exception)

@@ -12,27 +12,21 @@ import ssdr
 from garmentnet.cli import app
 from garmentnet.data.store import ClipStore
 from garmentnet.importing.published import import_published, smplh_skeleton
+from helpers.cloth_scenes import tube
 from ssdr import MeshSequence
 from ssdr.common.errors import FormatError, InputError
 
 FRAMES = 12
 PELVIS = smplh_skeleton().rest[0]
+REST, FACES = tube(-0.2 - 0.1 * np.arange(4), 0.2)
 
 
-def tube():
-    turn, down = np.meshgrid(np.arange(10) * 2 * np.pi / 10, np.arange(4))
-    rest = np.stack([0.2 * np.cos(turn), -0.2 - 0.1 * down, 0.2 * np.sin(turn)], -1).reshape(-1, 3)
-    k = np.arange(30)
-    n = k - k % 10 + (k + 1) % 10
-    return rest, np.concatenate([np.stack([k, k + 10, n + 10], 1), np.stack([k, n + 10, n], 1)])
-
-
-def clip(seed, rest):
+def clip(seed):
     """The dress turns and walks with the pelvis; the other joints turn as they like."""
     rng = np.random.default_rng(seed)
     pose, trans = rng.normal(0, 0.4, (FRAMES, 52, 3)), rng.normal(0, 1, (FRAMES, 3))
     turn = Rotation.from_rotvec(pose[:, 0]).as_matrix()
-    sim = np.einsum("fab,vb->fva", turn, rest - PELVIS) + PELVIS + trans[:, None]
+    sim = np.einsum("fab,vb->fva", turn, REST - PELVIS) + PELVIS + trans[:, None]
     return {"pose": pose, "trans": trans, "sim_res": sim}
 
 
@@ -40,25 +34,23 @@ def clip(seed, rest):
 def folder(tmp_path):
     out = tmp_path / "dress02"
     out.mkdir()
-    rest, faces = tube()
-    ssdr.save(MeshSequence(rest[None], faces), out / "template.obj")
+    ssdr.save(MeshSequence(REST[None], FACES), out / "template.obj")
     for k in range(11):
-        np.savez(out / f"{k}.npz", **clip(k, rest))
+        np.savez(out / f"{k}.npz", **clip(k))
     return out
 
 
 def test_a_store_of_the_layout(folder, tmp_path):
     store = import_published(folder, tmp_path / "new" / "a.clips")
-    rest, faces = tube()
-    np.testing.assert_allclose(store.rest, rest, atol=1e-5)
-    assert np.array_equal(store.faces, faces)
+    np.testing.assert_allclose(store.rest, REST, atol=1e-5)
+    assert np.array_equal(store.faces, FACES)
     assert (store.names("test"), store.names("validation")) == (("9",), ("8",))
     assert len(store.names("train")) == 9
-    made, found = clip(3, rest), store.clip("3")
+    made, found = clip(3), store.clip("3")
     np.testing.assert_allclose(found.sequence.frames(slice(None)), made["sim_res"], atol=1e-5)
     # What the root's transforms carry is where the clip has it.
     root = np.asarray(found.joints, float)[:, 0]
-    carried = rest @ root[:, :, :3].swapaxes(1, 2) + root[:, None, :, 3]
+    carried = REST @ root[:, :, :3].swapaxes(1, 2) + root[:, None, :, 3]
     np.testing.assert_allclose(carried, made["sim_res"], atol=1e-5)
     before = (store.path / "clips" / "3" / "zarr.json").stat().st_mtime_ns
     again = import_published(folder, store.path)
@@ -68,7 +60,7 @@ def test_a_store_of_the_layout(folder, tmp_path):
 def test_joints_hang_together_and_turn_relative_to_their_parents(folder, tmp_path):
     skeleton = smplh_skeleton()
     assert (skeleton.n_joints, len(set(skeleton.names))) == (52, 52)
-    made = clip(3, tube()[0])
+    made = clip(3)
     m = np.asarray(import_published(folder, tmp_path / "a.clips").clip("3").joints, float)
     heads = skeleton.positions(m)
     np.testing.assert_allclose(heads[:, 0], PELVIS + made["trans"], atol=1e-5)
@@ -92,7 +84,7 @@ def test_the_command_and_what_is_refused(folder, tmp_path):
         import_published(tmp_path, tmp_path / "c.clips")
     with pytest.raises(InputError, match="expected some of 0, 1"):
         import_published(folder, tmp_path / "c.clips", test=["77"])
-    short = clip(0, tube()[0]) | {"trans": np.zeros((3, 3))}
+    short = clip(0) | {"trans": np.zeros((3, 3))}
     np.savez(folder / "0.npz", **short)
     with pytest.raises(InputError, match=r"trans of 0\.npz: expected shape \(12, 3\)"):
         import_published(folder, tmp_path / "c.clips")
