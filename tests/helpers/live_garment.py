@@ -20,6 +20,17 @@ from garmentnet.runtime import load_live
 from ssdr import Skinning
 
 FPS = 30.0
+# What networks can differ in, for all that run them without torch.
+CHANGES = (
+    {},
+    {"bound": False, "condition": True},
+    {"detail": False, "features": {"frame": "world", "translation": True}},
+    {"high": {"source": "body"}, "condition": True, "features": {"joints": ("shin_l",)}},
+    {"features": {"heading_free": False, "frame": "root", "root_motion": False}},
+    {"features": {"frame": "world", "joints": ("shin_l", "spine"), "clamp": 0.0}},
+    {"features": {"rotation": "vector", "translation": True, "velocities": False}},
+    {"low": {"relative_to": "joints"}},
+)
 
 
 def skeleton():
@@ -110,6 +121,22 @@ def saved(path, **change):
     return save_checkpoint(Checkpoint((made,), (trained_on,), None), path)
 
 
+def ready(model, folder):
+    """The runtime of a network or a checkpoint that is saved in a folder."""
+    if isinstance(model, MotionNetwork):
+        model = Checkpoint((model,), (None if model.condition else SimulationParameters(),), None)
+    return load_live(save_checkpoint(model, folder / "one.safetensors"))
+
+
 def live(folder, **change):
     """The runtime of a :func:`network` that was saved in a folder."""
-    return load_live(saved(folder / "one.safetensors", **change))
+    return ready(network(**change), folder)
+
+
+def play(garment, joints, parameters=None):
+    """Vertices (F, V, 3), a frame after the other."""
+    state, frames = None, []
+    for pose in joints:
+        state, vertices = garment.step(state, pose, parameters)
+        frames.append(vertices)
+    return np.stack(frames)

@@ -23,20 +23,6 @@ from ssdr.common.errors import FormatError, InputError, SsdrWarning
 CLOSE = 1e-5  # metres; a tenth of what is promised
 
 
-def live(network, folder):
-    trained_on = None if network.condition else P()
-    path = folder / "one.safetensors"
-    return load_live(save_checkpoint(Checkpoint((network,), (trained_on,), None), path))
-
-
-def play(garment, joints, parameters=None):
-    state, frames = None, []
-    for pose in joints:
-        state, vertices = garment.step(state, pose, parameters)
-        frames.append(vertices)
-    return np.stack(frames)
-
-
 def test_what_only_torch_runs_is_refused_with_what_to_train_instead(
     toy_run, toy_faithful, tmp_path
 ):
@@ -52,44 +38,21 @@ def test_it_needs_no_torch():
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {},
-        {"bound": False},
-        {"detail": False},
-        {"condition": True},
-        {"high": {"source": "body"}, "condition": True},
-        {"features": {"rotation": "vector", "translation": True, "velocities": False}},
-        {"features": {"heading_free": False, "frame": "root", "root_motion": False}},
-        {"features": {"frame": "world", "joints": ("shin_l", "spine"), "clamp": 0.0}},
-        {"low": {"relative_to": "joints"}},
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize("change", made.CHANGES, ids=str)
 def test_numbers_are_those_of_torch(change, tmp_path):
     network = made.network(**change)
     joints = made.motion(2.0, seed=3)
     joints[..., 3] += [40.0, 0.0, -25.0]  # far from the origin
     theta = P(bending=1.3, density=0.15) if network.condition else None
     expected = network.predict(joints, parameters=theta and theta.normalised())
-    got = play(live(network, tmp_path), joints, theta)
+    got = made.play(made.ready(network, tmp_path), joints, theta)
     assert np.abs(got - expected).max() < CLOSE
     assert np.ptp(got[..., 1].mean(axis=1)) > 0.01  # it moves
 
 
-def test_parameters_far_from_the_training_are_warned_of_once(tmp_path):
-    garment = live(made.network(condition=True), tmp_path)
-    pose, far = made.motion(0.1)[0], P(bending=1e300)
-    with pytest.warns(SsdrWarning, match=r"bending 1e\+300, meant for 0.2 to 2"):
-        state, _ = garment.step(None, pose, far)
-    garment.step(state, pose, far)  # a second warning would be an error here
-    garment.step(state, pose, P(bending=2.0))
-
-
 def test_no_drift_and_constant_memory_over_10000_frames(tmp_path):
     network = made.network(vertices=40)
-    garment = live(network, tmp_path)
+    garment = made.ready(network, tmp_path)
     joints = made.motion(10_000 / made.FPS, seed=4)
     expected = network.predict(joints)
     state, worst = None, 0.0
@@ -108,7 +71,7 @@ def test_no_drift_and_constant_memory_over_10000_frames(tmp_path):
 def test_a_garment_of_real_size_whose_parameters_change(tmp_path):
     size = {"low": {"hidden": 600}, "high": {"hidden": 256, "rank": 64}}
     network = made.network(vertices=12_273, bones=80, condition=True, **size)
-    garment, states = live(network, tmp_path), (None, None)
+    garment, states = made.ready(network, tmp_path), (None, None)
     for f, pose in enumerate(made.motion(0.5, seed=5)):
         theta = P(bending=0.2 + 0.1 * f)
         state, got = garment.step(states[0], pose, theta)
@@ -127,7 +90,7 @@ def pivots():
 
 
 def test_pivots_are_mixed_as_in_torch(pivots, tmp_path):
-    garment = load_live(save_checkpoint(pivots, tmp_path / "pivots.safetensors"))
+    garment = made.ready(pivots, tmp_path)
     joints = made.motion(1.0, seed=6)
     for bending in (0.2, 0.6, 1.5):
         theta = P(bending=bending)
@@ -143,27 +106,20 @@ def test_pivots_are_mixed_as_in_torch(pivots, tmp_path):
         )
         turned = pivots.networks[0].turns(moved) @ local
         expected = pivots.networks[0].lbs(moved)[:, free] + turned[..., 0]
-        gap = play(garment, joints, theta)[:, free] - parts[0].to_world(expected)
+        gap = made.play(garment, joints, theta)[:, free] - parts[0].to_world(expected)
         assert np.abs(gap).max() < CLOSE
-        gap = play(garment, joints, theta) - pivots.predict(joints, theta)
+        gap = made.play(garment, joints, theta) - pivots.predict(joints, theta)
         assert np.sqrt((gap**2).sum(-1).mean()) < 5e-3
     smooth = tuple(made.network(seed=s, detail=False) for s in (1, 2))
     low = Checkpoint(smooth, pivots.parameters, pivots.kernel)
-    garment = load_live(save_checkpoint(low, tmp_path / "low.safetensors"))
-    gap = np.abs(play(garment, joints, theta) - low.predict(joints, theta))
+    garment = made.ready(low, tmp_path)
+    gap = np.abs(made.play(garment, joints, theta) - low.predict(joints, theta))
     assert gap.max() < CLOSE
-    alike = Checkpoint((pivots.networks[0],) * 2, pivots.parameters, pivots.kernel)
-    garment = load_live(save_checkpoint(alike, tmp_path / "alike.safetensors"))
-    expected = pivots.networks[0].predict(joints)
-    assert np.abs(play(garment, joints, P()) - expected).max() < CLOSE
-
-
-def test_one_pivot_alone_is_run(pivots, tmp_path):
-    one = Checkpoint(pivots.networks[:1], pivots.parameters[:1], pivots.kernel)
-    garment = load_live(save_checkpoint(one, tmp_path / "one.safetensors"))
-    joints = made.motion(0.5, seed=6)
-    expected = pivots.networks[0].predict(joints)
-    assert np.abs(play(garment, joints, P(bending=0.2)) - expected).max() < CLOSE
+    # Two that are alike, and one alone.
+    for count in (2, 1):
+        alike = Checkpoint((pivots.networks[0],) * count, pivots.parameters[:count], pivots.kernel)
+        got = made.play(made.ready(alike, tmp_path), joints, P(bending=0.2))
+        assert np.abs(got - pivots.networks[0].predict(joints)).max() < CLOSE
 
 
 def test_pivots_without_weight_are_not_run(pivots, tmp_path):
@@ -171,34 +127,17 @@ def test_pivots_without_weight_are_not_run(pivots, tmp_path):
     with torch.no_grad():
         narrow.g[2].weight.mul_(1000)
     lone = Checkpoint(pivots.networks, pivots.parameters, narrow)
-    garment = load_live(save_checkpoint(lone, tmp_path / "lone.safetensors"))
+    garment = made.ready(lone, tmp_path)
     joints = made.motion(0.3)
     state, _ = garment.step(None, joints[0], P(bending=0.2))
     assert not state.hidden[1][0].any()
     assert state.hidden[0][0].any()
     expected = pivots.networks[0].predict(joints)
-    assert np.abs(play(garment, joints, P(bending=0.2)) - expected).max() < CLOSE
-
-
-def test_poses_that_are_none(tmp_path):
-    garment = live(made.network(condition=True), tmp_path)
-    pose = made.motion(0.1)[0]
-    with pytest.raises(InputError, match=r"pose: expected shape \(6, 3, 4\)"):
-        garment.step(None, pose[:5], P())
-    broken = pose.copy()
-    broken[2, 0, 3] = np.nan
-    with pytest.raises(InputError, match="joint 2"):
-        garment.step(None, broken, P())
-    with pytest.raises(InputError, match=r"rigid transforms.*joint 0"):
-        garment.step(None, pose * [[[2, 2, 2, 1]]], P())
-    with pytest.raises(InputError, match="rigid transforms"):
-        garment.step(None, pose * [[[-1, 1, 1, 1]]], P())
-    with pytest.raises(InputError, match="parameters"):
-        garment.step(None, pose)
+    assert np.abs(made.play(garment, joints, P(bending=0.2)) - expected).max() < CLOSE
 
 
 def test_files_that_are_not_run(tmp_path):
-    one = save_checkpoint(Checkpoint((made.network(),), (P(),), None), tmp_path / "one.safetensors")
+    one = made.saved(tmp_path / "one.safetensors")
     with pytest.raises(InputError, match="a file"):
         load_live(tmp_path / "none.safetensors")
     (tmp_path / "cut.safetensors").write_bytes(one.read_bytes()[:5000])
@@ -212,42 +151,50 @@ def test_files_that_are_not_run(tmp_path):
             load_live(bad)
     other = made.network(low={"rotation": "euler"}, detail=False)
     with pytest.raises(FormatError, match="sixd"):
-        live(other, tmp_path)
+        made.ready(other, tmp_path)
 
 
-def test_parameters_that_are_none_and_far_ones(tmp_path):
-    garment, pose = live(made.network(condition=True), tmp_path), made.motion(0.1)[0]
-    for other in ((0.5, 0.2, 1.0), [0.5, 0.2, 1.0], "soft"):
-        with pytest.raises(InputError, match="parameters: expected SimulationParameters"):
-            garment.step(None, pose, other)
-    for value in (0.0, -1.0, np.nan, np.inf, None):
-        with pytest.raises(InputError, match="bending"):
-            P(bending=value)
-    # Beyond what was learned: no promise, but no number that is none.
-    for far in (P(bending=1e-9), P(density=1e9), P(1e300, 1e-300, 1e300)):
-        with pytest.warns(SsdrWarning, match="extrapolated"):
-            state, vertices = garment.step(None, pose, far)
-        for _ in range(100):
-            state, vertices = garment.step(state, pose, far)
-        assert np.isfinite(vertices).all()
-        assert np.abs(vertices).max() < 10
+@pytest.mark.parametrize("far", [P(bending=1e-9), P(density=1e9), P(1e300, 1e-300, 1e300)], ids=str)
+def test_far_parameters_are_warned_of_once_and_give_numbers(tmp_path, far):
+    garment, pose = made.live(tmp_path, condition=True), made.motion(0.1)[0]
+    with pytest.warns(SsdrWarning, match=r"extrapolated: .* meant for"):
+        state, vertices = garment.step(None, pose, far)
+    for _ in range(100):
+        state, vertices = garment.step(state, pose, far)  # a second warning would be an error
+    assert np.isfinite(vertices).all()
+    assert np.abs(vertices).max() < 10
 
 
-def test_poses_of_no_numbers_and_states_of_another(tmp_path):
-    garment, pose = live(made.network(), tmp_path), made.motion(0.1)[0]
-    for bad in ("pose", None, [[1, 2], [3]], object()):
-        with pytest.raises(InputError, match="pose"):
-            garment.step(None, bad)
-    (tmp_path / "wide").mkdir()
-    other = live(made.network(low={"hidden": 32}), tmp_path / "wide")
-    state, _ = other.step(None, pose)
+POSE = made.motion(0.1)[0]
+BROKEN = POSE.copy()
+BROKEN[2, 0, 3] = np.nan
+REFUSED = [
+    *((bad, P(), "pose") for bad in ("pose", None, [[1, 2], [3]], object())),
+    (POSE[:5], P(), r"pose: expected shape \(6, 3, 4\)"),
+    (BROKEN, P(), "joint 2"),
+    (POSE * [[[2, 2, 2, 1]]], P(), "rigid transforms.*joint 0"),
+    (POSE * [[[-1, 1, 1, 1]]], P(), "rigid transforms"),
+    (POSE, None, "parameters"),
+    *(
+        (POSE, bad, "parameters: expected Sim")
+        for bad in ((0.5, 0.2, 1.0), [0.5, 0.2, 1.0], "soft")
+    ),
+]
+
+
+def test_poses_parameters_and_states_that_are_none(tmp_path):
+    garment = made.live(tmp_path, condition=True)
+    for pose, parameters, text in REFUSED:
+        with pytest.raises(InputError, match=text):
+            garment.step(None, pose, parameters)
+    other = made.live(tmp_path, low={"hidden": 32}, condition=True)
     with pytest.raises(InputError, match="state: expected one of this garment"):
-        garment.step(state, pose)
+        garment.step(other.step(None, POSE, P())[0], POSE, P())
 
 
 def test_damaged_files_say_so(tmp_path):
     """Cut anywhere, or with bytes that are others: refused in words, or a garment all the same."""
-    one = save_checkpoint(Checkpoint((made.network(),), (P(),), None), tmp_path / "one.safetensors")
+    one = made.saved(tmp_path / "one.safetensors")
     rng, whole, bad = np.random.default_rng(0), one.read_bytes(), tmp_path / "bad.safetensors"
     refused = 0
     for k in range(60):

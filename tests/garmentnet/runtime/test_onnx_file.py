@@ -13,16 +13,9 @@ ort = pytest.importorskip("onnxruntime")
 
 from garmentnet.cli import main
 from garmentnet.data.parameters import SimulationParameters as P
-from garmentnet.networks.checkpoint import Checkpoint, save_checkpoint
-from garmentnet.runtime import load_live
 from garmentnet.runtime.onnx_file import export_onnx
 from helpers import live_garment as made
 from ssdr.common.errors import InputError
-
-
-def checkpoint(network, folder):
-    parameters = None if network.condition else P()
-    return save_checkpoint(Checkpoint((network,), (parameters,), None), folder / "one.safetensors")
 
 
 def run(path, joints, theta=None):
@@ -44,48 +37,35 @@ def run(path, joints, theta=None):
     return np.stack(frames)
 
 
-def play(garment, joints, theta=None):
-    state, frames = None, []
-    for pose in joints:
-        state, vertices = garment.step(state, pose, theta)
-        frames.append(vertices)
-    return np.stack(frames)
+APART = {"low": {"relative_to": "joints"}, "features": {"frame": "world"}, "bound": False}
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {},
-        {"bound": False, "condition": True},
-        {"detail": False, "features": {"frame": "world", "translation": True}},
-        {"high": {"source": "body"}, "condition": True, "features": {"joints": ("shin_l",)}},
-        {"features": {"heading_free": False, "frame": "root", "clamp": 0.0}},
-        {"low": {"relative_to": "joints"}},
-        {"low": {"relative_to": "joints"}, "features": {"frame": "world"}, "bound": False},
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize("change", [*made.CHANGES, APART], ids=str)
 def test_onnxruntime_says_what_the_runtime_says(change, tmp_path):
-    network = made.network(**change)
-    garment, joints = load_live(checkpoint(network, tmp_path)), made.motion(3.0, seed=3)
-    theta = P(bending=1.3, density=0.15) if network.condition else None
-    path = export_onnx(garment, tmp_path / "dress.onnx")
-    gap = np.abs(run(path, joints, theta) - play(garment, joints, theta))
-    assert gap.max() < 1e-4
+    garment, joints = made.live(tmp_path, **change), made.motion(3.0, seed=3)
+    theta = P(bending=1.3, density=0.15) if garment.reads_parameters else None
+    path = tmp_path / "dress.onnx"
+    if change.get("features", {}).get("rotation") == "vector":
+        with pytest.raises(InputError, match="sixd"):
+            export_onnx(garment, path)
+        assert not path.exists()
+        return
+    gap = run(export_onnx(garment, path), joints, theta) - made.play(garment, joints, theta)
+    assert np.abs(gap).max() < 1e-4
 
 
 def test_it_does_not_drift(tmp_path):
-    garment = load_live(checkpoint(made.network(vertices=40), tmp_path))
+    garment = made.live(tmp_path, vertices=40)
     joints = made.motion(10_000 / made.FPS, seed=4)
     path = export_onnx(garment, tmp_path / "dress.onnx")
-    assert np.abs(run(path, joints) - play(garment, joints)).max() < 1e-4
+    assert np.abs(run(path, joints) - made.play(garment, joints)).max() < 1e-4
 
 
 def test_fewer_bits(tmp_path):
     size = {"low": {"hidden": 100}, "high": {"hidden": 64, "rank": 24}}
-    garment = load_live(checkpoint(made.network(vertices=600, bones=20, **size), tmp_path))
+    garment = made.live(tmp_path, vertices=600, bones=20, **size)
     joints = made.motion(4.0, seed=3)
-    expected = play(garment, joints)
+    expected = made.play(garment, joints)
     bytes_, errors = [], []
     for bits in (32, 16, 8):
         path = export_onnx(garment, tmp_path / f"{bits}.onnx", bits=bits)
@@ -100,8 +80,8 @@ def test_fewer_bits(tmp_path):
 
 
 def test_the_command_and_what_the_file_says_of_itself(tmp_path, capsys):
-    network = made.network(condition=True)
-    path, target = checkpoint(network, tmp_path), tmp_path / "dress.onnx"
+    path, target = tmp_path / "one.safetensors", tmp_path / "dress.onnx"
+    garment = made.live(tmp_path, condition=True)
     assert main(["export", str(path), "-o", str(target), "--bits", "16"]) == 0
     assert "16-bit" in capsys.readouterr().out
     model = onnx.load(target)
@@ -109,14 +89,7 @@ def test_the_command_and_what_the_file_says_of_itself(tmp_path, capsys):
     assert {n.domain for n in model.graph.node} == {""}  # standard operators alone
     said = json.loads({p.key: p.value for p in model.metadata_props}["garmentnet"])
     assert (said["fps"], said["joints"]) == (made.FPS, list(made.skeleton().names))
-    assert said["faces"] == network.subject.garment.faces.tolist()
+    assert said["faces"] == garment.subject.garment.faces.tolist()
     assert list(said["parameters"]) == ["bending", "density", "time_scale"]
     assert main(["export", str(path), "-o", str(tmp_path / "dress.txt")]) == 2
     assert main(["export", str(path), "-o", str(target), "--bits", "4"]) == 2
-
-
-def test_what_is_not_exported(tmp_path):
-    network = made.network(features={"rotation": "vector"})
-    with pytest.raises(InputError, match="sixd"):
-        export_onnx(load_live(checkpoint(network, tmp_path)), tmp_path / "dress.onnx")
-    assert not (tmp_path / "dress.onnx").exists()

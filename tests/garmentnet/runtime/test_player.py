@@ -5,9 +5,7 @@ import pytest
 
 pytest.importorskip("torch")
 
-from garmentnet.data.parameters import SimulationParameters as P
-from garmentnet.networks.checkpoint import Checkpoint, save_checkpoint
-from garmentnet.runtime import Player, load_live
+from garmentnet.runtime import Player
 from helpers import live_garment as made
 from helpers.toy_store import random_pose
 from ssdr.common.errors import InputError
@@ -15,16 +13,7 @@ from ssdr.common.errors import InputError
 
 @pytest.fixture(scope="module")
 def garment(tmp_path_factory):
-    path = tmp_path_factory.mktemp("live") / "one.safetensors"
-    return load_live(save_checkpoint(Checkpoint((made.network(),), (P(),), None), path))
-
-
-def step_by_step(garment, joints):
-    state, frames = None, []
-    for pose in joints:
-        state, vertices = garment.step(state, pose)
-        frames.append(vertices)
-    return np.stack(frames)
+    return made.live(tmp_path_factory.mktemp("live"))
 
 
 def play(garment, joints, fps):
@@ -36,7 +25,7 @@ def play(garment, joints, fps):
 def test_at_the_networks_frames_it_is_the_network(garment, times):
     fine = made.motion(4.0, seed=3, fps=times * made.FPS)
     got = play(garment, fine, times * made.FPS)
-    expected = step_by_step(garment, fine[::times])
+    expected = made.play(garment, fine[::times])
     assert np.abs(got[::times] - expected).max() < 1e-6
 
 
@@ -44,12 +33,12 @@ def test_between_them_it_follows_the_motion(garment):
     """A network of twice the rate in time, but for what it looks ahead, has no jumps."""
     fine = made.motion(4.0, seed=3, fps=240)
     steps = np.abs(np.diff(play(garment, fine, 240.0), axis=0)).max(axis=(1, 2))
-    coarse = np.abs(np.diff(step_by_step(garment, fine[::8]), axis=0)).max(axis=(1, 2))
+    coarse = np.abs(np.diff(made.play(garment, fine[::8]), axis=0)).max(axis=(1, 2))
     assert steps.max() < 0.5 * coarse.max()
 
 
 def test_slower_and_uneven_frames(garment):
-    expected = step_by_step(garment, made.motion(6.0, seed=3))
+    expected = made.play(garment, made.motion(6.0, seed=3))
     slow = play(garment, made.motion(6.0, seed=3, fps=24), 24.0)
     together = slow[::4] - expected[::5]  # every sixth of a second
     moved = np.abs(expected[5::5] - expected[:-5:5])
