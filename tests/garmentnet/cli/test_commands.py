@@ -16,15 +16,11 @@ from typer.testing import CliRunner
 
 from garmentnet.cli import app, main
 from garmentnet.configs.config import load_config
-from garmentnet.data.parameters import SimulationParameters
-from garmentnet.data.store import ClipStore
 from garmentnet.data.virtual_bones import virtual_bones
-from garmentnet.networks.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from garmentnet.networks.ensemble import Kernel
-from helpers import toy_store as toy
-from ssdr.common.errors import InputError
+from garmentnet.networks.checkpoint import load_checkpoint, save_checkpoint
 
 RUN = CliRunner()
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}
 BVH = (
     "HIERARCHY\nROOT Hips\n{\n OFFSET 0 0 0\n CHANNELS 6 Xposition Yposition Zposition "
     "Zrotation Yrotation Xrotation\n End Site\n {\n  OFFSET 0 1 0\n }\n}\nMOTION\n"
@@ -45,9 +41,7 @@ def settings(folder, *, low=16, epochs=2, high_epochs=1, device=""):
 
 def call(*arguments):
     """Run the command in this process; its output, or the error that it raised."""
-    result = RUN.invoke(app, [str(a) for a in arguments])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
+    result = RUN.invoke(app, [str(a) for a in arguments], catch_exceptions=False)
     assert result.exit_code == 0, result.output
     return result.stdout
 
@@ -82,18 +76,11 @@ def test_train_then_evaluate_then_predict(toy_store, tmp_path, monkeypatch):
     names = [r["name"] for r in report["groups"]["test"]["rows"]]
     assert names[0] == "bones themselves"
     assert names[-3:] == ["mean shape", "body-skinned", "ridge"]
-    options = ["--pictures", 0, "--clips", "*-test-1", "--no-baselines"]
-    out = call("evaluate", checkpoint, "--store", toy_store.path, *options)
-    assert "1 clips, 90 frames" in out
-    assert "ridge" not in out
-
     motion = toy_store.path / "clips" / "base-test-0"
     out = call("predict", checkpoint, motion, "-o", tmp_path / "dress.npz")
     assert "90 frames of vertices" in out
     with np.load(tmp_path / "dress.npz") as archive:
         assert any(archive[k].shape == (90, 112, 3) for k in archive.files)
-    with pytest.raises(InputError, match="single network"):
-        call("predict", checkpoint, motion, "--bending", 2, "-o", tmp_path / "dress.npz")
 
 
 def said(capfd, *arguments):
@@ -122,6 +109,13 @@ def test_every_failure_is_one_line(toy_run, toy_store, tmp_path, capfd):
         (2, "single network.*bending 0.5.*bending 2", checkpoint, clip, "--bending", 2, "-o", out),
         (2, "bending: expected a positive", checkpoint, clip, "--bending", "nan", "-o", out),
         (2, "--output", checkpoint, clip),
+        # The toy's joints are none that motion capture could move.
+        (2, "arm_l.* got joints root, leg_l, leg_r", checkpoint, tmp_path / "m.bvh", "-o", out),
+    ]
+    (tmp_path / "m.bvh").write_text(BVH)
+    exporting = [
+        (2, "motion: expected a file", checkpoint, "-o", tmp_path / "x.glb"),
+        (2, "x.obj", checkpoint, "-o", tmp_path / "x.obj"),
     ]
     store = ("--store", toy_store.path)
     training = [
@@ -131,44 +125,12 @@ def test_every_failure_is_one_line(toy_run, toy_store, tmp_path, capfd):
         (3, "not a store of clips", "rooted", "--store", toy_run),
         (3, "setting", "rooted", *store, "--set", "train.sed=1"),
     ]
-    for command, rows in (("predict", cases), ("train", training)):
+    for command, rows in (("predict", cases), ("export", exporting), ("train", training)):
         for code, words, *arguments in rows:
             got = said(capfd, command, *arguments)
             assert got[0] == code, got
             assert re.search(words, got[1]), got
-    assert not out.exists()
-
-
-def test_another_garment_or_skeleton(toy_run, toy_store, tmp_path, capfd):
-    rest, faces, _ = toy.skirt(columns=18)
-    rig, skeleton = toy.body()
-    ClipStore.create(
-        tmp_path / "other", rest=rest, faces=faces, body=rig, skeleton=skeleton, fps=toy.FPS
-    )
-    checkpoint = toy_run / "checkpoint.safetensors"
-    code, line = said(capfd, "evaluate", checkpoint, "--store", tmp_path / "other")
-    assert code == 2
-    assert "the garment of" in line
-    # The toy's joints are none that motion capture could move.
-    (tmp_path / "m.bvh").write_text(BVH)
-    code, line = said(capfd, "predict", checkpoint, tmp_path / "m.bvh", "-o", tmp_path / "x.npz")
-    assert code == 2
-    assert re.search("skeleton: expected joints arm_l.* got joints root, leg_l, leg_r", line)
-
-
-def test_what_lies_outside_is_said(toy_run, toy_store, tmp_path, capfd):
-    network = load_checkpoint(toy_run / "checkpoint.safetensors").networks[0]
-    pair = Checkpoint((network, network), (toy.BASE, SimulationParameters(bending=2.0)), Kernel())
-    path = save_checkpoint(pair, tmp_path / "pair.safetensors")
-    assert path.stat().st_mode & 0o777 == (toy_store.path / "zarr.json").stat().st_mode & 0o777
-    clip = toy_store.path / "clips" / "base-test-0"
-    assert (
-        main(["predict", str(path), str(clip), "--bending", "5", "-o", str(tmp_path / "x.npz")])
-        == 0
-    )
-    err = capfd.readouterr().err
-    assert "warning: extrapolated: bending 5, trained from 0.5 to 2" in err
-    assert "of bending 5, density 0.2, time scale 1" in err
+    assert not list(tmp_path.glob("x.*"))
 
 
 HELD = """
@@ -192,11 +154,10 @@ def test_killed_training_goes_on(toy_store, tmp_path):
     given = [str(file), "--store", str(toy_store.path)]
     call("train", *given, "-o", tmp_path / "whole")
     cut = tmp_path / "cut"
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}
     for state in ("low", "high"):
         process = subprocess.Popen(
             [sys.executable, "-c", HELD, state, "train", *given, "-o", str(cut)],
-            env=environment,
+            env=ENVIRONMENT,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             text=True,
@@ -213,7 +174,7 @@ def test_killed_training_goes_on(toy_store, tmp_path):
 
 def test_limit_of_a_file_while_training(toy_store, tmp_path):
     """A disk that takes no more: a state that cannot be written, and the one before it kept."""
-    resource = pytest.importorskip("resource")
+    pytest.importorskip("resource")
     file = settings(tmp_path, low=128, epochs=1, device="cpu")
     virtual_bones(toy_store, load_config(str(file)).bones)
     arguments = ["train", str(file), "--store", str(toy_store.path)]
@@ -225,13 +186,12 @@ def test_limit_of_a_file_while_training(toy_store, tmp_path):
         "from garmentnet.cli import main\n"
         f"sys.exit(main({[*arguments, '-o', str(tmp_path / 'run')]!r}))\n"
     )
-    assert resource.RLIMIT_FSIZE
     done = subprocess.run(
         [sys.executable, "-c", code],
         capture_output=True,
         text=True,
         check=False,
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])},
+        env=ENVIRONMENT,
     )
     assert done.returncode == 1, done.stderr
     assert re.search(r"low\.state\.safetensors: could not be written", done.stderr)
@@ -253,15 +213,9 @@ def test_models_are_listed_with_what_is_wrong(toy_run, tmp_path, capfd):
     assert said(capfd, "models", tmp_path / "none")[0] == 2
 
 
-def test_a_garment_is_exported_with_its_joints(toy_run, toy_store, tmp_path, capfd):
+def test_a_garment_is_exported_with_its_joints(toy_run, toy_store, tmp_path):
     checkpoint, target = toy_run / "checkpoint.safetensors", tmp_path / "dress.glb"
     clip = toy_store.path / "clips" / "base-test-0"
     out = call("export", checkpoint, "-o", target, "--motion", clip, "--shapes", 2)
     assert re.search(r"13 joints, 2 morph targets, 90 frames", out)
     assert target.read_bytes()[:4] == b"glTF"
-    # A made dance is for the body that ships.
-    code, line = said(capfd, "export", checkpoint, "-o", tmp_path / "x.glb")
-    assert code == 2
-    assert "motion: expected a file" in line
-    assert said(capfd, "export", checkpoint, "-o", tmp_path / "x.obj")[0] == 2
-    assert not (tmp_path / "x.glb").exists()

@@ -9,6 +9,7 @@ torch = pytest.importorskip("torch")
 from scipy.spatial.transform import Rotation
 
 import ssdr
+from garmentnet.networks.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from garmentnet.training.run import build_network, choose_clips
 from ssdr.common.errors import InputError
 
@@ -110,13 +111,15 @@ def test_what_the_body_carries_is_exact(toy_network, toy_store):
     assert np.abs(smooth[:, bound.index] - skinned).max() < 1e-5
 
 
-def test_networks_without_carried_vertices_predict_all(toy_network, toy_store):
-
+def test_networks_without_carried_vertices_predict_all(toy_network, toy_store, tmp_path):
     network = toy_network.networks[0]
     subject = dataclasses.replace(network.subject, bound=None)
-    plain = type(network)(network.config, subject, network.normaliser)
+    plain = type(network)(network.config, subject, network.normaliser).eval()
     plain.low.load_state_dict(network.low.state_dict())
     joints = toy_store.clip("base-test-1").joints[:5]
     a, b = plain.predict(joints), network.predict(joints, detail=False)
     assert len(plain.free) == toy_store.n_vertices
     assert np.abs(a - b)[:, network.free].max() < 1e-6
+    one = Checkpoint((plain,), toy_network.parameters, None)
+    again = load_checkpoint(save_checkpoint(one, tmp_path / "a.safetensors"))
+    assert np.array_equal(again.predict(joints), a)
