@@ -16,8 +16,7 @@ pytest.importorskip("zarr")
 
 import trimesh
 
-import ssdr
-from helpers import live_garment
+from helpers import cloth_scenes, live_garment
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 _Given = tuple[dict[str, Any], dict[str, str]]
@@ -31,14 +30,11 @@ def _checkpoint(_: pytest.FixtureRequest) -> _Given:
 
 def _body(_: pytest.FixtureRequest) -> _Given:
     ball = trimesh.creation.uv_sphere(1.0, (12, 16))
-    still = np.eye(3, 4)[None, None]
-    place = np.zeros((len(ball.vertices), 1), dtype=int)
-    body = ssdr.Skinning(ball.vertices, place, np.ones(place.shape), still, faces=ball.faces)
+    body = cloth_scenes.rigid(ball.vertices, ball.faces)
     vertices = np.array([[[0, 0, 0.9], [0, 0.7, 0], [0, 0, 3.0]]])
     pinned = np.array([False, False, True])
-    return {
-        "body": body, "faces": [[0, 1, 2]], "pinned": pinned, "vertices": vertices, "joints": still
-    }, {}  # fmt: skip
+    given = {"body": body, "faces": [[0, 1, 2]], "pinned": pinned, "vertices": vertices}
+    return given | {"joints": body.transforms}, {}
 
 
 def _bones(request: pytest.FixtureRequest) -> _Given:

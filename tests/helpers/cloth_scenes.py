@@ -44,17 +44,29 @@ def garment(rest, faces, pinned=()):
     )
 
 
+def rigid(vertices, faces, joints=None, count=1):
+    """A skinning at rest whose vertices follow one joint each; the first by default."""
+    j = np.zeros(len(vertices), int) if joints is None else np.asarray(joints)
+    still = np.tile(np.eye(3, 4), (1, count, 1, 1))
+    names = tuple(f"joint {k}" for k in range(count))
+    return Skinning(
+        vertices, j[:, None], np.ones((len(j), 1)), still, faces=faces, bone_names=names
+    )
+
+
 def rigid_body(vertices, faces):
     """A body of one joint at the origin."""
-    rig = Skinning(
-        np.asarray(vertices, np.float32),
-        np.zeros((len(vertices), 1), int),
-        np.ones((len(vertices), 1)),
-        np.eye(3, 4)[None, None],
-        faces=np.asarray(faces),
-        bone_names=("root",),
-    )
-    return Body(rig, Skeleton(("root",), [-1], [[0, 0, 0]]))
+    rig = rigid(np.asarray(vertices, np.float32), np.asarray(faces))
+    return Body(rig, Skeleton(rig.bone_names, [-1], [[0, 0, 0]]))
+
+
+def square(n, size, height=0.0):
+    """Rest (V, 3) and triangles of a level sheet of n × n vertices that faces z."""
+    x = np.linspace(-size, size, n)
+    v = np.stack([*np.meshgrid(x, x), np.full((n, n), height)], -1).reshape(-1, 3)
+    i = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
+    faces = [np.stack([i, i + 1, i + n], 1), np.stack([i + 1, i + n + 1, i + n], 1)]
+    return v, np.concatenate(faces)
 
 
 def ball(radius, centre):

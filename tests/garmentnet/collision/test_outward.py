@@ -8,17 +8,9 @@ import ssdr
 from garmentnet.collision.crossings import find_crossings
 from garmentnet.collision.outward import OutwardPush
 from garmentnet.collision.push_out import PushOut
-from ssdr import Skinning
-from ssdr.common.errors import InputError
+from helpers.cloth_scenes import rigid, square
 
 STILL = np.eye(3, 4)[None, None]
-
-
-def rigid(mesh):
-    count = len(mesh.vertices)
-    return Skinning(
-        mesh.vertices, np.zeros((count, 1), int), np.ones((count, 1)), STILL, faces=mesh.faces
-    )
 
 
 def leg(radius=0.07, length=1.0):
@@ -26,16 +18,7 @@ def leg(radius=0.07, length=1.0):
     mesh = trimesh.creation.cylinder(radius, length, sections=14)
     mesh = mesh.subdivide_to_size(0.05)
     mesh.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [0, 1, 0]))
-    return rigid(mesh)
-
-
-def sheet(height, n=25, size=0.3):
-    """Cloth that faces up."""
-    x = np.linspace(-size, size, n)
-    v = np.stack([*np.meshgrid(x, x), np.full((n, n), height)], -1).reshape(-1, 3)
-    i = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
-    faces = [np.stack([i, i + 1, i + n], 1), np.stack([i + 1, i + n + 1, i + n], 1)]
-    return v, np.concatenate(faces)
+    return rigid(mesh.vertices, mesh.faces)
 
 
 def naive_pairs(cloth, faces, body, triangles):
@@ -62,7 +45,7 @@ def naive_pairs(cloth, faces, body, triangles):
 
 def test_crossings_are_those_of_all_pairs(rng):
     body = leg()
-    cloth, faces = sheet(0.03, 9)
+    cloth, faces = square(9, 0.3, 0.03)
     cloth = cloth + rng.normal(0, 0.02, (3, *cloth.shape))
     found = find_crossings(body, faces, cloth, STILL.repeat(3, 0))
     expected = [naive_pairs(v, faces, np.asarray(body.rest, float), body.faces) for v in cloth]
@@ -71,8 +54,9 @@ def test_crossings_are_those_of_all_pairs(rng):
 
 
 def test_a_limb_through_the_cloth_is_seen_where_no_vertex_is_inside():
-    spike = rigid(trimesh.creation.cone(0.01, 0.4))
-    cloth, faces = sheet(0.2, 6)  # its vertices are 12 cm apart, none at the spike
+    cone = trimesh.creation.cone(0.01, 0.4)
+    spike = rigid(cone.vertices, cone.faces)
+    cloth, faces = square(6, 0.3, 0.2)  # its vertices are 12 cm apart, none at the spike
     inside = PushOut(spike, faces).signed_distance(cloth[None], STILL) < 0
     found = find_crossings(spike, faces, cloth[None], STILL)
     assert not inside.any()
@@ -85,7 +69,7 @@ def test_a_limb_through_the_cloth_is_seen_where_no_vertex_is_inside():
 def test_the_leg_stays_under_the_cloth(depth):
     """The shortest way out of the lower half of the leg leads under it."""
     body = leg()
-    cloth, faces = sheet(0.07 - depth)
+    cloth, faces = square(25, 0.3, 0.07 - depth)
     frame = cloth[None]
     assert find_crossings(body, faces, frame, STILL).any == 1
     push = OutwardPush(body, faces, cloth)
@@ -105,7 +89,7 @@ def test_the_leg_stays_under_the_cloth(depth):
 def test_what_cannot_be_freed_is_not_dragged_about(rng):
     """Vertices that are held inside the leg cross it whatever the others do."""
     body = leg()
-    cloth, faces = sheet(0.0)
+    cloth, faces = square(25, 0.3, 0.0)
     held = (np.abs(cloth[:, 1]) < 0.05) & (rng.random(len(cloth)) < 0.3)
     one, many = (
         OutwardPush(body, faces, cloth, pinned=held, rounds=n)(cloth[None], STILL) for n in (1, 40)
@@ -119,7 +103,7 @@ def test_what_cannot_be_freed_is_not_dragged_about(rng):
 
 def test_pinned_vertices_stay_and_a_frame_is_a_call(rng):
     body = leg()
-    cloth, faces = sheet(0.04)
+    cloth, faces = square(25, 0.3, 0.04)
     pinned = rng.random(len(cloth)) < 0.2
     push = OutwardPush(body, faces, cloth, pinned=pinned)
     out = push(cloth[None].repeat(2, 0), STILL.repeat(2, 0)).vertices
@@ -133,12 +117,3 @@ def test_pinned_vertices_stay_and_a_frame_is_a_call(rng):
     finally:
         ssdr.set_threads(before)
     assert (many == out[0]).all()
-
-
-def test_what_is_refused():
-    body = leg()
-    cloth, faces = sheet(0.0, 3)
-    with pytest.raises(InputError, match="rounds"):
-        OutwardPush(body, faces, cloth, rounds=0)
-    with pytest.raises(InputError, match="pinned"):
-        OutwardPush(body, faces, cloth, pinned=np.ones(9, bool))

@@ -6,18 +6,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import ssdr
+from garmentnet.collision.outward import OutwardPush
 from garmentnet.collision.push_out import INSIDE, PushOut
-from ssdr import Skinning
+from helpers.cloth_scenes import rigid, square
 from ssdr.common.errors import InputError
 
+STILL = np.eye(3, 4)[None, None]
 FLAT = np.array([[[0, 1, 2]]])
-
-
-def rigid(vertices, faces, joints=None, count=1):
-    """A body whose vertices follow one joint each."""
-    j = np.zeros(len(vertices), int) if joints is None else np.asarray(joints)
-    still = np.tile(np.eye(3, 4), (1, count, 1, 1))
-    return Skinning(vertices, j[:, None], np.ones((len(j), 1)), still, faces=faces)
 
 
 def sphere(rings=12, columns=16, radius=1.0):
@@ -33,15 +28,6 @@ def two_spheres(distance):
     joints = np.tile(np.eye(3, 4), (1, 2, 1, 1))
     joints[0, 1, 0, 3] = distance - 3.0
     return body, joints
-
-
-def plane(n, size, z=0.0):
-    """A square sheet of cloth."""
-    x = np.linspace(-size, size, n)
-    v = np.stack([*np.meshgrid(x, x), np.full((n, n), z)], -1).reshape(-1, 3)
-    i = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
-    faces = [np.stack([i, i + 1, i + n], 1), np.stack([i + 1, i + n + 1, i + n], 1)]
-    return v, np.concatenate(faces)
 
 
 def naive_signed_distance(points, vertices, faces):
@@ -74,7 +60,7 @@ def test_distances_are_those_of_all_pairs(rng, distance):
 def test_rays_through_vertices_and_edges_count_once():
     v, f = sphere()
     lattice = np.concatenate([v * 0.5, v * 1.5, v * [1, 1, 0.3]])
-    found = PushOut(rigid(v, f), FLAT[0]).signed_distance(lattice[None], np.eye(3, 4)[None, None])
+    found = PushOut(rigid(v, f), FLAT[0]).signed_distance(lattice[None], STILL)
     expected = naive_signed_distance(lattice, v, f)
     clear = np.abs(expected) > 1e-9
     assert np.array_equal(found[0, clear] < 0, expected[clear] < 0)
@@ -87,14 +73,13 @@ def inside(push, vertices, joints):
 def test_a_point_inside_goes_the_shortest_way():
     v, f = sphere(24, 32)
     cloth = np.array([[[0, 0, 0.9], [0, 0.7, 0], [0, 0, 3.0]]])
-    joints = np.eye(3, 4)[None, None]
     push = PushOut(rigid(v, f), FLAT[0], margin=0.02, sweeps=0)
-    out = push(cloth, joints)
+    out = push(cloth, STILL)
     radius = np.linalg.norm(out.vertices[0], axis=1)
     assert np.abs(radius[:2] - 1.02).max() < 0.01
     assert np.array_equal(out.vertices[0, 2], cloth[0, 2])
-    assert inside(push, cloth, joints)[0].tolist() == [True, True, False]
-    assert not inside(push, out.vertices, joints).any()
+    assert inside(push, cloth, STILL)[0].tolist() == [True, True, False]
+    assert not inside(push, out.vertices, STILL).any()
     assert 0.3 < out.farthest < 0.33
     assert out.moved == pytest.approx(2 / 3)
 
@@ -103,14 +88,13 @@ def test_a_sheet_on_a_box_is_lifted_without_a_spike():
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 0)], float)
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     box = rigid(corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]))
-    joints = np.eye(3, 4)[None, None]
-    sheet, faces = plane(21, 0.5, 0.02)
+    sheet, faces = square(21, 0.5, 0.02)
     dent = sheet.copy()
     dent[220, 2] = -0.03
-    hard = PushOut(box, faces, margin=0.01, sweeps=0)(dent[None], joints)
+    hard = PushOut(box, faces, margin=0.01, sweeps=0)(dent[None], STILL)
     assert hard.vertices[0, 220, 2] == pytest.approx(0.01)
     assert (hard.distance > 0).sum() == 1
-    soft = PushOut(box, faces, margin=0.01, sweeps=4)(dent[None], joints)
+    soft = PushOut(box, faces, margin=0.01, sweeps=4)(dent[None], STILL)
     lift = (soft.vertices[0] - dent)[:, 2]
     assert soft.vertices[0, 220, 2] == pytest.approx(0.01, abs=1e-4)
     ring = lift[[219, 221, 199, 241]]
@@ -123,11 +107,10 @@ def test_a_sheet_on_a_box_is_lifted_without_a_spike():
 
 def test_pinned_vertices_stay():
     v, f = sphere()
-    cloth, faces = plane(5, 0.4)
+    cloth, faces = square(5, 0.4)
     pinned = np.zeros(25, bool)
     pinned[[0, 12]] = True
-    joints = np.eye(3, 4)[None, None]
-    out = PushOut(rigid(v, f), faces, margin=0.01, pinned=pinned)(cloth[None], joints)
+    out = PushOut(rigid(v, f), faces, margin=0.01, pinned=pinned)(cloth[None], STILL)
     assert np.array_equal(out.vertices[0, pinned], cloth[pinned])
     assert (out.distance[0, ~pinned] > 0).all()
 
@@ -140,7 +123,7 @@ def test_pinned_vertices_stay():
 )
 def test_nothing_ends_deeper_and_a_second_time_moves_nothing(points, distance, sweeps):
     body, joints = two_spheres(distance)
-    _, faces = plane(5, 1.0)
+    _, faces = square(5, 1.0)
     push = PushOut(body, faces, margin=0.01, sweeps=sweeps)
     before = push.signed_distance(points[None], joints)
     out = push(points[None], joints)
@@ -167,16 +150,16 @@ def test_near_the_seam_of_two_parts_the_free_skin_is_taken():
     v, f = sphere(60, 80, 0.1)
     both = rigid(np.concatenate([v, v + np.array([0.12, 0, 0])]), np.concatenate([f, f + len(v)]))
     seam = np.array([[[0.058, 0.076, 0], [0.06, 0, 0.077], [0.062, 0, -0.076]]])
-    push, joints = PushOut(both, FLAT[0]), np.eye(3, 4)[None, None]
-    out = push(seam, joints)
-    assert inside(push, seam, joints).all()
-    assert not inside(push, out.vertices, joints).any()
+    push = PushOut(both, FLAT[0])
+    out = push(seam, STILL)
+    assert inside(push, seam, STILL).all()
+    assert not inside(push, out.vertices, STILL).any()
     assert out.farthest < 0.03
 
 
 def test_threads_and_frames_do_not_matter(rng):
     body, _ = two_spheres(2.5)
-    cloth, faces = plane(9, 0.9)
+    cloth, faces = square(9, 0.9)
     v = cloth + rng.normal(0, 0.05, (20, *cloth.shape))
     joints = np.tile(np.eye(3, 4), (20, 2, 1, 1))
     joints[:, 0, 2, 3] = np.linspace(-0.9, 0.9, 20)
@@ -193,28 +176,27 @@ def test_threads_and_frames_do_not_matter(rng):
     assert one.moved > 0.05
 
 
-def test_what_is_refused():
-    v, f = sphere()
-    body, joints = rigid(v, f), np.eye(3, 4)[None, None]
-    cloth = np.ones((1, 3, 3))
-    push = PushOut(body, FLAT[0])
-    broken = cloth.copy()
-    broken[0, 1] = np.nan
-    with pytest.raises(InputError, match=r"vertices: .*frame 0"):
-        push(broken, joints)
-    with pytest.raises(InputError, match=r"joints: .*frame 0"):
-        push(cloth, joints * np.nan)
-    with pytest.raises(InputError, match=r"vertices: .*shape"):
-        push(cloth[0], joints)
-    with pytest.raises(InputError, match=r"joints: .*shape"):
-        push(cloth, joints[0])
-    with pytest.raises(InputError, match=r"body: .*closed"):
-        PushOut(rigid(v, f[1:]), FLAT[0])
-    with pytest.raises(InputError, match="margin"):
-        PushOut(body, FLAT[0], margin=float("nan"))
-    with pytest.raises(InputError, match="sweeps"):
-        PushOut(body, FLAT[0], sweeps=-1)
-    with pytest.raises(InputError, match="pinned"):
-        PushOut(body, FLAT[0], pinned=np.zeros(4, bool))
-    with pytest.raises(InputError, match="faces"):
-        PushOut(body, [[0, 1, -1]])
+V, F = sphere()
+BODY = rigid(V, F)
+CLOTH = np.ones((1, 3, 3))
+NAN = np.where(np.arange(3)[:, None] == 1, np.nan, CLOTH)
+LEVEL, FACES = square(3, 0.3)
+REFUSED = [
+    (lambda: PushOut(BODY, FLAT[0])(NAN, STILL), r"vertices: .*frame 0"),
+    (lambda: PushOut(BODY, FLAT[0])(CLOTH, STILL * np.nan), r"joints: .*frame 0"),
+    (lambda: PushOut(BODY, FLAT[0])(CLOTH[0], STILL), r"vertices: .*shape"),
+    (lambda: PushOut(BODY, FLAT[0])(CLOTH, STILL[0]), r"joints: .*shape"),
+    (lambda: PushOut(rigid(V, F[1:]), FLAT[0]), r"body: .*closed"),
+    (lambda: PushOut(BODY, FLAT[0], margin=float("nan")), "margin"),
+    (lambda: PushOut(BODY, FLAT[0], sweeps=-1), "sweeps"),
+    (lambda: PushOut(BODY, FLAT[0], pinned=np.zeros(4, bool)), "pinned"),
+    (lambda: PushOut(BODY, [[0, 1, -1]]), "faces"),
+    (lambda: OutwardPush(BODY, FACES, LEVEL, rounds=0), "rounds"),
+    (lambda: OutwardPush(BODY, FACES, LEVEL, pinned=np.ones(9, bool)), "pinned"),
+]
+
+
+@pytest.mark.parametrize(("call", "text"), REFUSED)
+def test_refusals(call, text):
+    with pytest.raises(InputError, match=text):
+        call()

@@ -18,7 +18,6 @@ from garmentnet.scenes.dance.choreography import dance
 from garmentnet.scenes.quality import Gate, judge, outside
 from garmentnet.scenes.simulator import perturbation_field, simulate
 from helpers.cloth_scenes import still
-from ssdr.common.errors import InputError
 from ssdr.model.skinning import skin
 
 BODY = default_body()
@@ -149,16 +148,3 @@ def test_cloth_that_explodes_is_rejected(spin: Motion) -> None:
     made = simulate(cloth, spin, BASE)
     assert not made.quality.accepted
     assert made.quality.reason
-
-
-@pytest.mark.parametrize(
-    "change", [{"substeps": 0}, {"friction": -1.0}, {"drag": np.nan}, {"substeps": 21}]
-)
-def test_solver_refuses(change: dict[str, float]) -> None:
-    with pytest.raises(InputError):
-        Solver(**change)  # type: ignore[arg-type]
-
-
-def test_motion_of_another_skeleton() -> None:
-    with pytest.raises(InputError, match="20 joints"):
-        simulate(CLOTH, still(2, 3), BASE)

@@ -12,7 +12,6 @@ pytest.importorskip("zarr")
 from garmentnet.data.motion import CLASSES, Motion
 from garmentnet.scenes.body import default_body
 from garmentnet.scenes.dance.choreography import DANCE_CLASSES, dance
-from ssdr.common.errors import InputError
 
 TREE = default_body().skeleton
 FEET = [TREE.index("foot_l"), TREE.index("foot_r")]
@@ -72,29 +71,27 @@ def test_the_same_seed_the_same_dance() -> None:
 
 
 def test_classes_do_what_they_say() -> None:
-    def of(name: str, seed: int) -> Motion:
-        return dance(TREE, seed=seed, frames=150, classes=[name])
+    def pelvis(motion: Motion) -> np.ndarray:
+        return heads(motion)[:, 0]
 
-    spins = np.array([np.abs(yaw_rate(of("spin", s))).max() for s in range(8)])
-    assert (spins > 2 * np.pi * 0.7).all()
-    assert (spins < 2 * np.pi * 2.4).all()
-    squats = np.array([np.ptp(heads(of("squat", s))[:, 0, 1]) for s in range(8)])
-    assert squats.min() > 0.1
-    assert squats.max() > 0.3
-    jumps = np.array(
-        [(heads(of("jump", s))[:, FEET, 1].min(axis=1) - ANKLE).max() for s in range(8)]
-    )
-    assert jumps.min() > 0.05
-    kicks = np.array([heads(of("kick", s))[:, FEET, 1].max() for s in range(8)])
-    assert kicks.min() > 0.25
-    assert kicks.max() > 0.7
-    walks = np.array([np.ptp(heads(of("walk", s))[:, 0, [0, 2]], axis=0).max() for s in range(8)])
-    assert walks.min() > 0.4
-    stands = [
-        np.linalg.norm(np.diff(heads(of("stand", s))[:, 0], axis=0), axis=1).max() * 30
-        for s in range(8)
-    ]
-    assert max(stands) < 0.5
+    # What is measured of a dance, and how small and large it may and must be in eight of them.
+    for name, measure, least, largest, most in (
+        ("spin", lambda m: np.abs(yaw_rate(m)).max(), 1.4 * np.pi, 0, 4.8 * np.pi),
+        ("squat", lambda m: np.ptp(pelvis(m)[:, 1]), 0.1, 0.3, np.inf),
+        ("jump", lambda m: (heads(m)[:, FEET, 1].min(axis=1) - ANKLE).max(), 0.05, 0, np.inf),
+        ("kick", lambda m: heads(m)[:, FEET, 1].max(), 0.25, 0.7, np.inf),
+        ("walk", lambda m: np.ptp(pelvis(m)[:, [0, 2]], axis=0).max(), 0.4, 0, np.inf),
+        (
+            "stand",
+            lambda m: 30 * np.linalg.norm(np.diff(pelvis(m), axis=0), axis=1).max(),
+            0,
+            0,
+            0.5,
+        ),
+    ):
+        found = [measure(dance(TREE, seed=s, frames=150, classes=[name])) for s in range(8)]
+        assert least <= min(found), name
+        assert largest < max(found) < most, name
 
 
 def test_a_stop_is_sudden() -> None:
@@ -111,13 +108,6 @@ def test_a_stop_is_sudden() -> None:
     assert found >= 4
 
 
-@pytest.mark.slow
-def test_clips_are_varied() -> None:
-    used = [set(dance(TREE, seed=s, frames=600).classes.tolist()) for s in range(20)]
-    assert all(4 <= len(u) <= 9 for u in used)
-    assert set().union(*used) == {CLASSES.index(c) for c in DANCE_CLASSES}
-
-
 # The root's translation in the last frame of the dance of seed 20000.
 STAYS = [-1.49365460167, -0.05897346921, -1.80853901056]
 
@@ -129,10 +119,11 @@ def test_dances_stay_what_they_were() -> None:
 
 
 @pytest.mark.slow
-def test_dances_are_wide() -> None:
-    turning, hands, places, stops = [], [], [], 0
+def test_dances_are_varied_and_wide() -> None:
+    turning, hands, places, stops, used = [], [], [], 0, set()
     for seed in range(16):
         motion = dance(TREE, seed=seed, frames=600)
+        used |= set(motion.classes.tolist())
         h = heads(motion)
         walking = np.isin(motion.classes[1:], [CLASSES.index("walk"), CLASSES.index("turn")])
         turning.append(np.abs(yaw_rate(motion))[walking])
@@ -144,17 +135,4 @@ def test_dances_are_wide() -> None:
     assert np.mean(hands) > 0.1
     assert np.median(places) > 1.5
     assert stops > 16
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"frames": 0},
-        {"fps": 0.0},
-        {"classes": ["fly"]},
-        {"classes": []},
-    ],
-)
-def test_dance_refuses(change: dict[str, object]) -> None:
-    with pytest.raises(InputError):
-        dance(TREE, **{"seed": 1, **change})  # type: ignore[arg-type]
+    assert used == {CLASSES.index(c) for c in DANCE_CLASSES}
