@@ -100,3 +100,17 @@ def toy_faithful(toy_store, toy_config, toy_bones, tmp_path_factory):
     return load_checkpoint(
         train(toy_store, toy_config("faithful", epochs=2, high_epochs=1), folder)
     )
+
+
+@pytest.fixture(scope="session")
+def toy_basis(toy_store, toy_config, toy_bones, tmp_path_factory):
+    """A network whose detail is a mixture of components."""
+    from garmentnet.configs.config import HighOptions
+    from garmentnet.networks.checkpoint import load_checkpoint
+    from garmentnet.training.run import train
+
+    high = HighOptions(
+        kind="basis", target="detail", hidden=32, rank=12, collision=0.0, dropout=0.1
+    )
+    config = dataclasses.replace(toy_config(epochs=6, high_epochs=35), high=high)
+    return load_checkpoint(train(toy_store, config, tmp_path_factory.mktemp("basis")))

@@ -11,13 +11,9 @@ torch = pytest.importorskip("torch")
 
 from scipy.spatial.transform import Rotation
 
-from garmentnet.configs.config import Config, HighOptions
-from garmentnet.networks.checkpoint import load_checkpoint
 from garmentnet.networks.detail_basis import DetailBasis, SurfaceTurns
 from garmentnet.training.batches import batches, load_tracks
 from garmentnet.training.high_frequency import DetailObjective
-from garmentnet.training.run import train
-from ssdr.common.errors import InputError
 
 
 def test_turns_are_the_bones_rotations_where_one_bone_rules():
@@ -58,35 +54,10 @@ def test_fewer_frames_than_components():
     assert float(numbers[:, 3:].abs().max()) < 1e-5
 
 
-@pytest.fixture(scope="module")
-def with_basis(toy_store, toy_config, tmp_path_factory):
-
-    config = toy_config(epochs=6, high_epochs=35, learning_rate=3e-3)
-    high = HighOptions(
-        kind="basis", target="detail", hidden=32, rank=12, collision=0.0, dropout=0.1
-    )
-    return load_checkpoint(
-        train(toy_store, dataclasses.replace(config, high=high), tmp_path_factory.mktemp("basis"))
-    )
-
-
-def test_frame_by_frame_and_some_frames(with_basis, toy_store):
-    network, joints = with_basis.networks[0], toy_store.clip("base-test-1").joints[:20]
-    whole = network.predict(joints)
-    assert np.abs(whole - network.predict(joints, detail=False)).max() > 1e-4
-    state, frames = None, []
-    for pose in joints:
-        state, vertices = network.step(state, pose)
-        frames.append(vertices)
-    assert np.abs(np.stack(frames) - whole).max() < 1e-5
-    some = network.predict(joints, frames=[3, 11])
-    assert np.abs(some - whole[[3, 11]]).max() < 1e-5
-
-
 @torch.no_grad()
-def test_what_the_low_frequencies_leave(with_basis, toy_store, toy_bones):
+def test_what_the_low_frequencies_leave(toy_basis, toy_store, toy_bones):
     """With that target the error is the garment's."""
-    network, name = with_basis.networks[0], "base-train-0"
+    network, name = toy_basis.networks[0], "base-train-0"
     before = network.config
     network.config = dataclasses.replace(
         before, high=dataclasses.replace(before.high, target="residual")
@@ -104,8 +75,8 @@ def test_what_the_low_frequencies_leave(with_basis, toy_store, toy_bones):
 
 
 @torch.no_grad()
-def test_the_loss_is_that_of_the_mesh(with_basis, toy_store, toy_bones):
-    network = with_basis.networks[0]
+def test_the_loss_is_that_of_the_mesh(toy_basis, toy_store, toy_bones):
+    network = toy_basis.networks[0]
     name = "base-train-0"
     tracks = load_tracks(network, toy_bones, [name])
     task = DetailObjective(network, tracks, tracks, start=True)
@@ -125,15 +96,10 @@ def test_the_loss_is_that_of_the_mesh(with_basis, toy_store, toy_bones):
 
 
 @torch.no_grad()
-def test_it_beats_the_mean_detail(with_basis, toy_bones):
-    network = with_basis.networks[0]
+def test_it_beats_the_mean_detail(toy_basis, toy_bones):
+    network = toy_basis.networks[0]
     tracks = load_tracks(network, toy_bones, ["base-validation-0"])
     task = DetailObjective(network, [], tracks, start=True)
     learned = task.validate()
     network.high.deviation.zero_()
     assert learned < 0.97 * task.validate()
-
-
-def test_settings_that_contradict():
-    with pytest.raises(InputError, match=r"high\.collision.*basis"):
-        Config(high=HighOptions(kind="basis", collision=0.1))

@@ -14,7 +14,7 @@ from garmentnet.training.run import build_network, choose_clips
 from ssdr.common.errors import InputError
 
 
-@pytest.mark.parametrize("kind", ["toy_network", "toy_faithful"])
+@pytest.mark.parametrize("kind", ["toy_network", "toy_faithful", "toy_basis"])
 def test_streaming_is_batch(kind, request, toy_store):
     network = request.getfixturevalue(kind).networks[0]
     assert network.high is not None

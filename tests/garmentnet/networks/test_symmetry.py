@@ -21,8 +21,9 @@ from garmentnet.training.run import train
 from ssdr.common.errors import InputError
 
 
-def _reader(preset, skeleton, condition=0):
-    features = PoseFeatures(skeleton, load_config(preset).features, 30.0)
+def _reader(preset, skeleton, condition=0, **change):
+    options = dataclasses.replace(load_config(preset).features, **change)
+    features = PoseFeatures(skeleton, options, 30.0)
     still = Normaliser(np.zeros(features.size), np.ones(features.size), 0.0)
     return PoseReader(features, still, condition)
 
@@ -42,12 +43,9 @@ def test_inputs_of_a_mirrored_motion(preset):
 
 
 def test_joints_of_one_side():
-    skeleton, options = default_body().skeleton, load_config("rooted").features
-    options = dataclasses.replace(options, joints=("pelvis", "thigh_l"))
-    features = PoseFeatures(skeleton, options, 30.0)
-    still = Normaliser(np.zeros(features.size), np.ones(features.size), 0.0)
+    reader = _reader("rooted", default_body().skeleton, joints=("pelvis", "thigh_l"))
     with pytest.raises(InputError, match=r"features\.joints"):
-        reflected_inputs(PoseReader(features, still))
+        reflected_inputs(reader)
 
 
 def _states(gru, x, columns, signs):
@@ -95,8 +93,3 @@ def test_a_trained_network_is_symmetric(toy_config, toy_store, tmp_path):
     x = network.inputs(network.features(joints)[0])
     h, image = _states(network.low.gru, x, columns, signs)
     np.testing.assert_allclose(image, h, atol=2e-5)
-
-
-def test_a_width_that_has_no_halves():
-    with pytest.raises(InputError, match=r"low\.hidden"):
-        override(load_config("rooted"), ["low.hidden=33"])

@@ -8,7 +8,6 @@ import pytest
 torch = pytest.importorskip("torch")
 
 
-from garmentnet.data.store import ClipStore
 from garmentnet.evaluation.baselines import MeanShape, Ridge
 from garmentnet.evaluation.methods import Network
 from garmentnet.evaluation.scores import evaluate
@@ -80,22 +79,13 @@ def test_history_progress_and_early_stop(toy_store, toy_config, tmp_path):
     assert history["low"][-1]["learning_rate"] < history["low"][0]["learning_rate"]
 
 
-def test_tensorboard_curves(toy_store, toy_config, tmp_path):
+def test_a_damaged_state_and_another_configuration(toy_store, toy_config, tmp_path):
     pytest.importorskip("tensorboard")
-    config = toy_config(epochs=1, high_epochs=1, tensorboard=True)
+    config = toy_config(epochs=2, high_epochs=1, tensorboard=True)
     train(toy_store, config, tmp_path)
     assert list((tmp_path / "tensorboard" / "low").glob("events*"))
-
-
-def test_another_configuration_in_the_same_folder(toy_store, toy_config, tmp_path):
-    train(toy_store, toy_config(epochs=1, high_epochs=1), tmp_path)
     with pytest.raises(InputError, match="folder"):
         train(toy_store, toy_config(epochs=1, high_epochs=1, window=20), tmp_path)
-
-
-def test_damaged_state(toy_store, toy_config, tmp_path):
-    config = toy_config(epochs=2, high_epochs=1)
-    train(toy_store, config, tmp_path)
     file = tmp_path / "low.state.safetensors"
     file.write_bytes(file.read_bytes()[:-100])
     with pytest.raises(FormatError, match=r"low\.state\.safetensors"):
@@ -111,33 +101,7 @@ def test_a_start_is_where_it_starts(toy_store, toy_config, toy_network, tmp_path
     assert np.abs(gap).max() < 1e-5
 
 
-def test_which_clips(toy_store, toy_config):
-    names, chosen = choose_clips(toy_store, toy_config())
-    assert chosen == toy.BASE
-    assert len(names) == 8
-    config = toy_config()
-    own = dataclasses.replace(
-        config, data=dataclasses.replace(config.data, parameters="2.0, 0.2, 1")
-    )
-    assert choose_clips(toy_store, own)[0] == ["set1-train-0"]
-    assert choose_clips(toy_store, own, "validation")[0] == []
-    for wrong in ("2.0,0.2", "a,b,c", "-1,1,1"):
-        own = dataclasses.replace(config, data=dataclasses.replace(config.data, parameters=wrong))
-        with pytest.raises(InputError):
-            choose_clips(toy_store, own)
-
-
-def test_a_corrupt_clip_is_named(tmp_path, toy_config):
-    store = toy.make_store(tmp_path / "store", frames=40, train=2)
-    chunk = next((tmp_path / "store" / "clips" / "base-train-1" / "vertices").glob("c.*"))
-    data = bytearray(chunk.read_bytes())
-    data[len(data) // 2] ^= 255
-    chunk.write_bytes(bytes(data))
-    with pytest.raises(FormatError, match="base-train-1"):
-        train(ClipStore.open(store.path), toy_config(epochs=1, high_epochs=1), tmp_path / "run")
-
-
-def test_motions_are_chosen_by_pattern(toy_store, toy_config):
+def test_clips_are_chosen_by_parameters_and_motions(toy_store, toy_config):
     config = toy_config()
 
     def names(split="train", **data):
@@ -145,14 +109,19 @@ def test_motions_are_chosen_by_pattern(toy_store, toy_config):
         return choose_clips(toy_store, dataclasses.replace(config, data=data), split)[0]
 
     every = names()
-    motions = {toy_store.clip(n).motion for n in every}
-    one = sorted(motions)[0]
+    assert choose_clips(toy_store, config) == (every, toy.BASE)
+    assert len(every) == 8
+    assert names(parameters="2.0, 0.2, 1") == ["set1-train-0"]
+    assert names("validation", parameters="2.0, 0.2, 1") == []
+    for wrong in ("2.0,0.2", "a,b,c", "-1,1,1"):
+        with pytest.raises(InputError):
+            names(parameters=wrong)
+    one = toy_store.clip(every[0]).motion
     assert {toy_store.clip(n).motion for n in names(motions=one)} == {one}
     with pytest.raises(InputError, match="no-such"):
         names(motions="no-such-*")
-    length = toy_store.clip(every[0]).n_frames
     assert names(frames=1) == every[:1]
-    assert names(frames=length + 1) == every[:2]
+    assert names(frames=toy_store.clip(every[0]).n_frames + 1) == every[:2]
     assert names("validation", frames=1) == names("validation")
     # With a motion left out, those of the other splits are learned too.
     held = names("test")
