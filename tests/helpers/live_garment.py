@@ -17,6 +17,7 @@ from garmentnet.networks.checkpoint import Checkpoint, save_checkpoint
 from garmentnet.networks.features import Normaliser, PoseFeatures
 from garmentnet.networks.network import MotionNetwork
 from garmentnet.runtime import load_live
+from helpers.cloth_scenes import rigid
 from ssdr import Skinning
 
 FPS = 30.0
@@ -56,6 +57,12 @@ def motion(seconds, seed=0, fps=FPS):
     return body.transforms(root, rotations.reshape(*turns.shape[:2], 3, 3))
 
 
+def figure(body):
+    """A body of a vertex at every joint."""
+    rig = rigid(body.rest, [[0, 1, 2]], range(body.n_joints), body.n_joints)
+    return dataclasses.replace(rig, bone_names=body.names)
+
+
 def network(*, vertices=150, bones=9, bound=True, condition=False, detail=True, seed=0, **change):
     """A network of the rooted configuration; `change` names sections and what differs there."""
     torch.manual_seed(seed)
@@ -71,14 +78,7 @@ def network(*, vertices=150, bones=9, bound=True, condition=False, detail=True, 
     faces = np.arange(3 * (vertices // 3)).reshape(-1, 3)
     still = np.tile(np.eye(3, 4), (1, bones, 1, 1))
     garment = Skinning(p, nearest, w / w.sum(1, keepdims=True), still, faces=faces)
-    rig = Skinning(
-        body.rest,
-        np.arange(body.n_joints)[:, None],
-        np.ones((body.n_joints, 1)),
-        still[:, :1].repeat(body.n_joints, axis=1),
-        faces=[[0, 1, 2]],
-        bone_names=body.names,
-    )
+    rig = figure(body)
     top = np.sort(np.argsort(-p[:, 1])[: vertices // 8]).astype(np.int32)
     each = (len(top), 1)
     held = BodyBound(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 import shutil
@@ -18,6 +19,7 @@ import ssdr
 from garmentnet.data.clip import MIRRORED, Clip
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.data.store import ClipStore
+from helpers import cloth_scenes
 from helpers import toy_store as toy
 from ssdr.common.errors import FormatError, InputError
 
@@ -27,16 +29,9 @@ HEADS = SKELETON.rest
 
 def body() -> ssdr.Skinning:
     rest = np.concatenate([HEADS, HEADS + np.array([0.0, 0.0, 0.1])]).astype(np.float32)
-    identity = np.broadcast_to(np.eye(3, 4, dtype=np.float32), (1, 3, 3, 4))
-    joints = np.tile(np.arange(3), 2)[:, None]
-    return ssdr.Skinning(
-        rest,
-        joints,
-        np.ones((6, 1), np.float32),
-        identity,
-        faces=[[0, 1, 2]],
-        bone_names=SKELETON.names,
-    )
+    joints = np.tile(np.arange(3), 2)
+    rig = cloth_scenes.rigid(rest, [[0, 1, 2]], joints, 3)
+    return dataclasses.replace(rig, bone_names=SKELETON.names)
 
 
 # A strip, symmetric in x: 0 <-> 1, 2 <-> 3, 4 in the middle.
@@ -44,19 +39,13 @@ GARMENT = np.array([[1, 0, 0], [-1, 0, 0], [1, 1, 0], [-1, 1, 0], [0, 2, 0]], dt
 FACES = np.array([[0, 3, 1], [0, 2, 3], [2, 4, 3]])
 SYMMETRIC_FACES = np.array([[2, 4, 3], [0, 2, 4], [1, 4, 3]])
 MIRROR = np.array([1, 0, 3, 2, 4])
+OUTFIT: dict[str, Any] = {"faces": FACES, "body": body(), "skeleton": SKELETON}
+WORN = OUTFIT | {"faces": SYMMETRIC_FACES, "pinned": [False, False, False, False, True]}
 
 
 @pytest.fixture
 def store(tmp_path: Path) -> ClipStore:
-    return ClipStore.create(
-        tmp_path / "clips",
-        rest=GARMENT,
-        faces=SYMMETRIC_FACES,
-        body=body(),
-        skeleton=SKELETON,
-        mirror_vertices=MIRROR,
-        pinned=[False, False, False, False, True],
-    )
+    return ClipStore.create(tmp_path / "clips", rest=GARMENT, mirror_vertices=MIRROR, **WORN)
 
 
 def arguments(rng: np.random.Generator, frames: int = 70, **changes: Any) -> dict[str, Any]:
@@ -139,13 +128,12 @@ def test_mirrored_twice_is_the_clip(store: ClipStore, rng: np.random.Generator) 
 
 
 def test_mirror_needs_symmetry(tmp_path: Path, rng: np.random.Generator) -> None:
-    given = {"rest": GARMENT, "faces": FACES, "body": body(), "skeleton": SKELETON}
-    plain = ClipStore.create(tmp_path / "plain", **given)
+    plain = ClipStore.create(tmp_path / "plain", rest=GARMENT, **OUTFIT)
     with pytest.raises(InputError, match="symmetric"):
         plain.add("a", **arguments(rng, 2)).mirrored()
     for bad in ([1, 0, 3, 2, 2], [1, 2, 3, 4, 0], MIRROR):
         with pytest.raises(InputError, match="mirror_vertices"):
-            ClipStore.create(tmp_path / "other", **given, mirror_vertices=bad)
+            ClipStore.create(tmp_path / "other", rest=GARMENT, **OUTFIT, mirror_vertices=bad)
     assert not (tmp_path / "other").exists()
 
 
@@ -206,9 +194,7 @@ def test_half_written_clips_are_not_seen(
 def test_the_same_bytes_twice(tmp_path: Path) -> None:
     def make(name: str) -> dict[str, bytes]:
         rng = np.random.default_rng(3)
-        made = ClipStore.create(
-            tmp_path / name, rest=GARMENT, faces=FACES, body=body(), skeleton=SKELETON
-        )
+        made = ClipStore.create(tmp_path / name, rest=GARMENT, **OUTFIT)
         made.add("a", **arguments(rng))
         folder = made.path / "clips"
         return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*.*")}
@@ -298,34 +284,27 @@ def test_foreign_folders(tmp_path: Path, store: ClipStore) -> None:
 
 
 def test_create_again_opens_the_same_garment(store: ClipStore) -> None:
-    given = {
-        "faces": SYMMETRIC_FACES,
-        "body": body(),
-        "skeleton": SKELETON,
-        "pinned": [False, False, False, False, True],
-    }
-    assert ClipStore.create(store.path, rest=GARMENT, **given).names() == ()
+    assert ClipStore.create(store.path, rest=GARMENT, **WORN).names() == ()
     with pytest.raises(InputError, match="this garment"):
-        ClipStore.create(store.path, rest=GARMENT * 2, **given)
+        ClipStore.create(store.path, rest=GARMENT * 2, **WORN)
 
 
 def test_two_processes_make_the_same_store_at_once(tmp_path, monkeypatch):
     """The second to finish finds the store of the first, not a folder that is in its way."""
-    common = {"faces": FACES, "body": body(), "skeleton": SKELETON}
     path, save = tmp_path / "new.clips", ssdr.save
 
     def meanwhile(other: np.ndarray) -> None:
         def last_step(*args: Any) -> None:
             save(*args)
             monkeypatch.setattr(ssdr, "save", save)
-            ClipStore.create(path, rest=other, **common)
+            ClipStore.create(path, rest=other, **OUTFIT)
 
         monkeypatch.setattr(ssdr, "save", last_step)
 
     meanwhile(GARMENT)
-    assert ClipStore.create(path, rest=GARMENT, **common).is_like(ClipStore.open(path))
+    assert ClipStore.create(path, rest=GARMENT, **OUTFIT).is_like(ClipStore.open(path))
     shutil.rmtree(path)
     meanwhile(2 * GARMENT)
     with pytest.raises(InputError, match="this garment and body"):
-        ClipStore.create(path, rest=GARMENT, **common)
+        ClipStore.create(path, rest=GARMENT, **OUTFIT)
     assert [p.name for p in tmp_path.iterdir()] == ["new.clips"]

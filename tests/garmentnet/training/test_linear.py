@@ -15,7 +15,7 @@ from garmentnet.training.linear import LinearFit, resolve_relative_to
 from garmentnet.training.run import train
 from helpers import live_garment as made
 from helpers.cloth_scenes import tube
-from ssdr import Skinning, skin
+from ssdr import skin
 
 
 def test_ridge_is_least_squares_where_nothing_is_gained_by_a_penalty(rng):
@@ -34,9 +34,7 @@ def sleeve(tmp_path_factory):
     rest += [0.1, 0, 0]
     knee = np.clip((rest[:, 1] - 0.4) / 0.2, 0, 1)[:, None]
     legs = np.tile([[2, 3]], (len(rest), 1))
-    still = np.tile(np.eye(3, 4), (1, body.n_joints, 1, 1))
-    every = np.arange(body.n_joints)[:, None]
-    rig = Skinning(body.rest, every, np.ones(every.shape), still, bone_names=body.names)
+    rig = made.figure(body)
     store = ClipStore.create(
         tmp_path_factory.mktemp("sleeve") / "store", rest=rest, faces=faces, body=rig, skeleton=body
     )
