@@ -13,7 +13,7 @@ import pytest
 import ssdr
 from helpers.blender_scene import run_blender
 
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[4]
 
 _HEAD = """
 import importlib, json, os, shutil, sys

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import ssdr
 
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[4]
 SOURCE = ROOT / "ssdr" / "cli" / "blender"
 
 

@@ -16,7 +16,7 @@ import pytest
 
 import ssdr
 
-ADDONS = Path(__file__).resolve().parents[3] / "ssdr" / "cli"
+ADDONS = Path(__file__).resolve().parents[4] / "ssdr" / "cli"
 _INHERITED = {"PYTHONPATH": "/host/modules", "PYTHONHOME": "/host", "VIRTUAL_ENV": "/host/env"}
 
 

@@ -132,7 +132,7 @@ def test_refuses(argument: str, change: dict[str, Any]) -> None:
 
 def test_the_function_of_the_page_in_pytorch() -> None:
     torch = pytest.importorskip("torch")
-    page = Path(__file__).resolve().parents[2] / "docs" / "data.md"
+    page = Path(__file__).resolve().parents[3] / "docs" / "data.md"
     names: dict[str, Any] = {"ssdr": ssdr}
     code = [t for _, t in snippets.FENCE.findall(page.read_text("utf-8")) if "# needs: torch" in t]
     assert len(code) == 1
