@@ -101,7 +101,9 @@ def measure(scene: str) -> common.Row:
     frames = make()
     common.compile_kernels()
     began = time.process_time()
-    result = ssdr.smallest(frames, tolerance=asked)
+    steps: list[tuple[str, int]] = []
+    note = lambda p: steps.append((p.phase.partition(" ")[0], p.iteration))  # noqa: E731
+    result = ssdr.smallest(frames, tolerance=asked, callback=note)
     seconds = time.process_time() - began
     found = result.parsimony
     bones, tolerance = found.bones, found.tolerance
@@ -115,7 +117,7 @@ def measure(scene: str) -> common.Row:
         "one less": [], "effort": None,
     }  # fmt: skip
     if bones > 1:
-        spent = sum(a.iterations for a in found.attempts if a.bones == bones - 1)
+        spent = len({step for step in steps if step[0] == str(bones - 1)})
         errors, iterations = one_less(frames, bones - 1, spent)
         row["one less"] = [e / tolerance for e in errors]
         row["effort"] = iterations / spent if spent else None

@@ -7,10 +7,8 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import csr_array, vstack
 from scipy.spatial import cKDTree
 
-from ..common.checks import check_whole
 from ..common.errors import InputError, check_flag
 from ..common.parallel import chunk_bounds, run_chunks
 from ..common.short_repr import short_repr
@@ -32,11 +30,9 @@ class Hausdorff:
     vertex_max, vertex_mean : float
         Between the sets of vertices: maximum and mean over the frames.
     surface_max, surface_mean : float or None
-        Between the surfaces, probed at vertices and samples; None without faces.
+        Between the surfaces, probed at their vertices; None without faces.
     vertex_per_frame : (F,) float64
     surface_per_frame : (F,) float64 or None
-    subdivisions : int
-        Parameter of the call.
 
     Examples
     --------
@@ -52,7 +48,6 @@ class Hausdorff:
     surface_mean: float | None
     vertex_per_frame: NDArray[np.float64]
     surface_per_frame: NDArray[np.float64] | None
-    subdivisions: int
 
     __repr__ = short_repr
 
@@ -63,7 +58,6 @@ def hausdorff(
     faces: ArrayLike | None = None,
     *,
     surface: bool = True,
-    subdivisions: int = 1,
 ) -> Hausdorff:
     """Symmetric Hausdorff distance of each frame.
 
@@ -77,14 +71,9 @@ def hausdorff(
         The numbers of vertices may differ.
     faces : (T, 3) int array, optional
         Triangles of the reference; those of the sequence by default.
-    other_faces : (T', 3) int array, optional
-        Triangles of `other`; its own by default, else those of the reference.
     surface : bool
-        Whether to compare the surfaces as well.
-    subdivisions : int
-        n: each triangle is cut into n² similar ones, whose corners are the probes; with n = 1 these
-        are the vertices.  The distance of a probe to the other surface is exact, and the maximum
-        over the probes is a lower bound on the maximum over the surface.
+        Whether to compare the surfaces as well.  The distance of a vertex to the other surface is
+        exact, and the maximum over the vertices is a lower bound on that over the surface.
 
     Returns
     -------
@@ -116,7 +105,6 @@ def hausdorff(
         second = as_sequence(second, first.faces, "other")
     elif len(first.faces) == 0 and len(second.faces) and faces is None:
         first = as_sequence(first, second.faces, "reference")
-    subdivisions = check_whole(subdivisions, "subdivisions", 1)
     check_flag(surface, "surface")
     bounds = chunk_bounds(first.n_frames, _FRAMES)
     vertex, between = np.empty(first.n_frames), None
@@ -130,7 +118,7 @@ def hausdorff(
         run_chunks(compare_vertices, bounds)
     check_finite(first, second, vertex)
     if surface and len(first.faces) and len(second.faces):
-        between = _between_surfaces(first, second, subdivisions, bounds)
+        between = _between_surfaces(first, second, bounds)
     return Hausdorff(
         vertex_max=float(vertex.max()),
         vertex_mean=float(vertex.mean()),
@@ -138,7 +126,6 @@ def hausdorff(
         surface_mean=None if between is None else float(between.mean()),
         vertex_per_frame=vertex,
         surface_per_frame=between,
-        subdivisions=subdivisions,
     )
 
 
@@ -160,11 +147,11 @@ def _one_way(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 
 
 def _between_surfaces(
-    first: MeshSequence, second: MeshSequence, subdivisions: int, bounds: list[tuple[int, int]]
+    first: MeshSequence, second: MeshSequence, bounds: list[tuple[int, int]]
 ) -> NDArray[np.float64]:
     """Hausdorff distance of the surfaces in each frame, ``(F,)``."""
     result = np.empty(first.n_frames)
-    one, two = _Surface(first, subdivisions), _Surface(second, subdivisions)
+    one, two = _Surface(first), _Surface(second)
 
     def work(_: int, start: int, stop: int) -> None:
         forward, backward = _Search(one, two), _Search(two, one)
@@ -179,14 +166,14 @@ def _between_surfaces(
 
 
 class _Surface:
-    """Probe points of a surface and a tree over its triangles, used for all frames."""
+    """Vertices of a surface, and a tree over its triangles, used for all frames."""
 
-    def __init__(self, sequence: MeshSequence, subdivisions: int) -> None:
+    def __init__(self, sequence: MeshSequence) -> None:
         faces = sequence.faces
         self.depth = max(0, math.ceil(math.log2(max(1, len(faces)) / _LEAF)))
         order = tree_order(read(sequence, 0, 1)[0], faces, self.depth)
         self.triangles = np.ascontiguousarray(faces[order])
-        self.probes = _probes(faces, sequence.n_vertices, subdivisions)
+        self.probes = np.unique(faces)
 
 
 class _Search:
@@ -194,7 +181,7 @@ class _Search:
 
     def __init__(self, source: _Surface, target: _Surface) -> None:
         self.source, self.target = source, target
-        self.hints = np.zeros(source.probes.shape[0], dtype=np.int64)
+        self.hints = np.zeros(len(source.probes), dtype=np.int64)
         self.boxes = np.empty((2 ** (target.depth + 1) - 1, 6))
         self.lead = 0
 
@@ -202,23 +189,8 @@ class _Search:
         """Largest distance of a probe to the other surface, given the vertices of both."""
         tree, others = self.target, np.ascontiguousarray(others)
         fit_boxes(others, tree.triangles, tree.depth, self.boxes)
-        points = np.ascontiguousarray(self.source.probes @ own)
+        points = np.ascontiguousarray(own[self.source.probes])
         square, self.lead = farthest(
             points, others, tree.triangles, tree.depth, self.boxes, self.hints, self.lead
         )
         return math.sqrt(square)
-
-
-def _probes(faces: NDArray[np.int32], n_vertices: int, subdivisions: int) -> csr_array:
-    """Matrix (P, V) that maps vertices to the probe points of the surface."""
-    used, n = np.unique(faces), subdivisions
-    corners = csr_array(
-        (np.ones(len(used)), used, np.arange(len(used) + 1)), (len(used), n_vertices)
-    )
-    grid = [(i, j, n - i - j) for i in range(n + 1) for j in range(n + 1 - i)]
-    inner = np.array([g for g in grid if max(g) < n], dtype=np.float64).reshape(-1, 3) / n
-    count = len(inner) * len(faces)
-    columns = np.repeat(faces, len(inner), axis=0).ravel()
-    values = np.tile(inner, (len(faces), 1)).ravel()
-    others = csr_array((values, columns, np.arange(0, 3 * count + 1, 3)), (count, n_vertices))
-    return csr_array(vstack([corners, others], format="csr"))

@@ -8,9 +8,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..common.errors import InputError, is_real
+from ..common.errors import InputError
 from ..mesh.clips import Clip
-from .transforms import Freedom, from_local, joint_freedom, joint_gaps, local_of_pose, to_local
+from .transforms import from_local, joint_gaps, local_of_pose, to_local
 
 
 class Articulated:
@@ -66,36 +66,6 @@ class Articulated:
         """
         parents, positions = self._hierarchy("joint_gaps")
         return joint_gaps(self.transforms, parents, positions)
-
-    def joint_freedom(self, least_turn: float = 1.0) -> tuple[Freedom, ...]:
-        """How far the motion determines each joint: "point", "line", "nothing" or "root".
-
-        If a bone rotates about a single axis of its parent, its joint may be anywhere on a line; if
-        it does not rotate, anywhere.  A joint that the motion leaves open is placed where the skin
-        of the two bones meets.
-
-        Parameters
-        ----------
-        least_turn : float
-            Smallest rotation that counts, in degrees (root mean square over the frames).
-
-        Raises
-        ------
-        InputError
-            If the bones have no hierarchy, or `least_turn` is not positive.
-
-        Examples
-        --------
-        >>> rest, indices, weights = np.eye(3), np.array([[0], [1], [1]]), np.ones((3, 1))
-        >>> tree = {"parents": [-1, 0], "joint_positions": np.zeros((2, 3))}
-        >>> still = np.broadcast_to(np.eye(3, 4), (5, 2, 3, 4))
-        >>> ssdr.Skinning(rest, indices, weights, still, **tree).joint_freedom()
-        ('root', 'nothing')
-        """
-        parents, _ = self._hierarchy("joint_freedom")
-        if not is_real(least_turn) or least_turn <= 0:
-            raise InputError("least_turn", "a number of degrees > 0", repr(least_turn))
-        return joint_freedom(self.transforms, parents, least_turn)
 
     def pose(self, local_rotations: ArrayLike, root: ArrayLike | None = None) -> Self:
         """A copy of the model with a new motion, given as rotations of its joints.

@@ -10,7 +10,7 @@ rest pose.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +21,6 @@ from .rigid import matrix_from_quaternion
 RIGID = 1e-6  # gap of a joint, in diagonals of the mesh, up to which it does not translate
 
 Array = NDArray[np.float64]
-Freedom = Literal["root", "point", "line", "nothing"]
 
 
 def check_parents(parents: ArrayLike, n_bones: int) -> NDArray[np.int32]:
@@ -153,28 +152,6 @@ def joint_gaps(transforms: ArrayLike, parents: NDArray[Any], positions: ArrayLik
     apart = m - m[..., above, :, :]
     gap = np.einsum("...bij,bj->...bi", apart[..., :3], np.asarray(positions, dtype=np.float64))
     return np.asarray(np.linalg.norm(gap + apart[..., 3], axis=-1))
-
-
-def joint_freedom(
-    transforms: ArrayLike, parents: NDArray[Any], least_turn: float
-) -> tuple[Freedom, ...]:
-    """What the motion determines of each joint's place: a point, a line, or nothing; or "root".
-
-    A joint at c_b in its bone b and c_a in the parent a satisfies R_b c_b + T_b = R_a c_a + T_a in
-    all frames.  Let S = R_aᵀ R_b and let S̄ be its mean over frames.  If c_a is eliminated, the
-    least-squares matrix of c_b is the mean of (S − S̄)ᵀ (S − S̄); its eigenvalues are squared
-    angles (radians).  A direction counts as determined if its angle is above `least_turn`
-    (degrees).
-    """
-    turn = np.asarray(transforms, dtype=np.float64)[..., :3]
-    hung = np.asarray(parents) >= 0
-    above = np.where(hung, parents, np.arange(len(parents)))
-    relative = np.swapaxes(turn[:, above], -1, -2) @ turn
-    off = relative - relative.mean(axis=0)
-    matrix = np.einsum("tbca,tbcd->bad", off, off) / len(off)
-    told = (np.linalg.eigvalsh(matrix) > np.radians(least_turn) ** 2).sum(axis=-1)
-    kinds: tuple[Freedom, ...] = ("nothing", "nothing", "line", "point")
-    return tuple(kinds[n] if h else "root" for n, h in zip(told, hung, strict=True))
 
 
 def local_of_pose(

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from ..model.size import Size, size
-from .report import Attempt, Parsimony, Pruning, Smallest
+from .report import Parsimony, Pruning, Smallest
 
 __all__ = [
-    "Attempt",
     "Parsimony",
     "Pruning",
     "Size",

@@ -101,7 +101,7 @@ def climb(models: ModelsByBones, bounds: Bounds, effort: Effort) -> None:
     least, most, exact = bounds.least, bounds.most, bounds.exact
     bones = least
     while True:
-        models.attempt(bones, start_and_polish, "start")
+        models.attempt(bones, start_and_polish)
         if (bones == most or least < bones == exact) and not models.fits(bones):
             refine(models, bones, bounds, effort)
         if models.fewest is not None or bones >= most:
@@ -121,7 +121,7 @@ def descend(models: ModelsByBones, bounds: Bounds, effort: Effort) -> None:
     while (held := models.held_bones) > least:
         bones = max((low + held) // 2, least) if held - low > 1 else held - 1
         wide = models.best[held].model.with_restarted_support()
-        models.attempt(bones, partial(merge_and_polish, steps=steps), "merged", start=wide)
+        models.attempt(bones, partial(merge_and_polish, steps=steps), start=wide)
         if not models.fits(bones):
             if held - bones > 1:
                 low = bones
@@ -149,16 +149,16 @@ def refine(models: ModelsByBones, bones: int, bounds: Bounds, effort: Effort) ->
         return models.fits(bones) or (hopeless and not abrupt)
 
     lowest = models.best[bones].model.with_restarted_support()
-    models.attempt(bones, partial(_improve, steps=spend.polish), "improved", start=lowest)
+    models.attempt(bones, partial(_improve, steps=spend.polish), start=lowest)
     for factor in spend.starts:
         if given_up():
             return
-        models.attempt(bones, partial(_start_anew, factor=factor, steps=8), "new start")
+        models.attempt(bones, partial(_start_anew, factor=factor, steps=8))
     if given_up() or not spend.trials:
         return
     lowest = models.best[bones].model.with_restarted_support()
     search = partial(search_long, moves=spend.moves, trials=spend.trials)
-    models.attempt(bones, search, "searched", start=lowest)
+    models.attempt(bones, search, start=lowest)
 
 
 def polish_fewest(models: ModelsByBones, effort: Effort) -> None:
@@ -166,9 +166,9 @@ def polish_fewest(models: ModelsByBones, effort: Effort) -> None:
     steps, held = REFINEMENT[effort].finish, models.held_bones
     if steps:
         last = partial(polish, steps=steps, gain=0.005)
-        models.attempt(held, last, "polished", start=models.best[held].model, until=0.0)
+        models.attempt(held, last, start=models.best[held].model, until=0.0)
         again = partial(_start_anew, factor=_AGAIN, steps=steps)
-        models.attempt(held, again, "new start", until=0.0)
+        models.attempt(held, again, until=0.0)
 
 
 def start_and_polish(d: Descent) -> None:

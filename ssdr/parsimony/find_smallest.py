@@ -79,7 +79,7 @@ def find_smallest(problem: Problem, *, asked: float, measure: Measure) -> Smalle
     try:
         if problem.start is not None:
             bones = problem.start.n_bones
-            models.attempt(bones, _begin_with_model, "given", initial=frames.initial)
+            models.attempt(bones, _begin_with_model, initial=frames.initial)
         # If frames are streamed, the search solves representative ones.  It is then repeated with a
         # stricter tolerance until the model holds the tolerance on all frames.
         for _ in range(_RETRIES):
@@ -171,7 +171,6 @@ def _result(
         least_bones=least,
         size=size(skinning),
         prunings=tuple(prunings),
-        attempts=tuple(models.attempts),
     )
     return Smallest(
         skinning=skinning,

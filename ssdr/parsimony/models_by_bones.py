@@ -14,7 +14,6 @@ from ..search.starts import merged_start
 from ..search.steps import alternate, merge, move_bones, polish, return_to_best, search
 from ..search.trees.tree_steps import attach, remove_bones, search_trees
 from ..solver.model import Lowest, Model
-from .report import Attempt
 from .solved_frames import SolvedFrames
 
 # Factor by which the objective has to fall before the error is measured again, since a measurement
@@ -102,7 +101,8 @@ class ModelsByBones:
     ----------
     best : dict of int to Lowest
         Model of least error for each number of bones, by the measure of `frames`.
-    attempts : list of Attempt
+    attempts : int
+        Number of attempts so far.
     held : list of Model
         Each model that held the tolerance with fewer bones than all previous ones.
     records : list of Record
@@ -117,10 +117,9 @@ class ModelsByBones:
         self.frames, self.report = frames, report
         self.tolerance, self.fraction = tolerance, 0.0
         self.best: dict[int, Lowest] = {}
-        self.attempts: list[Attempt] = []
         self.held: list[Model] = []
         self.records: list[Record] = []
-        self.iteration = 0
+        self.attempts = self.iteration = 0
 
     @property
     def fewest(self) -> int | None:
@@ -150,7 +149,6 @@ class ModelsByBones:
         self,
         bones: int,
         schedule: Schedule,
-        name: str,
         *,
         start: Model | None = None,
         initial: Initial | None = None,
@@ -162,8 +160,6 @@ class ModelsByBones:
         ----------
         bones : int
         schedule : Schedule
-        name : str
-            What the attempt starts from.
         start : Model, optional
             Model to begin with, for schedules that do not make one.
         initial : Initial, optional
@@ -175,7 +171,7 @@ class ModelsByBones:
         d, before = frames.descent(bones, initial=initial), self.iteration
         if start is not None:
             d.begin_with(start)
-        following = max(_EXPECTED - len(self.attempts), _FOLLOWING)
+        following = max(_EXPECTED - self.attempts, _FOLLOWING)
         done, work = self.fraction, (PRUNING - self.fraction) / following
         # The largest error is at least the RMSE, so that neither measure can be within `until`
         # unless the squared error is within this bound.
@@ -195,7 +191,7 @@ class ModelsByBones:
             d.follow(schedule, after_step)
         finally:
             self.iteration = before
-            self._keep(d, name)
+            self._keep(d)
         frames.problem.monitor.raise_if_stopped()
         error = self.best[bones].value
         if frames.measure == "max" and self.tolerance < error <= _LEVELLED * self.tolerance:
@@ -213,18 +209,18 @@ class ModelsByBones:
             d.begin_with(model.with_restarted_support())
             d.follow(polish_reweighted)
             model = d.best.model
-            self._keep(d, "levelled")
+            self._keep(d)
             if self.fits(model.n_bones):
                 return
             self.report(f"{model.n_bones} bones: level", True)
 
-    def _keep(self, d: Descent, name: str) -> None:
+    def _keep(self, d: Descent) -> None:
         self.iteration += d.work.iteration
         if not d.best.exists:
             return
         model, fewest = d.best.model, self.fewest
         error, bones = self.frames.error(model), model.n_bones
-        self.attempts.append(Attempt(bones, error, d.work.iteration, name))
+        self.attempts += 1
         self.best.setdefault(bones, Lowest()).offer(model, error)
         if error <= self.tolerance and (fewest is None or bones < fewest):
             self.held.append(model)

@@ -1,4 +1,4 @@
-"""Report of a search for the smallest model: attempts and prunings."""
+"""Report of a search for the smallest model and of its prunings."""
 
 from __future__ import annotations
 
@@ -9,33 +9,6 @@ from ..model.size import Size
 from ..search.result import Decomposition
 
 Measure = Literal["rmse", "max"]
-
-
-@dataclasses.dataclass(frozen=True)
-class Attempt:
-    """Record of one attempt to reach the tolerance with a given number of bones.
-
-    Attributes
-    ----------
-    bones : int
-    error : float
-        Error of the attempt's best model in the mesh's units, by the measure of the tolerance.
-    iterations : int
-        Number of alternations and polish steps.
-    start : str
-        What the attempt started from, such as "merged" or "new start".
-
-    Examples
-    --------
-    >>> attempt = ssdr.parsimony.Attempt(bones=4, error=0.25, iterations=6, start="merged")
-    >>> attempt.bones, attempt.iterations
-    (4, 6)
-    """
-
-    bones: int
-    error: float
-    iterations: int
-    start: str
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,7 +23,7 @@ class Pruning:
     bytes_before, bytes_after : int
         Bytes of the model.
     error_before, error_after : float
-        Error of the model, as in :class:`Attempt`.
+        Error of the model in the mesh's units, by the measure of the tolerance.
 
     Examples
     --------
@@ -95,8 +68,6 @@ class Parsimony:
     prunings : tuple of Pruning
         Prunings of bones, influences and keyframes, in this order.  If the search was stopped, the
         last of them are missing.
-    attempts : tuple of Attempt
-        All attempts, in order.
 
     Examples
     --------
@@ -117,7 +88,6 @@ class Parsimony:
     least_bones: int
     size: Size
     prunings: tuple[Pruning, ...]
-    attempts: tuple[Attempt, ...]
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)

@@ -7,7 +7,6 @@ agree by both being right.
 from __future__ import annotations
 
 import math
-from collections import deque
 from itertools import combinations
 
 import numpy as np
@@ -133,37 +132,25 @@ def weighted_deviation(values, weights):
     return math.sqrt(square)
 
 
-def sted(reference, other, faces, *, neighbourhood, window, dt, normaliser, signed=False):
+def sted(reference, other, faces):
     """Both parts of the spatio-temporal edge difference, edge by edge (see ssdr.metrics)."""
     edges = sorted(
         {(min(i, j), max(i, j)) for a, b, c in faces for i, j in ((a, b), (b, c), (c, a)) if i != j}
     )
     n_frames, n_vertices = reference.shape[:2]
-    near = {i: [] for i in range(n_vertices)}
-    for i, j in edges:
-        near[i].append(j)
-        near[j].append(i)
+    steps = [
+        math.dist(reference[t, i], reference[t + 1, i])
+        for t in range(n_frames - 1)
+        for i in range(n_vertices)
+    ]
 
     def relative(a, b):
-        if a == 0:
-            return 0.0
-        return (a - b) / a if signed else abs(a - b) / a
+        return 0.0 if a == 0 else abs(a - b) / a
 
     spatial = []
-    for start in range(n_vertices):
-        if not near[start]:
-            continue
-        hops, queue = {start: 0}, deque([start])
-        while queue:
-            i = queue.popleft()
-            for j in near[i]:
-                if j not in hops:
-                    hops[j] = hops[i] + 1
-                    queue.append(j)
-        mine = [
-            e for e in edges if min(hops.get(e[0], 10**9), hops.get(e[1], 10**9)) < neighbourhood
-        ]
-        for t in range(n_frames):
+    for i in range(n_vertices):
+        mine = [e for e in edges if i in e]
+        for t in range(n_frames if mine else 0):
             lengths = [math.dist(reference[t, i], reference[t, j]) for i, j in mine]
             theirs = [math.dist(other[t, i], other[t, j]) for i, j in mine]
             spatial.append(
@@ -176,13 +163,13 @@ def sted(reference, other, faces, *, neighbourhood, window, dt, normaliser, sign
         lengths, differences = [], []
         for t in range(n_frames - 1):
             pair = [
-                math.sqrt(math.dist(x[t, i], x[t + 1, i]) ** 2 / normaliser**2 + dt**2)
+                math.sqrt((math.dist(x[t, i], x[t + 1, i]) * len(steps) / sum(steps)) ** 2 + 1)
                 for x in (reference, other)
             ]
             lengths.append(pair[0])
             differences.append(relative(*pair))
         for t in range(n_frames - 1):
-            inside = slice(max(0, t - window // 2), t + window // 2 + 1)
+            inside = slice(max(0, t - 2), t + 3)
             temporal.append(weighted_deviation(differences[inside], lengths[inside]))
     mean = [sum(part) / len(part) if part else 0.0 for part in (spatial, temporal)]
     return mean[0], mean[1]

@@ -168,16 +168,3 @@ def test_the_hierarchy_survives_pruning_and_picking_clips():
     for other in (posed.prune(1), posed.select(0)):
         assert other.parents.tolist() == PARENTS
         np.testing.assert_array_equal(other.joint_positions, model.joint_positions)
-
-
-def test_what_motion_says_of_joints():
-    model, _, _ = _tree()
-    angle = np.linspace(-0.5, 0.5, 20)
-    turns = np.broadcast_to(np.eye(3), (20, 5, 3, 3)).copy()
-    turns[:, 0] = Rotation.from_rotvec(angle[:, None] * [0, 0, 1]).as_matrix()
-    turns[:, 1] = Rotation.from_rotvec(np.stack([angle, angle**2, angle**3], 1) * 2).as_matrix()
-    turns[:, 3] = Rotation.from_rotvec([0.3, 0.2, 0.1]).as_matrix()  # bent, and stays bent
-    assert model.pose(turns).joint_freedom() == ("line", "point", "root", "nothing", "root")
-    assert model.pose(turns).joint_freedom(60.0)[:2] == ("nothing", "nothing")
-    with pytest.raises(InputError, match="least_turn"):
-        model.joint_freedom(0)

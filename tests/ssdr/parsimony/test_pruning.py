@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import ssdr
-from helpers.measures import small
+from helpers.measures import small, wavy
 from ssdr import parsimony
 
 
@@ -25,9 +25,17 @@ def test_every_pruning_says_what_it_cost() -> None:
     assert keyframes.after == small().skinning.keyframes.sum()
     for p in found.prunings:
         assert p.cost == p.error_after - p.error_before
-    tried = {a.bones for a in found.attempts}
-    assert found.bones in tried
-    assert found.bones == found.least_bones or found.bones - 1 in tried
+
+
+def test_one_bone_less_is_tried_before_it_is_given_up() -> None:
+    tried: set[str] = set()
+
+    def note(progress: ssdr.Progress) -> None:
+        tried.add(progress.phase.partition(" ")[0])
+
+    found = ssdr.smallest(wavy(), tolerance="0.8%", effort="fast", callback=note).parsimony
+    assert str(found.bones) in tried
+    assert found.bones == found.least_bones or str(found.bones - 1) in tried
 
 
 def test_the_result_goes_through_a_file(tmp_path: Path) -> None:
