@@ -7,8 +7,9 @@ the joints' matrices moves points, and turns the normals of the file.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
+from helpers import naive
 from helpers.glb import opened, values_of
 
 
@@ -24,26 +25,23 @@ def vertex_normals(frames, faces, groups=None):
             normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         total = np.zeros((groups.max() + 1, 3))
         for c in range(3):
-            angle = np.radians(180 - _angles(sides[c], sides[c - 1]))
+            angle = np.radians(180 - naive.angles(sides[c], sides[c - 1]))
             np.add.at(total, groups[:, c], np.nan_to_num(angle[:, None] * normal))
         with np.errstate(invalid="ignore"):
             out.append((total / np.linalg.norm(total, axis=1, keepdims=True))[groups])
     return np.array(out)
 
 
-def _angles(a, b):
-    with np.errstate(invalid="ignore"):
-        cosine = (a * b).sum(axis=-1) / np.linalg.norm(a, axis=-1) / np.linalg.norm(b, axis=-1)
-    return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
-
-
 def mean_angle(a, b):
     """Mean angle in degrees, where both are known."""
-    return float(np.nanmean(_angles(a, b)))
+    return float(np.nanmean(naive.angles(a, b)))
 
 
-def from_gltf(path, *, clip=0):
-    """Each skinned mesh of a ``.glb``: positions, normals (F, N, 3), faces and ``_VERTEX``."""
+def from_gltf(path, *, clip=0, seconds=None):
+    """Each skinned mesh of a ``.glb``: positions, normals (F, N, 3), faces and ``_VERTEX``.
+
+    At the keys of a clip, which is a number or a name, or at times of it in seconds.
+    """
     document, binary = opened(path)
 
     def read(number):
@@ -53,32 +51,36 @@ def from_gltf(path, *, clip=0):
             values /= {5120: 127, 5121: 255, 5122: 32767, 5123: 65535}[item["componentType"]]
         return values
 
-    nodes = document["nodes"]
-    animation = document["animations"][clip]
-    tracks, amounts = {}, None
+    nodes, keys = document["nodes"], {}
+    clips = enumerate(document["animations"])
+    animation = next(one for k, one in clips if clip in (k, one.get("name")))
     for channel in animation["channels"]:
-        sampler = animation["samplers"][channel["sampler"]]
-        target = channel["target"]
-        if target["path"] == "weights":
-            amounts = read(sampler["output"])
-            continue
-        tracks[target["node"], target["path"]] = read(sampler["output"])
-    count = max(len(values) for values in tracks.values())
-    assert {len(values) for values in tracks.values()} <= {1, count}
+        sampler, target = animation["samplers"][channel["sampler"]], channel["target"]
+        times, values = read(sampler["input"])[:, 0], read(sampler["output"])
+        keys[target["node"], target["path"]] = times, values.reshape(len(times), -1)
+    if seconds is None:
+        seconds = max((times for times, _ in keys.values()), key=len)
+    count = len(seconds)
     parent = {child: k for k, node in enumerate(nodes) for child in node.get("children", [])}
 
-    def local(node, path, default):
-        values = tracks.get((node, path), np.array([nodes[node].get(path, default)], float))
-        return np.broadcast_to(values, (count, values.shape[1]))
+    def track(node, path, default):
+        if (node, path) not in keys:
+            return np.tile(np.array(nodes[node].get(path, default), float), (count, 1))
+        times, values = keys[node, path]
+        at = np.clip(seconds, times[0], times[-1])
+        if path == "rotation" and len(times) > 1:
+            return Slerp(times, Rotation.from_quat(values))(at).as_quat()
+        return np.stack([np.interp(at, times, column) for column in values.T], axis=1)
 
     def world(node):
         found = np.tile(np.eye(4), (count, 1, 1))
-        turn = Rotation.from_quat(local(node, "rotation", [0, 0, 0, 1])).as_matrix()
-        found[:, :3, :3] = turn * local(node, "scale", [1, 1, 1])[:, None]
-        found[:, :3, 3] = local(node, "translation", [0, 0, 0])
+        turn = Rotation.from_quat(track(node, "rotation", [0, 0, 0, 1])).as_matrix()
+        found[:, :3, :3] = turn * track(node, "scale", [1, 1, 1])[:, None]
+        found[:, :3, 3] = track(node, "translation", [0, 0, 0])
         assert "matrix" not in nodes[node]
         return world(parent[node]) @ found if node in parent else found
 
+    amounts = next((track(*key, None) for key in keys if key[1] == "weights"), None)
     result = []
     for node in nodes:
         if "mesh" not in node or "skin" not in node:
@@ -104,7 +106,7 @@ def from_gltf(path, *, clip=0):
         )
         if amounts is not None:
             targets = primitives[0]["targets"]
-            for target, factor in zip(targets, amounts.reshape(count, -1).T, strict=True):
+            for target, factor in zip(targets, amounts.T, strict=True):
                 points += factor[:, None, None] * read(target["POSITION"])
                 normals += factor[:, None, None] * read(target["NORMAL"])
         positions = np.einsum("fnij,fnj->fni", blended[:, :, :3, :3], points)

@@ -20,17 +20,7 @@ DATA = Path(os.environ.get("SSDR_TEST_DATA", "missing")) / "gltf"
 
 def test_what_could_not_be_written_is_said_before_the_work(wave, tmp_path, monkeypatch):
     check_outputs([tmp_path / "a.glb", tmp_path / "new" / "a_%02d.obj"])
-    taken = tmp_path / "b.faces.npy"
-    taken.write_bytes(b"precious")
-    for names, text in (
-        (["a.xyz"], "known suffix"),
-        (["a.npz", "a.npz"], "no other output"),
-        (["in.npz"], "no input"),
-        (["no/a.npz"], "folder that exists"),
-        (["b.npy"], "a name whose b.faces.npy is not taken"),
-    ):
-        with pytest.raises(ssdr.InputError, match=text):
-            check_outputs([tmp_path / n for n in names], inputs=[tmp_path / "in.npz"])
+    try_outputs([tmp_path / "a.glb", tmp_path / "a.npz"], [wave], bones=3, weights="uint8")
 
     def full(*_, **__):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -38,19 +28,6 @@ def test_what_could_not_be_written_is_said_before_the_work(wave, tmp_path, monke
     monkeypatch.setattr(Path, "touch", full)  # permissions do not tell where no inodes are left
     with pytest.raises(ssdr.InputError, match="No space left on device"):
         check_outputs([tmp_path / "a.npz"])
-    assert taken.read_bytes() == b"precious"
-
-
-def test_what_a_format_refuses_is_refused_before_the_work(wave, tmp_path):
-    try_outputs([tmp_path / "a.glb", tmp_path / "a.npz"], [wave], bones=3, weights="uint8")
-    for name, options, text in (
-        ("x.obj", {}, "one number such as %04d in the name"),
-        ("x.glb", {"weights": "uint9"}, "weights: expected"),
-        ("x.glb", {"bones": 9, "influences": 9}, "at most 8"),
-        ("x.npz", {"colour": "red"}, "got colour"),
-    ):
-        with pytest.raises(ssdr.InputError, match=text):
-            try_outputs([tmp_path / name], [wave], **options)
     assert list(tmp_path.iterdir()) == []
 
 

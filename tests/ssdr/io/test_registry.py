@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 import ssdr
-from ssdr import FormatError, InputError
 from ssdr.io import FORMATS
 from ssdr.io.formats import option_names
 from ssdr.io.optional import PACKAGES
@@ -45,23 +44,6 @@ def test_importing_the_package_imports_no_format():
     assert done.stdout.strip() == "[]"
 
 
-def test_unknown_suffixes_name_those_that_are_known(tmp_path, wave):
-    (tmp_path / "a.xyz").write_text("1 2 3")
-    (tmp_path / "a").write_text("1 2 3")
-    with pytest.raises(FormatError, match=r"a\.xyz: the suffix '\.xyz' is none of \.abc, .*\.zarr"):
-        ssdr.load(tmp_path / "a.xyz")
-    with pytest.raises(FormatError, match="a name without suffix"):
-        ssdr.load(tmp_path / "a")
-    with pytest.raises(InputError, match="path: expected a suffix of"):
-        ssdr.save(wave, tmp_path / "b.xyz")
-    with pytest.raises(InputError, match=r"path: expected a suffix of .* for a MeshSequence"):
-        ssdr.save(wave, tmp_path / "b.glb")
-    with pytest.raises(FormatError, match="no skinning can be read from"):
-        ssdr.load_skinning(tmp_path / "a.obj")
-    with pytest.raises(InputError, match="thing: expected a MeshSequence"):
-        ssdr.save(wave.vertices, tmp_path / "b.npz")
-
-
 def test_the_page_on_formats_names_them_all():
     page = (Path(__file__).parents[3] / "docs" / "io.md").read_text(encoding="utf-8")
     table = page[page.index("| suffix") : page.index("Options of every format")]
@@ -87,28 +69,3 @@ def test_the_packages_to_install_are_those_of_the_extras():
     project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]
     for extra, (_, package) in PACKAGES.items():
         assert project["optional-dependencies"][extra] == [package]
-
-
-@pytest.mark.parametrize(
-    ("name", "option", "words"),
-    [
-        ("a.glb", "influences", "an integer"),
-        ("a.usda", "units", "metres in a unit"),
-        ("a.pc2", "unweld", "true or false"),
-    ],
-)
-@pytest.mark.parametrize("value", ["", "nan", "٣", "true", [], True], ids=str)
-def test_an_option_is_of_the_kind_that_is_stated(name, option, words, value, skinned, tmp_path):
-    """Text from a command line became an error of Python's."""
-    if name == "a.usda":
-        pytest.importorskip("pxr.UsdSkel")
-    if (option, value) == ("unweld", True):
-        value = 1
-    with pytest.raises(InputError, match=f"{option}: expected"):
-        ssdr.save(skinned, tmp_path / name, **{option: value})
-    sample = ssdr.samples.path("dancer_small")
-    with pytest.raises(InputError, match="max_bytes: expected an integer"):
-        ssdr.load(sample, max_bytes=str(value))
-    for other in (str(value), 1, 0, 1.0, None):
-        with pytest.raises(InputError, match="mmap: expected true or false"):
-            ssdr.load(sample, mmap=other)

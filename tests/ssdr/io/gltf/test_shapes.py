@@ -145,14 +145,6 @@ def test_clips_and_points_alone(tmp_path):
     np.testing.assert_allclose(back.select("b").skin(), model.skin()[5:], atol=1e-5)
 
 
-def test_what_cannot_have_shapes_says_so(tmp_path):
-    model, path = shaped(), tmp_path / "a.glb"
-    ssdr.save(tube(), path)
-    with pytest.raises(ssdr.InputError, match="thing: expected no shapes in a file with"):
-        ssdr.save(model, tmp_path / "b.glb", template=path)
-    assert not (tmp_path / "b.glb").exists()
-
-
 def test_shapes_change_only_the_normals_of_what_they_reach(tmp_path):
     """One that is never used changes them as the rest pose would."""
     model = with_bones(shaped(sparse=True, rings=9, sides=10), surface=None)
@@ -176,28 +168,10 @@ def test_shapes_change_only_the_normals_of_what_they_reach(tmp_path):
     assert of_unused.max() < 0.01
 
 
-def other_vertices(document, primitive):
-    document["accessors"].append({"componentType": 5126, "count": 7, "type": "VEC3"})
-    primitive["targets"][1] = {"POSITION": len(document["accessors"]) - 1}
-
-
-DAMAGE = {
-    "a morph target of other vertices": other_vertices,
-    "no POSITION": lambda _, primitive: primitive["attributes"].pop("POSITION"),
-    "": lambda document, _: document["meshes"][0].update(extras={"targetNames": ["one"]}),
-}
-
-
-@pytest.mark.parametrize("says", DAMAGE)
-def test_files_that_do_not_fit(tmp_path, says):
+def test_names_of_other_targets_are_passed_over(tmp_path):
     def change(document, _):
-        for primitive in document["meshes"][0]["primitives"]:
-            DAMAGE[says](document, primitive)
+        document["meshes"][0]["extras"] = {"targetNames": ["one"]}
 
     ssdr.save(shaped(2), tmp_path / "a.glb")
     path = rebuild(tmp_path / "a.glb", tmp_path / "b.glb", change)
-    if says:
-        with pytest.raises(ssdr.FormatError, match=says):
-            ssdr.load_skinning(path)
-    else:
-        assert ssdr.load_skinning(path).shapes.names == ("shape_0", "shape_1")
+    assert ssdr.load_skinning(path).shapes.names == ("shape_0", "shape_1")

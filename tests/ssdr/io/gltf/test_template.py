@@ -148,18 +148,6 @@ def test_a_welded_model_is_written_at_the_seams_again(tmp_path):
     assert np.abs(seen - expected).max() < 1e-6 * sequence.diagonal()
 
 
-def test_a_template_of_another_mesh_is_refused(tmp_path):
-    source = make_asset(tmp_path / "all.gltf")
-    model = model_for(ssdr.load(source, meshes=OURS))
-    with pytest.raises(ssdr.InputError, match="vertices"):
-        ssdr.save(model, tmp_path / "out.glb", template=source)
-    with pytest.raises(ssdr.InputError, match="Hat"):
-        ssdr.save(model, tmp_path / "out.glb", template=source, meshes="Hat")
-    turned = dataclasses.replace(model, faces=model.faces[::-1], surface=None)
-    with pytest.raises(ssdr.InputError, match="triangles"):
-        ssdr.save(turned, tmp_path / "out.glb", template=source, meshes=OURS)
-
-
 def test_a_mirrored_node_leaves_its_mirror(tmp_path):
     source = make_asset(tmp_path / "all.gltf")
     document = json.loads(source.read_text())

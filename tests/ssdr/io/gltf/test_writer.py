@@ -42,14 +42,10 @@ def test_quantised_weights_cost_what_is_told(tmp_path, storage, steps):
     gap = back.skin(dtype=np.float64) - model.skin()
     assert report.error == pytest.approx(np.sqrt((gap**2).sum(axis=2).mean()), rel=1e-2)
     assert report.max_error == pytest.approx(largest_distance(back.skin(), model.skin()), rel=1e-2)
-    with pytest.raises(ssdr.InputError, match="weights"):
-        ssdr.save(model, tmp_path / "a.glb", weights="float16")
 
 
 def test_influences_beyond_the_format(tmp_path):
     model = tube(bones=12, influences=10)
-    with pytest.raises(ssdr.InputError, match="influences=8 prunes"):
-        ssdr.save(model, tmp_path / "a.glb")
     report = ssdr.save(model, tmp_path / "a.glb", influences=4)
     pruned = ssdr.load_skinning(tmp_path / "a.glb")
     assert pruned.n_influences == 4

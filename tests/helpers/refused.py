@@ -1,0 +1,44 @@
+"""Files that readers refuse: how each is made and what is said of it, one table by format."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+import ssdr
+from ssdr import FormatError
+
+FOREIGN = re.compile(
+    r"Traceback|at line \d+ in file|not iterable|subscriptable|pxrInternal|File \""
+)
+
+OPTIONS = {suffix: {"faces": "none"} for suffix in ("npy", "pc2", "mdd", "zarr")}
+
+
+def raw(path, data):
+    path.write_bytes(data.encode() if isinstance(data, str) else data)
+
+
+def mapped(path, **options):
+    return ssdr.load(path, mmap=True, **options)
+
+
+class Refused(dict):
+    """Suffix, function that makes a file, its argument, text of the error and readers, by case."""
+
+    def add(self, suffix, make, cases, *readers):
+        """Cases of a format: what `make` is given beside the path, and the text, by a name."""
+        for what, (given, says) in cases.items():
+            self[f"{suffix}: {what}"] = suffix, make, given, says, readers or (ssdr.load,)
+
+    def check(self, case, folder):
+        """Make the file of a case; each reader refuses it in words of this package."""
+        suffix, make, given, says, readers = self[case]
+        path = folder / f"bad.{suffix}"
+        make(path, given)
+        for read in readers:
+            with pytest.raises(FormatError, match=says) as caught:
+                read(path, **OPTIONS.get(suffix, {}))
+            assert "bad." in str(caught.value)
+            assert not FOREIGN.search(str(caught.value))

@@ -1,0 +1,274 @@
+"""Damaged and hostile archives, arrays and stores are refused in words."""
+
+from __future__ import annotations
+
+import io
+import os
+import struct
+import zipfile
+
+import numpy as np
+import pytest
+
+import ssdr
+from helpers.refused import Refused, mapped, raw
+from helpers.rig_tree import creature
+from ssdr import FormatError
+from ssdr.io.file_errors import MOST_BYTES, afford
+
+TABLE = Refused()
+
+
+class Bang:
+    def __reduce__(self):
+        return (exec, ("raise SystemExit('unpickled')",))
+
+
+def npz(path, arrays):
+    whole = {"vertices": np.eye(3)[None], "faces": np.array([[0, 1, 2]]), "fps": 24.0}
+    np.savez(path, **{**whole, **arrays})
+
+
+NPZ = {
+    f"{key} {k}": ({key: value}, says)
+    for k, (key, value, says) in enumerate([
+        ("vertices", np.full((1, 3, 3), np.nan), "nan at frame 0, vertex 0"),
+        ("vertices", np.zeros((3, 3)), r"shape \(3, 3\)"),
+        ("vertices", np.zeros((1, 3, 3), dtype="U1"), "real numbers"),
+        ("faces", np.array([[0, 1, 3]]), "3 in face 0"),
+        ("faces", np.array([[0, 1, -1]]), "-1 in face 0"),
+        ("faces", np.array([[0.0, 1, 2]]), "integers"),
+        ("fps", np.array([24.0, 25.0]), "one number"),
+        ("fps", np.array(-1.0), "a positive number"),
+        ("materials", np.array("[{"), "damaged"),
+        ("materials", np.array('[{"name": "x", "base_color": [1], "evil": 1}]'), "damaged"),
+        ("materials", np.array("[" * 5000), "damaged"),
+        *((key, np.array([Bang()], dtype=object), rf"{key}\.npy holds pickled Python objects")
+          for key in ("vertices", "faces", "fps", "name", "materials")),
+    ])
+}  # fmt: skip
+TABLE.add("npz", npz, NPZ)
+CLIPS = (ssdr.Clip("walk", 0, 9, 24.0), ssdr.Clip("jump", 9, 19, 60.0), ssdr.Clip("a", 19, 20, 25))
+
+
+def skinned_npz(path, change):
+    key, value = change
+    ssdr.save(creature(frames=20, clips=CLIPS), path)
+    with np.load(path) as archive:
+        arrays = {k: v for k, v in (dict(archive) | {key: value}).items() if v is not None}
+    np.savez(path, **arrays)
+
+
+SKINNED = {
+    f"{key} {k}": ((key, None if value is None else np.array(value)), says)
+    for k, (key, value, says) in enumerate([
+        ("clip_offsets", [0, 9, 19], "clip_offsets"),
+        ("clip_offsets", [0, 9, 19, 21], "clips"),
+        ("clip_offsets", [0, 19, 9, 20], "clip"),
+        ("clip_offsets", [0.0, 9, 19, 20], "clip_names"),
+        ("clip_fps", [24.0, np.nan, 25], "fps"),
+        ("clip_fps", [24.0, 60], "bad"),
+        ("clip_fps", [30.0, 60, 25], "fps"),
+        ("clip_names", "{}", "clip_names"),
+        ("clip_names", "[1, 2, 3]", "name"),
+        ("clip_names", '["a", "a", "b"]', "name"),
+        ("clip_names", "no JSON", "bad"),
+        ("parents", [2, 0, 0, 0, 2, -1, 4], "parents"),
+        ("parents", [0, 0, 0], "parents"),
+        ("parents", None, "parents"),
+        ("rest", None, "no array rest"),
+    ])
+}  # fmt: skip
+TABLE.add("npz", skinned_npz, SKINNED, ssdr.load_skinning)
+
+
+def npy_bytes(shape, dtype="<f4", data=b""):
+    stream = io.BytesIO()
+    header = {"descr": dtype, "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(stream, header)
+    return stream.getvalue() + data
+
+
+FACES = npy_bytes((1, 3), "<i4", struct.pack("<3i", 0, 1, 2))
+SHAPES = [(10**6, 10**6, 3), (2**62, 4, 3), (0, 4, 3), (-1, 4, 3), (4, 3), (1, 2, 3)]
+FORGED = {str(shape): (npy_bytes(shape, data=bytes(3 * 4 * 3 * 4)), "bad") for shape in SHAPES}
+
+
+def forged_npz(path, vertices):
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as target:
+        target.writestr("vertices.npy", vertices)
+        target.writestr("faces.npy", FACES)
+
+
+TABLE.add("npz", forged_npz, FORGED)
+TABLE.add("npy", raw, FORGED, ssdr.load, mapped)
+PICKLE = np.array([Bang()], dtype=object)
+TABLE.add("npy", np.save, {"a pickle": (PICKLE, "the array holds pickled Python objects")})
+
+
+def directory_size(path, lie):
+    """The size in the zip's directory is what is checked; what inflates may be more."""
+    npz(path, {})
+    data = bytearray(path.read_bytes())
+    entry = data.index(b"PK\x01\x02")
+    true = struct.unpack_from("<I", data, entry + 24)[0]
+    struct.pack_into("<I", data, entry + 24, lie if lie > 100 else true + lie)
+    raw(path, data)
+
+
+TABLE.add("npz", directory_size, {f"size {lie}": (lie, "bad") for lie in (-4, 4, 2000, 2**31)})
+
+
+def two_members(path, _):
+    npz(path, {})
+    with zipfile.ZipFile(path, "a") as target, pytest.warns(UserWarning, match="Dup"):
+        target.writestr("faces.npy", FACES)
+
+
+TABLE.add("npz", two_members, {"twice": (None, "two members are called 'faces'")})
+
+
+def bomb(path, parts):
+    """At once or in arrays of which each alone would pass."""
+    size = 280_000_000 // parts
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as target:
+        target.writestr("vertices.npy", npy_bytes((1, 3, 3), data=bytes(36)))
+        target.writestr("faces.npy", FACES)
+        for k in range(parts):
+            with target.open(f"texture_{k}.npy", "w") as member:
+                member.write(npy_bytes((size,), "|u1"))
+                member.write(bytes(size))
+    assert path.stat().st_size < 4 << 20
+
+
+BOMB = r"texture_0\.npy.* needs 2800\d+ bytes, inflated \d+-fold"
+TABLE.add("npz", bomb, {"a bomb": (1, BOMB), "a bomb in parts": (5, BOMB)})
+
+
+def baked(path, n):
+    """A file of 1 MiB stated 20 GB of vertices."""
+    still = ssdr.Skinning(
+        np.zeros((n, 3), dtype=np.float32), np.zeros((n, 1), dtype=np.int32),
+        np.ones((n, 1), dtype=np.float32), np.tile(np.eye(3, 4), (n, 1, 1, 1)),
+    )  # fmt: skip
+    assert ssdr.save(still, path).bytes < 1 << 20
+
+
+BAKED = "baking 40000 frames of 40000 vertices needs 192000"
+TABLE.add("npz", baked, {"many frames of many vertices": (40_000, BAKED)})
+
+# --- zarr ----------------------------------------------------------------------------------------
+
+
+def zstd(*frames):
+    """Frames of zeros, each as (bytes, bytes that its header states), in blocks of one byte."""
+    data = b""
+    for size, said in frames:
+        blocks, rest = divmod(size, 1 << 17)
+        heads = [(1 << 17) << 3 | 2] * blocks + [rest << 3 | 3]
+        data += struct.pack("<IBBQ", 0xFD2FB528, 0xC0, 0x38, said)
+        data += b"".join(struct.pack("<I", head)[:3] + b"\0" for head in heads)
+    return data
+
+
+def zarr_chunk(path, chunk):
+    """A store of the shape (2, 3, 3), whose chunk took 3 GB."""
+    zarr = pytest.importorskip("zarr")
+    zarr.create_array(path, shape=(2, 3, 3), chunks=(2, 3, 3), dtype="f4")
+    (path / "c" / "0" / "0").mkdir(parents=True)
+    (path / "c" / "0" / "0" / "0").write_bytes(chunk)
+
+
+G3 = 3_000_000_000
+CHUNKS = {
+    "cut": (zstd((72, 72))[:-2], "bad"),
+    "bomb": (zstd((G3, G3)), "3000000000 bytes, inflated 32761-fold"),
+    "second": (zstd((72, 72), (G3, G3)), "3000000072 bytes, inflated"),
+    "more": (zstd((G3, 72)), "bad"),
+    "less": (zstd((72, G3)), "3000000000 bytes, inflated"),
+    "text": (b"nonsense", "no zstd frame"),
+    "empty": (b"", "bad"),
+}
+TABLE.add("zarr", zarr_chunk, CHUNKS)
+
+
+def zarr_shape(path, made):
+    step, chunk = made
+    zarr = pytest.importorskip("zarr")
+    shape = {"shape": (10**9, 2, 3), "chunks": (step, 2, 3)}
+    zarr.create_array(path, dtype="f4", compressors=None, **shape)
+    if chunk:
+        (path / "c" / "0" / "0").mkdir(parents=True)
+        (path / "c" / "0" / "0" / "0").write_bytes(chunk)
+
+
+MISSING = r"holds 0 of \d+ chunks of the shape \(1000000000,"
+LARGE = "a chunk needs 24000000000 bytes, above the limit of"
+LARGEST = {"a": ((1, b""), MISSING), "b": ((10**9, b""), MISSING), "c": ((10**9, b"few"), LARGE)}
+TABLE.add("zarr", zarr_shape, LARGEST)
+
+
+def zarr_codec(path, kind):
+    zarr = pytest.importorskip("zarr")
+    codecs = pytest.importorskip("zarr.codecs")
+    options = {
+        "gzip": {"compressors": codecs.GzipCodec()},
+        "shards": {"shards": (4, 2, 3)},
+        "two codecs": {"compressors": [codecs.ZstdCodec(), codecs.BloscCodec()]},
+    }
+    data = np.zeros((4, 2, 3), np.float32)
+    zarr.create_array(path, data=data, chunks=(2, 2, 3), **options[kind])
+
+
+KNOWN = "whole chunks by zstd or Blosc are read"
+TABLE.add("zarr", zarr_codec, {kind: (kind, KNOWN) for kind in ("gzip", "shards", "two codecs")})
+
+
+def zarr_group(path, _):
+    group = pytest.importorskip("zarr").create_group(store=path)
+    group.create_array("points", data=np.zeros(3))
+
+
+TABLE.add("zarr", zarr_group, {"no vertices": (None, "no array vertices; it holds")})
+
+
+def zarr_trap(path, trap):
+    """A pipe was waited for, an endless device read until memory ended."""
+    pytest.importorskip("zarr")
+    place, kind = trap
+    ssdr.save(ssdr.MeshSequence(np.zeros((4, 3, 3)), [[0, 1, 2]]), path)
+    inside = path / place
+    inside.unlink(missing_ok=True)
+    if kind == "pipe":
+        os.mkfifo(inside)
+    else:
+        inside.symlink_to("/dev/zero" if kind == "device" else path.parent)
+
+
+TRAPS = [
+    (place, kind)
+    for place in ("zarr.json", "vertices/zarr.json", "vertices/c/0/0/0", "x")
+    for kind in ("pipe", "device", "folder")
+]
+IS_TRAP = "a device, a pipe or a socket|a link to a folder"
+TABLE.add("zarr", zarr_trap, {" ".join(trap): (trap, IS_TRAP) for trap in TRAPS})
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes in folders here")
+@pytest.mark.parametrize("case", TABLE)
+def test_the_file_is_refused_in_words(tmp_path, case):
+    TABLE.check(case, tmp_path)
+
+
+@pytest.mark.parametrize("size", [MOST_BYTES + 1, 10**400, float("inf"), float("nan")])
+def test_the_limit_is_said_with_all_that_a_user_needs(size):
+    with pytest.raises(FormatError, match=r"a\.glb: 8 frames needs .* limit of 17179869184 .*max_"):
+        afford(size, "8 frames", "a.glb")
+    afford(MOST_BYTES, "it", "a.glb")
+    afford(MOST_BYTES + 1, "it", "a.glb", most=MOST_BYTES + 1)
+
+
+def test_the_limit_can_be_lowered(tmp_path):
+    npz(tmp_path / "a.npz", {})
+    with pytest.raises(FormatError, match="limit of 20 "):
+        ssdr.load(tmp_path / "a.npz", max_bytes=20)
