@@ -71,21 +71,6 @@ def test_bones_that_turn_a_normal_away_leave_none() -> None:
     np.testing.assert_allclose(found.normal_error, data.n2, rtol=1e-12)
 
 
-def test_the_objective_is_the_product_of_its_factors() -> None:
-    for case in (Case(), Case(surface=False), Case(normals=False), Case(counts="some")):
-        data, model = terms.problem(case, n=20, frames=5)
-        pose = None if data.surface is None else data.surface.pose
-        want = terms.value(data, model, pose)
-        assert Objective().value(data, model) == pytest.approx(want, rel=1e-9)
-        plain = terms.value(data, dataclasses.replace(model, normals=model.normals[:, :0]))
-        assert model.weighted_error(data) == pytest.approx(plain, rel=1e-9)
-        assert want > 1.01 * plain
-        given = terms.value(data, model)  # a rest pose that is given has no strain
-        assert Objective(Constraints(rest=True)).value(data, model) == pytest.approx(
-            given, rel=1e-9
-        )
-
-
 def test_the_length_of_a_normal_makes_both_errors_count_alike() -> None:
     data, model = terms.problem(Case(counts="some"), n=20, frames=5)
 

@@ -77,13 +77,6 @@ def test_without_edges_there_is_no_surface(rng: np.random.Generator) -> None:
     assert central_frame(_data(points, np.zeros((0, 3), np.int32)), first=True) == 0
 
 
-def test_the_unit_of_length_does_not_count(rng: np.random.Generator) -> None:
-    surface, _ = _sheet(rng)
-    rest = surface.pose + 0.2 * rng.standard_normal(surface.pose.shape)
-    larger = RestSurface(2.5 * surface.pose, surface.edges / 2.5**2, surface.degree / 2.5**2)
-    assert larger.factor(2.5 * rest) == pytest.approx(surface.factor(rest), rel=1e-12)
-
-
 def test_stiffer_edges_count_ten_times_as_much(rng: np.random.Generator) -> None:
     surface, faces = _sheet(rng)
     some = faces[[4, 5]]

@@ -80,13 +80,6 @@ def test_plane_and_partners_wherever_the_body_stands(seed):
     assert_array_equal(mirror.partners, _PARTNERS)
 
 
-def test_image_is_the_householder_reflection():
-    mirror = _mirror(_figure())
-    points = np.random.default_rng(0).normal(size=(5, 3))
-    assert_allclose(mirror.image(points), points * (-1, 1, 1), atol=1e-9)
-    assert_allclose(mirror.image(mirror.image(points)), points, atol=1e-12)
-
-
 def test_some_noise_is_borne_and_much_is_not():
     figure = _figure()
     noise = np.random.default_rng(1).normal(size=figure.rest.shape)
