@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import sys
 from collections.abc import Sequence
 
@@ -14,6 +16,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments : sequence of str, optional
         Arguments of the command; by default those of the process.
     """
+    _open_streams()
     try:
         from .app import run
 
@@ -21,3 +24,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:  # while modules are imported
         sys.stderr.write("ssdr: interrupted\n")
         return 130
+
+
+def _open_streams() -> None:
+    """Put the null device in the place of standard streams that are closed, as by cron or ``2>&-``.
+
+    A file that is opened would get their number, and messages would be written into it.
+    """
+    for number in range(3):
+        with contextlib.suppress(OSError):
+            os.fstat(number)
+            continue
+        os.open(os.devnull, os.O_RDWR)  # the lowest number that is free
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115

@@ -1,6 +1,7 @@
 """Response to Ctrl-C (SIGINT), to SIGTERM and to a closed terminal (SIGHUP).
 
-1. While modules are imported, Ctrl-C ends the process (:func:`ssdr.cli.main`).
+1. While modules are imported, Ctrl-C ends the process (:func:`ssdr.cli.main`); while a package of
+   native code is, at the end of that (:func:`interrupted_after`).
 2. While inputs are read, and in commands that solve nothing, the signal is raised as
    ``KeyboardInterrupt``, so that temporary files are removed (:func:`interrupt_on_signals`).
 3. While a model is solved and saved, the first signal asks the solver to stop after its current
@@ -37,6 +38,22 @@ def interrupt_on_signals() -> contextlib.AbstractContextManager[None]:
         raise KeyboardInterrupt
 
     return _handling(interrupt)
+
+
+@contextlib.contextmanager
+def interrupted_after() -> Iterator[None]:
+    """Context in which Ctrl-C waits for the end of the block, as native code may swallow it."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, _: came.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+        if came:
+            signal.raise_signal(signal.SIGINT)
 
 
 @contextlib.contextmanager

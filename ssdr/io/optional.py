@@ -6,6 +6,7 @@ import importlib.util
 from typing import Any
 
 from ..common.errors import MissingDependencyError
+from ..common.signals import interrupted_after
 
 # Module that is imported for each extra, and its package for pip: ``ssdr`` is in no index, where
 # anyone may take its name.
@@ -50,7 +51,8 @@ def import_optional(module: str, requirement: str, what: str) -> Any:
         If the package is not installed; the message says how to install it.
     """
     try:
-        return importlib.import_module(module)
+        with interrupted_after():
+            return importlib.import_module(module)
     except ImportError as error:
         raise _missing(requirement, what) from error
 

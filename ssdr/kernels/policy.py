@@ -62,7 +62,7 @@ SHIPPED = _load()
 def is_cached(function: Any) -> bool:
     """Whether Numba's cache holds code of a kernel that is newer than the kernel's file."""
     source = Path(function.py_func.__code__.co_filename)
-    found = Path(function.stats.cache_path).glob(f"{source.stem}.{function.__name__}-*.nbi")
+    found = Path(function.stats.cache_path).glob(f"{source.stem}.{function.__name__}-*.nbc")
     return any(path.stat().st_mtime > source.stat().st_mtime for path in found)
 
 
@@ -115,7 +115,11 @@ def kernel(function: Function) -> Function:
     """Compile a kernel that releases the GIL, is cached on disk and divides by 0 as NumPy does."""
     import numba
 
+    from .code_cache import CheckedFiles
+
     compiled: Any = numba.njit(nogil=True, cache=True, error_model="numpy")(function)
+    if hasattr(compiled, "_cache"):  # not with NUMBA_DISABLE_JIT
+        compiled._cache._cache_file = CheckedFiles(compiled._cache._cache_file)
     return compiled  # type: ignore[no-any-return]
 
 

@@ -62,8 +62,11 @@ class Document:
         except (UnicodeDecodeError, json.JSONDecodeError) as error:
             raise FormatError(f"not a glTF file ({error})") from error
         check(isinstance(self.json, dict), "the JSON is not an object")
-        version = str(self.json.get("asset", {}).get("version", "missing"))
+        asset = self.json.get("asset", {})
+        version = str(asset.get("version", "missing"))
         check(version.startswith("2."), f"glTF version {version}; 2.0 is read")
+        needed = str(asset.get("minVersion", "2.0"))
+        check(needed == "2.0", f"the file asks for a reader of glTF {needed}; 2.0 is read")
         for extension in map(str, self.json.get("extensionsRequired", [])):
             problem = f"requires {extension}, which is not supported: save the file without it"
             check(extension.startswith(_READ_EXTENSIONS), problem)
