@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import sys
 import threading
 from pathlib import Path
 
@@ -92,6 +93,21 @@ def test_signals_are_handled_in_the_block_alone():
     with pytest.raises(KeyboardInterrupt), interrupt_on_signals():
         send("SIGTERM")
     assert [signal.getsignal(getattr(signal, name)) for name in SIGNALS] == before
+
+
+def test_ctrl_c_while_a_package_is_imported_counts_after_it(tmp_path, monkeypatch):
+    """Native modules swallow it, or fail with another error."""
+    from ssdr.io.optional import import_optional
+
+    code = (
+        "import signal\ntry:\n    signal.raise_signal(signal.SIGINT)\nexcept KeyboardInterrupt:\n"
+    )
+    (tmp_path / "swallows.py").write_text(code + "    pass\nwhole = True\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        import_optional("swallows", "swallows", "a test")
+    assert sys.modules["swallows"].whole
+    monkeypatch.delitem(sys.modules, "swallows")
 
 
 def test_ctrl_c_during_imports_is_a_line(tmp_path):

@@ -103,3 +103,15 @@ def test_progress_on_a_terminal(clip, tmp_path):
     assert b"RMSE" in seen
     assert b"Traceback" not in seen
     assert "2 bones" in text
+
+
+@pytest.mark.slow
+def test_streams_that_are_closed_lose_no_work(clip, tmp_path):
+    """As cron and pythonw start programs; a file must not get the number of a closed stream."""
+    for k, closed in enumerate(("2>&-", ">&-", ">&- 2>&- <&-")):
+        out = tmp_path / f"{k}.npz"
+        work = [*command.faked(), "decompose", clip, "-o", out, "--bones", 2]
+        process = command.through_shell(closed, work)
+        process.communicate(timeout=600)
+        assert process.returncode == 0, closed
+        assert ssdr.load_skinning(out).n_bones == 2
