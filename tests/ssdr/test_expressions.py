@@ -127,35 +127,6 @@ def test_without_a_tolerance():
     assert found.names == ("expression_0", "expression_1", "expression_2")
 
 
-@pytest.mark.parametrize(
-    ("neutral", "options", "match"),
-    [
-        (np.eye(3), {}, "expressions: expected"),
-        (
-            np.eye(3),
-            {"expressions": np.ones((2, 4, 3))},
-            r"expressions: expected shape \(S, 3, 3\)",
-        ),
-        (np.eye(3), {"expressions": np.full((2, 3, 3), np.nan)}, "expressions: expected finite"),
-        (np.eye(3), {"expressions": np.ones((2, 3, 3)), "names": ["a"]}, "names: expected 2"),
-        (np.eye(3), {"expressions": np.ones((2, 3, 3)), "tolerance": 0}, "tolerance"),
-        (np.ones((3, 2)), {"expressions": np.ones((2, 3, 3))}, "neutral: expected shape"),
-    ],
-)
-def test_refusals(neutral, options, match):
-    with pytest.raises(ssdr.InputError, match=match):
-        ssdr.decompose_expressions(neutral, bones=1, **options)
-
-
-def test_only_expressions_are_driven(made):
-    with pytest.raises(ssdr.InputError, match="face: expected a ShapedSkinning whose clips"):
-        ssdr.drive(tube(), np.ones((1, 1)))
-    with pytest.raises(ssdr.InputError, match=r"weights: expected shape \(F, 3\)"):
-        ssdr.drive(made, np.ones((1, 4)))
-    with pytest.raises(ssdr.InputError, match="weights: expected finite"):
-        ssdr.drive(made, np.full((1, 3), np.inf))
-
-
 def test_displacements_by_a_threshold():
     """The expression's own amount is 1: a displacement takes a vertex to its place, or is 0."""
     rng = np.random.default_rng(0)

@@ -104,7 +104,7 @@ def test_the_cotangent_laplacian_of_any_size_is_the_same(size: float) -> None:
     assert abs(large - plain).max() < 1e-9 * abs(plain).max()
 
 
-def test_masses_are_numbers_or_refused() -> None:
+def test_masses_of_large_meshes_are_numbers() -> None:
     dancer = ssdr.samples.load("dancer_small")
     points = dancer.vertices[0].astype(np.float64)
     for kind in ("barycentric", "voronoi"):
@@ -112,6 +112,3 @@ def test_masses_are_numbers_or_refused() -> None:
         for size in (1e60, 1e98):
             large = mass_matrix(points * size, dancer.faces, kind=kind).diagonal()
             np.testing.assert_allclose(large / size**2, plain, rtol=1e-9)
-        for size in (1e101, 1e200):
-            with pytest.raises(ssdr.InputError, match="less than 1e"):
-                mass_matrix(points * size, dancer.faces, kind=kind)

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from helpers.surfaces import sphere
-from ssdr import InputError, MeshSequence
-from ssdr.laplacian.operators import cotangent_laplacian, mass_matrix, uniform_laplacian
+from ssdr import MeshSequence
+from ssdr.laplacian.operators import cotangent_laplacian, mass_matrix
 from ssdr.laplacian.smoothing import LaplacianSmoother, split_frequencies
 
 MISSING = importlib.util.find_spec("sksparse") is None
@@ -61,6 +61,7 @@ def test_shapes_dtypes_and_batches(monkeypatch):
     assert smoother.smooth(np.empty((0, len(vertices), 3))).shape == (0, len(vertices), 3)
     wide = np.broadcast_to(frames[:1, :, :1], (1, len(vertices), 40))
     assert smoother.smooth(wide).shape == wide.shape
+    assert np.isfinite(smoother.smooth(1e200 * frames)).all()
     monkeypatch.setattr("ssdr.laplacian.smoothing._BATCH_BYTES", 8 * 3 * len(vertices) * 2)
     np.testing.assert_allclose(smoother.smooth(frames), smoothed, atol=1e-14)
 
@@ -161,37 +162,3 @@ def test_split_of_a_sequence_uses_the_named_rest():
     by_pose = split_frequencies(frames, faces, length=0.3, rest=frames[2])
     np.testing.assert_array_equal(by_frame.low, by_pose.low)
     assert not np.allclose(by_frame.low, split_frequencies(sequence, length=0.3).low)
-
-
-@pytest.mark.parametrize(
-    ("argument", "values"),
-    [
-        ("vertices", [np.zeros((4, 2)), np.zeros((0, 3)), np.full((4, 3), np.nan), [["a"] * 3]]),
-        ("faces", [[[0, 1, 4]], [[0, 1, -1]], [[0.0, 1, 2]]]),
-        ("length", [-1.0, np.nan, "a", 1e99, 1e200]),
-        ("kind", ["mean"]),
-        ("mass", ["full"]),
-        ("backend", ["lapack"]),
-    ],
-)
-def test_bad_input(argument, values):
-    for value in values:
-        arguments = {"vertices": np.eye(4, 3), "faces": [[0, 1, 2]], "length": 1.0}
-        with pytest.raises(InputError) as error:
-            LaplacianSmoother(**arguments | {argument: value})
-        assert error.value.argument == ("kind" if argument == "mass" else argument)
-
-
-def test_bad_values():
-    smoother = LaplacianSmoother(np.eye(4, 3), [[0, 1, 2]], 1.0)
-    too_large = np.full(4, 1.7e308)
-    for values in (np.zeros(3), np.zeros((3, 4)), 1.0, np.full(4, np.inf), ["a"] * 4, too_large):
-        with pytest.raises(InputError, match="values"):
-            smoother.smooth(values)
-    assert np.isfinite(smoother.smooth(np.eye(4, 3) * 1e200)).all()
-    with pytest.raises(InputError, match="n_vertices"):
-        uniform_laplacian([[0, 1, 2]], 0)
-    frames = np.zeros((2, 4, 3))
-    for rest in (2, -3, np.zeros((3, 3))):
-        with pytest.raises(InputError, match="rest"):
-            split_frequencies(frames, [[0, 1, 2]], length=1.0, rest=rest)

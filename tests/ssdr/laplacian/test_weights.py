@@ -78,20 +78,3 @@ def test_no_length_changes_nothing_and_a_large_one_gives_means() -> None:
     mean = mass @ model.dense_weights() / mass.sum()
     found = smooth_weights(model, 1e3, influences=4).dense_weights()
     np.testing.assert_allclose(found, np.broadcast_to(mean, found.shape), atol=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("argument", "change"),
-    [
-        ("skinning", {"skinning": "model.npz"}),
-        ("skinning", {"skinning": motions.model(np.eye(3))}),
-        ("length", {"length": -1.0}),
-        ("length", {"length": "5 cm"}),
-        ("influences", {"influences": 0}),
-        ("kind", {"kind": "graph"}),
-    ],
-)
-def test_refuses(argument: str, change: dict[str, Any]) -> None:
-    with pytest.raises(ssdr.InputError) as caught:
-        smooth_weights(**({"skinning": ball(), "length": 0.1} | change))
-    assert caught.value.argument == argument

@@ -9,7 +9,7 @@ import pytest
 
 import ssdr
 from helpers.rig_model import tube
-from ssdr import Clip, InputError, MeshSequence
+from ssdr import Clip, MeshSequence
 
 
 def three(bones=3):
@@ -33,19 +33,6 @@ def with_clips(**options):
 def test_a_clip_is_a_range_with_a_name_and_a_rate():
     clip = Clip("walk", np.int64(3), 8, 30)
     assert (clip.n_frames, clip.frames, clip.fps) == (5, slice(3, 8), 30.0)
-    for wrong in (
-        {"name": 3},
-        {"name": "zero\0"},
-        {"name": "half \ud800"},
-        {"start": -1},
-        {"start": 8},
-        {"stop": 2.5},
-        {"fps": 0},
-        {"fps": float("nan")},
-        {"fps": True},
-    ):
-        with pytest.raises(InputError, match=r"clip"):
-            dataclasses.replace(clip, **wrong)
 
 
 def test_a_model_without_clips_is_one_and_follows_rate_and_frames():
@@ -67,28 +54,6 @@ def test_the_rate_of_a_model_is_that_of_its_first_clip():
     arrays = (model.rest, model.indices, model.weights, model.transforms)
     assert ssdr.Skinning(*arrays, clips=[Clip("run", 0, 20, 60.0)]).fps == 60.0
     assert ssdr.Skinning(*arrays).fps == 24.0
-    with pytest.raises(InputError, match=r"fps: expected 24, as of the first clip"):
-        dataclasses.replace(model, fps=60.0)
-
-
-@pytest.mark.parametrize(
-    ("clips", "message"),
-    [
-        ((), r"cover the 20 frames, got 0"),
-        ((Clip("a", 0, 19),), r"cover the 20 frames, got 19"),
-        ((Clip("a", 0, 21),), r"cover the 20 frames, got 21"),
-        ((Clip("a", 1, 20),), r"clips\[0\]: expected the frames from 0 on"),
-        ((Clip("a", 0, 5), Clip("b", 6, 20)), r"clips\[1\]: expected the frames from 5 on"),
-        ((Clip("a", 0, 5), Clip("b", 4, 20)), r"clips\[1\]: expected the frames from 5 on"),
-        ((Clip("a", 0, 5), Clip("a", 5, 20)), r"clips\[1\]: expected a name that no other"),
-        ((Clip("", 0, 5), Clip("a", 5, 20)), r"clips\[0\]: expected a name that no other"),
-        ("walk", r"clips\[0\]: expected a Clip"),
-        (7, r"clips\[0\]: expected a Clip"),
-    ],
-)
-def test_clips_must_cover_the_frames(clips, message):
-    with pytest.raises(InputError, match=message):
-        dataclasses.replace(tube(), clips=clips)
 
 
 def test_a_clip_can_be_taken_out():
@@ -99,9 +64,6 @@ def test_a_clip_can_be_taken_out():
     two = model.select("death", 0)
     assert two.clips == (Clip("death", 0, 1, 24.0), Clip("walk", 1, 10, 24.0))
     np.testing.assert_array_equal(two.skin(two.clips[1].frames), model.skin(CLIPS[0].frames))
-    for wrong in ((), ("run",), (3,), (-1,), ("walk", 0), (True,)):
-        with pytest.raises(InputError, match="clip"):
-            model.select(*wrong)
 
 
 def test_clips_stay_when_weights_are_pruned_and_keys_are_cut():
@@ -126,18 +88,6 @@ def test_a_clip_is_made_of_each_sequence(way, monkeypatch):
     assert result.skinning.clips == CLIPS
     assert (result.skinning.fps, result.skinning.name) == (24.0, "")
     np.testing.assert_array_equal(result.offsets, [0, 9, 19, 20])
-
-
-def test_a_model_taken_up_has_the_clips_of_the_frames():
-    shots = three()
-    first = ssdr.decompose(shots, bones=2, effort="fast")
-    frames = np.concatenate([s.vertices for s in shots])
-    whole = MeshSequence(frames, shots[0].faces, 12.0, name="all")
-    again = ssdr.decompose(whole, start=first.skinning, effort="fast")
-    assert again.skinning.clips == (Clip("all", 0, 20, 12.0),)
-    assert again.rmse <= first.rmse
-    back = ssdr.decompose(shots, start=again.skinning, effort="fast")
-    assert back.skinning.clips == CLIPS
 
 
 def test_names_come_from_clip_then_sequence_then_number():

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import ssdr
 from helpers import naive
 from ssdr import InputError, MeshSequence
 
@@ -18,12 +17,6 @@ FACES = np.array([[0, 1, 2]])
 
 def frames(n_frames=2, n_vertices=4, dtype=np.float64):
     return np.arange(n_frames * n_vertices * 3, dtype=dtype).reshape(n_frames, n_vertices, 3)
-
-
-def with_value(value):
-    array = frames()
-    array[1, 3, 2] = value
-    return array
 
 
 class Counted:
@@ -38,68 +31,6 @@ class Counted:
         block = self.array[key]
         self.largest = max(self.largest, len(block) if isinstance(key, slice) else 1)
         return block
-
-
-@pytest.mark.parametrize(
-    ("vertices", "faces", "argument", "says"),
-    [
-        (with_value(np.nan), FACES, "vertices", "nan at frame 1, vertex 3"),
-        (with_value(np.inf), FACES, "vertices", "inf at frame 1, vertex 3"),
-        (with_value(-np.inf), FACES, "vertices", "-inf at frame 1, vertex 3"),
-        (frames(), [[0, 1, 4]], "faces", "4 in face 0"),
-        (frames(), [[0, 1, 2], [0, -1, 2]], "faces", "-1 in face 1"),
-        (frames(), [[0, 1, 2**40]], "faces", str(2**40)),
-        (frames(2, 0), None, "vertices", "(2, 0, 3)"),
-        (frames(0, 4), None, "vertices", "(0, 4, 3)"),
-        (frames()[0], FACES, "vertices", "(4, 3)"),
-        (frames()[None], FACES, "vertices", "(1, 2, 4, 3)"),
-        (frames()[..., :2], FACES, "vertices", "(2, 4, 2)"),
-        (frames(), [0, 1, 2], "faces", "(3,)"),
-        (frames(), [[0, 1, 2, 3]], "faces", "(1, 4)"),
-        (frames(), [[0, 1, 2], [0, 1]], "faces", "inhomogeneous"),
-        (frames(), [[0.0, 1.0, 2.0]], "faces", "float64"),
-        (frames().astype(complex), FACES, "vertices", "complex128"),
-        (frames() > 3, FACES, "vertices", "bool"),
-        (frames().astype(object), FACES, "vertices", "object"),
-        ([[[1, 2, 3], [1, 2]]], FACES, "vertices", "inhomogeneous"),
-        ("walk.npz", FACES, "vertices", "type str"),
-        (None, FACES, "vertices", "NoneType"),
-        (np.ma.masked_greater(frames(), frames().min()), FACES, "vertices", "masked"),
-    ],
-)
-def test_bad_arrays_are_refused_by_name(vertices, faces, argument, says):
-    with pytest.raises(InputError) as caught:
-        MeshSequence(vertices, faces)
-    assert caught.value.argument == argument
-    assert says in str(caught.value)
-    assert isinstance(caught.value, ValueError)
-
-
-@pytest.mark.parametrize("fps", [0, -24, np.nan, np.inf, "24", None, True])
-def test_bad_rates_are_refused(fps):
-    with pytest.raises(InputError, match=r"^fps: expected a positive number"):
-        MeshSequence(frames(), FACES, fps)
-
-
-@pytest.mark.parametrize(
-    ("surface", "field"),
-    [
-        (ssdr.Surface(uv=np.zeros((2, 3, 2), np.float32)), "surface.uv"),
-        (ssdr.Surface(normals=np.zeros((1, 3, 2), np.float32)), "surface.normals"),
-        (ssdr.Surface(material_index=np.array([1], np.int32)), "surface.material_index"),
-        (ssdr.Surface(material_index=np.array([-1], np.int32)), "surface.material_index"),
-    ],
-)
-def test_surfaces_must_fit_the_faces(surface, field):
-    with pytest.raises(InputError) as caught:
-        MeshSequence(frames(), FACES, surface=surface)
-    assert caught.value.argument == field
-
-
-@pytest.mark.parametrize("vertex_map", [[0, 4], [-1], [0.5], [[0]]])
-def test_vertex_maps_must_fit_the_vertices(vertex_map):
-    with pytest.raises(InputError, match=r"^vertex_map"):
-        MeshSequence(frames(), FACES, vertex_map=vertex_map)
 
 
 @pytest.mark.parametrize(

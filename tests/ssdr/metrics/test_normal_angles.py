@@ -69,15 +69,3 @@ def test_a_skinning_without_normals_is_drawn_by_those_of_its_rest_pose(rng):
     one, two = (ssdr.metrics.normals(reference, m) for m in (plain, given))
     assert one.mean == pytest.approx(two.mean, rel=1e-5)
     assert one.surface < 1e-4 < one.mean
-
-
-def test_bad_arguments(wave):
-    model = ssdr.initialize(wave, bones=2)
-    fewer, flat = dataclasses.replace(wave, faces=wave.faces[1:]), np.zeros((2, 3, 3))
-    for reference, other, says in (
-        (wave.vertices[:3], model, "reference: expected 4 frames of 12"),
-        (flat, flat, "faces: expected a triangle with an area, got none"),
-        (fewer, model, "model: expected the triangles of the reference"),
-    ):
-        with pytest.raises(ssdr.InputError, match=says):
-            ssdr.metrics.normals(reference, other)

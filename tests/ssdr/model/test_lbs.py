@@ -104,32 +104,6 @@ def test_a_bone_that_moves_nothing_may_be_no_number() -> None:
     assert np.isnan(found.weights[indices == 2]).all()
 
 
-@pytest.mark.parametrize(
-    ("argument", "change"),
-    [
-        ("gradient", {"gradient": np.ones((5, 8, 3))}),
-        ("gradient", {"gradient": np.ones((9, 3))}),
-        ("gradient", {"gradient": np.ones((5, 9, 3), complex)}),
-        ("gradient", {"gradient": [[1, 2], [3]]}),
-        ("rest", {"rest": np.ones((9, 4))}),
-        ("rest", {"rest": [[1, 2], [3]]}),
-        ("indices", {"indices": np.full((9, 3), 4)}),
-        ("indices", {"indices": np.ones((9, 3))}),
-        ("indices", {"indices": [[1, 2], [3]]}),
-        ("weights", {"weights": np.ones((9, 2))}),
-        ("weights", {"weights": [[1, 2], [3]]}),
-        ("transforms", {"transforms": np.ones((5, 4, 4, 4))}),
-        ("dtype", {"dtype": "half a number"}),
-    ],
-)
-def test_refuses(argument: str, change: dict[str, Any]) -> None:
-    names = ("rest", "indices", "weights", "transforms")
-    arrays = dict(zip(names, parts(0), strict=True)) | {"gradient": np.ones((5, 9, 3))}
-    with pytest.raises(ssdr.InputError) as caught:
-        ssdr.skin_gradients(**(arrays | change))
-    assert caught.value.argument == argument
-
-
 def test_the_function_of_the_page_in_pytorch() -> None:
     torch = pytest.importorskip("torch")
     page = Path(__file__).resolve().parents[3] / "docs" / "data.md"

@@ -89,31 +89,3 @@ def test_clips_are_taken_out_with_their_amounts():
     clips = ssdr.Clip("a", 0, 5, 24), ssdr.Clip("b", 5, 20, 24)
     model = dataclasses.replace(model, skinning=dataclasses.replace(model.skinning, clips=clips))
     np.testing.assert_array_equal(model.select("b").skin(), model.skin()[5:])
-
-
-def test_refusals():
-    model = shaped()
-    moved, amounts = model.shapes.displacements, model.shapes.amounts
-    for values, match in (
-        ((moved[:, 1:], amounts), "shapes: expected 20 frames, 254 vertices, got 20 frames, 253"),
-        ((moved, amounts[1:]), "shapes: expected 20 frames, 254 vertices, got 19 frames, 254"),
-        ((moved, amounts[:, 1:]), "shapes.amounts: expected 3 columns, got 2"),
-        ((moved * np.nan, amounts), r"shapes.displacements: expected finite"),
-        ((moved[:, :, 0], amounts), r"shapes.displacements: expected shape \(S, V, 3\)"),
-    ):
-        with pytest.raises(ssdr.InputError, match=match):
-            ssdr.ShapedSkinning(model.skinning, ssdr.Shapes(*values))
-    for names in (["a"], 3):
-        with pytest.raises(ssdr.InputError, match=r"shapes.names: expected 3 names"):
-            ssdr.Shapes(moved, amounts, names=names)
-    with pytest.raises(ssdr.InputError, match="shapes: expected Shapes, got ndarray"):
-        dataclasses.replace(model, shapes=moved)
-    with pytest.raises(ssdr.InputError, match="expected a clip of two frames"):
-        dataclasses.replace(model, driven=True)
-    frames = ssdr.MeshSequence(model.skin(), model.faces)
-    for call in (
-        lambda: ssdr.decompose(frames, start=model),
-        lambda: ssdr.fit_weights(frames, model),
-    ):
-        with pytest.raises(ssdr.InputError, match="got ShapedSkinning"):
-            call()

@@ -7,8 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import ssdr
-from ssdr.common.errors import InputError
-from ssdr.model.transforms import check_parents, from_local, joint_gaps, parents_first, to_local
+from ssdr.model.transforms import from_local, joint_gaps, parents_first, to_local
 
 PARENTS = [2, 0, -1, 0, -1]
 
@@ -105,61 +104,6 @@ def test_parents_come_first():
     order = parents_first(np.array(PARENTS)).tolist()
     for b, a in enumerate(PARENTS):
         assert a < 0 or order.index(a) < order.index(b)
-
-
-@pytest.mark.parametrize("parents", [[1, 0], [0, -1], [1, 2, 0, -1]])
-def test_a_cycle_is_refused(parents):
-    with pytest.raises(InputError, match="cycle"):
-        check_parents(parents, len(parents))
-
-
-@pytest.mark.parametrize(
-    ("parents", "message"),
-    [
-        ([-1, 2], "-1 or a bone from 0 to 1"),
-        ([-2, 0], "-1 or a bone"),
-        ([-1], "shape"),
-        ([0.5, 1], "integers"),
-    ],
-)
-def test_parents_that_are_none_are_refused(parents, message):
-    with pytest.raises(InputError, match=message):
-        check_parents(parents, 2)
-
-
-def test_one_half_of_a_hierarchy_is_refused():
-    model, _, _ = _tree()
-    arrays = model.rest, model.indices, model.weights, model.transforms
-    with pytest.raises(InputError, match="joint_positions"):
-        ssdr.Skinning(*arrays, parents=PARENTS)
-    with pytest.raises(InputError, match="parents"):
-        ssdr.Skinning(*arrays, joint_positions=model.joint_positions)
-
-
-def test_bones_without_a_hierarchy_cannot_be_posed():
-    model, turns, _ = _tree()
-    flat = ssdr.Skinning(model.rest, model.indices, model.weights, model.transforms)
-    for ask in (lambda: flat.pose(turns), flat.local_transforms, flat.joint_gaps):
-        with pytest.raises(InputError, match="hierarchy"):
-            ask()
-
-
-@pytest.mark.parametrize(
-    ("rotations", "root", "argument"),
-    [
-        (np.ones((2, 4, 4)), None, "local_rotations"),
-        (np.zeros((2, 5, 4)), None, "local_rotations"),
-        (2 * np.eye(3) * np.ones((2, 5, 1, 1)), None, "local_rotations"),
-        (-np.eye(3) * np.ones((2, 5, 1, 1)), None, "local_rotations"),
-        (np.full((2, 5, 3, 3), np.nan), None, "local_rotations"),
-        (np.eye(3) * np.ones((2, 5, 1, 1)), np.zeros((2, 1, 3)), "root"),
-        (np.eye(3) * np.ones((2, 5, 1, 1)), np.full((2, 2, 3), np.nan), "root"),
-    ],
-)
-def test_poses_that_are_none_are_refused(rotations, root, argument):
-    model, _, _ = _tree()
-    with pytest.raises(InputError, match=argument):
-        model.pose(rotations, root)
 
 
 def test_the_hierarchy_survives_pruning_and_picking_clips():

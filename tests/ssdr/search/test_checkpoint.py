@@ -109,16 +109,6 @@ def test_while_frames_are_streamed_it_is_a_model_of_those_that_were_read(tmp_pat
     assert_same(ssdr.load_skinning(path), result.skinning)
 
 
-@pytest.mark.parametrize("path", ["a.txt", "none/a.npz", "folder.npz", 3, True, b"a.npz"], ids=str)
-def test_a_checkpoint_must_have_a_place(
-    path: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "folder.npz").mkdir()
-    with pytest.raises(ssdr.InputError, match=r"^checkpoint: expected"):
-        ssdr.decompose(np.zeros((2, 4, 3)), bones=1, checkpoint=path)
-
-
 @pytest.mark.usefixtures("always")
 def test_a_folder_that_goes_does_not_end_the_run(tmp_path: Path) -> None:
     folder = tmp_path / "gone"

@@ -68,32 +68,3 @@ def test_far_travel_is_followed(wave):
     moved = np.asarray(render.render_frame(walking, 3, size=(100, 100), azimuth=20.0), dtype=int)
     assert is_drawn(Image.fromarray(moved.astype(np.uint8)))
     assert (np.abs(still - moved).sum(axis=2) > 60).mean() < 0.2
-
-
-@pytest.mark.parametrize(
-    ("argument", "call"),
-    [
-        ("frames", lambda m, w: render.render_frame(m, 9)),
-        ("style", lambda m, w: render.render_frame(m, style="glossy")),
-        ("reference", lambda m, w: render.render_frame(m, style="error")),
-        ("size", lambda m, w: render.render_frame(m, size=(1, 100))),
-        ("up", lambda m, w: render.render_frame(m, up="w")),
-        ("up", lambda m, w: render.render_frame(m, up="--y")),
-        ("elevation", lambda m, w: render.render_frame(m, elevation=100.0)),
-        ("azimuth", lambda m, w: render.render_frame(m, azimuth=float("nan"))),
-        ("reference", lambda m, w: render.render_frame(m, reference=w)),
-        ("subject", lambda m, w: render.render_frame(np.zeros((2, 3, 3)))),
-        ("style", lambda m, w: render.render_frame(w, style="bones")),
-        ("frames", lambda m, w: render.contact_sheet(w, frames=[])),
-        ("colors", lambda m, w: render.render_frame(w, colors=(2.0, 0, 0))),
-        ("colors", lambda m, w: render.render_frame(w, colors=np.ones((3, 3)))),
-        ("measured", lambda m, w: render.render_frame(w, measured=[w.n_vertices])),
-        ("measured", lambda m, w: render.render_frame(w, measured=[])),
-        ("fps", lambda m, w: render.Film.of(w, fps=-1.0)),
-        ("width", lambda m, w: render.contact_sheet(w, width=10)),
-    ],
-)
-def test_bad_arguments_are_named(model, wave, argument, call):
-    with pytest.raises(ssdr.InputError) as caught:
-        call(model, ssdr.MeshSequence(wave.vertices[:2], wave.faces))
-    assert caught.value.argument == argument
