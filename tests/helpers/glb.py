@@ -1,4 +1,4 @@
-"""Files ``.glb`` opened and packed by hand."""
+"""glTF files opened, made and packed by hand."""
 
 from __future__ import annotations
 
@@ -16,16 +16,6 @@ def opened(path):
     data = path.read_bytes()
     size = struct.unpack_from("<I", data, 12)[0]
     return json.loads(data[20 : 20 + size]), bytearray(data[28 + size :])
-
-
-def packed(path, document, binary):
-    """Write a file of this JSON and these bytes; its path."""
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    total = 28 + len(text) + len(binary)
-    head = struct.pack("<4sIII4s", b"glTF", 2, total, len(text), b"JSON")
-    path.write_bytes(head + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary)
-    return path
 
 
 def accessors_of(arrays):
@@ -46,11 +36,27 @@ def accessors_of(arrays):
     return {"accessors": accessors, "bufferViews": views}, binary
 
 
+def hand_made(path, document, *arrays):
+    """Write a .gltf of this JSON and an accessor for each array, its bytes beside it; its path."""
+    parts, data = accessors_of(arrays)
+    path.with_name(f"{path.stem}-data.bin").write_bytes(data)
+    buffers = [{"byteLength": len(data), "uri": f"{path.stem}-data.bin"}]
+    path.write_text(
+        json.dumps(parts | {"asset": {"version": "2.0"}, "buffers": buffers} | document)
+    )
+    return path
+
+
 def rebuild(source, target, change):
-    """Write a .glb anew after `change` has edited its JSON (and perhaps its buffer)."""
+    """Write a .glb anew after `change` has edited its JSON (and perhaps its buffer); its path."""
     document, binary = opened(source)
     change(document, binary)
-    return packed(target, document, binary)
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    total = 28 + len(text) + len(binary)
+    head = struct.pack("<4sIII4s", b"glTF", 2, total, len(text), b"JSON")
+    target.write_bytes(head + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary)
+    return target
 
 
 def values_of(document, binary, number):

@@ -43,9 +43,8 @@ def error_in(path, sequence):
     return drawn.mean_angle(found, expected[:, order[1]].reshape(len(normals), -1, 3)[:, first])
 
 
-@pytest.mark.parametrize("rig", [None, "rigid"])
-def test_gltf_is_drawn_as_measured_and_better_than_geometric_normals(tmp_path, bent, rig):
-    result = ssdr.decompose(bent, bones=5, effort="fast", rig=rig)
+def test_gltf_is_drawn_as_measured_and_better_than_geometric_normals(tmp_path, bent):
+    result = ssdr.decompose(bent, bones=5, effort="fast", rig="rigid")
     ssdr.save(result, tmp_path / "a.glb")
     error = error_in(tmp_path / "a.glb", bent)
     assert error == pytest.approx(result.normals.mean, rel=1e-3)

@@ -2,35 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 import struct
 
 import numpy as np
 import pytest
 
 import ssdr
-from helpers.surfaces import same_sequence
-from ssdr import FormatError, InputError, MeshSequence
-
-
-@pytest.mark.parametrize("suffix", ["pc2", "mdd"])
-@pytest.mark.parametrize("mmap", [False, True])
-def test_point_caches_go_round(tmp_path, wave, suffix, mmap):
-    path = tmp_path / f"clip.{suffix}"
-    report = ssdr.save(wave, path)
-    assert report.error == 0
-    assert report.bytes == path.stat().st_size
-    with pytest.raises(InputError, match=r"faces: expected a mesh, .*clip\.obj beside"):
-        ssdr.load(path)
-    ssdr.save(dataclasses.replace(wave, vertices=wave.vertices[:1]), tmp_path / "clip.obj")
-    for mesh in (None, wave, wave.faces, tmp_path / "clip.obj"):
-        back = ssdr.load(path, faces=mesh, mmap=mmap, fps=25 if suffix == "pc2" else None)
-        same_sequence(back, wave, strict=not mmap)
-        assert back.is_lazy == mmap
-        np.testing.assert_array_equal(back.frames(2), wave.frames(2), strict=True)
-    assert len(ssdr.load(path, faces="none").faces) == 0
-    with pytest.raises(InputError, match=r"^faces: expected a mesh of 12 vertices, got 11"):
-        ssdr.load(path, faces=MeshSequence(wave.vertices[:, 1:]))
+from ssdr import FormatError, MeshSequence
 
 
 def test_point_caches_follow_their_layouts(tmp_path, wave):

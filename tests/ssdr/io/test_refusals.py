@@ -92,11 +92,6 @@ INPUT = [
     *((lambda g, odd=odd: Space(**odd), f"{next(iter(odd))}: expected")
       for odd in ({"units": 0}, {"units": -1.0}, {"units": "cm"}, {"up": "x"})),
     (lambda g: dataclasses.replace(g.shot, space="y"), "space: expected a Space"),
-    # meshes of vertices
-    (load("bare.npy"), r"faces: expected a mesh, .*bare\.obj beside"),
-    (load("bare.npy", faces=[[1, 2, 18]]), r"^faces: expected indices from 0 to 17"),
-    (load("bare.npy", faces=ssdr.MeshSequence(np.zeros((1, 11, 3)))),
-     r"^faces: expected a mesh of 18 vertices, got 11"),
     # clips and meshes by their names
     *((act(name, clip=wrong), "clip: expected")
       for act, name in ((load, "shot.npz"), (load, "rigged.glb"), (skinning, "rigged.glb"))

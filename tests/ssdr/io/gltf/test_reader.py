@@ -9,19 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import ssdr
-from helpers.glb import accessors_of
-
-
-def hand_made(tmp_path, document, *arrays):
-    """A .gltf of an accessor for each array."""
-    parts, data = accessors_of(arrays)
-    (tmp_path / "made-data.bin").write_bytes(data)
-    buffers = [{"byteLength": len(data), "uri": "made-data.bin"}]
-    parts |= {"asset": {"version": "2.0"}, "buffers": buffers}
-    path = tmp_path / "made.gltf"
-    path.write_text(json.dumps(parts | document))
-    return path
-
+from helpers.glb import hand_made
 
 TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], dtype=np.float32)
 
@@ -41,7 +29,9 @@ def channel_file(tmp_path, how, values, path="translation", times=(0, 0.5, 1), *
         ],
     }
     times = np.array(times, dtype=np.float32)
-    return hand_made(tmp_path, document, TRIANGLE, times, np.asarray(values, dtype=np.float32))
+    return hand_made(
+        tmp_path / "a.gltf", document, TRIANGLE, times, np.asarray(values, dtype=np.float32)
+    )
 
 
 def test_interpolations(tmp_path):
@@ -71,7 +61,7 @@ def test_meshes_have_names_that_are_listed_and_taken(tmp_path):
             for name in ("shoe", "hat", "")
         ],
     }
-    path = hand_made(tmp_path, document, TRIANGLE)
+    path = hand_made(tmp_path / "a.gltf", document, TRIANGLE)
     names = ("left", "right", "hat", "node_3")
     assert ssdr.io.list_meshes(path) == names
     for name in names:
@@ -85,7 +75,7 @@ def test_meshes_have_names_that_are_listed_and_taken(tmp_path):
 def test_a_buffer_below_a_folder_that_the_user_names_is_read(tmp_path):
     (tmp_path / "scene").mkdir()
     mesh = {"primitives": [{"attributes": {"POSITION": 0}}]}
-    path = hand_made(tmp_path, {"nodes": [{"mesh": 0}], "meshes": [mesh]}, TRIANGLE)
+    path = hand_made(tmp_path / "a.gltf", {"nodes": [{"mesh": 0}], "meshes": [mesh]}, TRIANGLE)
     document = json.loads(path.read_text())
     document["buffers"][0]["uri"] = "../" + document["buffers"][0]["uri"]
     moved = tmp_path / "scene" / "a.gltf"
@@ -140,7 +130,7 @@ def test_morph_targets_sparse_and_integers(tmp_path):
         ],
     }
     path = hand_made(
-        tmp_path,
+        tmp_path / "a.gltf",
         document,
         (TRIANGLE * 32767).astype(np.int16),
         np.array([0, 0.5, 1], dtype=np.float32),
@@ -178,7 +168,7 @@ def test_strips_fans_points(tmp_path, mode, faces):
         "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "mode": mode}]}],
     }
     square = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], dtype=np.float32)
-    sequence = ssdr.load(hand_made(tmp_path, document, square))
+    sequence = ssdr.load(hand_made(tmp_path / "a.gltf", document, square))
     one = np.array(faces, dtype=int).reshape(-1, 3)
     np.testing.assert_array_equal(sequence.faces, np.concatenate([one, one + 4]))
     np.testing.assert_array_equal(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import tracemalloc
 
 import numpy as np
@@ -160,6 +161,45 @@ for _suffix in ("glb", "gltf"):
     TABLE.add(_suffix, raw, {what: (data, "bad") for what, data in OTHERS.items()})
 
 
+# files that a file names are files of its folder
+NAMED = {
+    "a\0b.png": "is missing",
+    "a" * 100_000: "is missing",
+    "../p.png": "lies outside",
+    "pipe.png": "is missing",
+    "endless.png": "lies outside",
+    "http://x/p.png": "lies outside",
+    7: "is missing",
+}
+
+
+def naming(path, given):
+    what, uri = given
+    document = json.loads(make_asset(path).read_text())
+    path.with_name("whole.gltf").write_text(json.dumps(document))
+    os.mkfifo(path.with_name("pipe.png"))
+    path.with_name("endless.png").symlink_to("/dev/zero")
+    document[what][0]["uri"] = uri
+    path.write_text(json.dumps(document))
+
+
+def as_template(path):
+    model = ssdr.load_skinning(path.with_name("whole.gltf")).skinning
+    for target in ("b.glb", "b.gltf"):
+        with pytest.raises(FormatError) as caught:
+            ssdr.save(model, path.with_name(target), template=path)
+    raise caught.value
+
+
+for _what in ("images", "buffers"):
+    _named = {
+        f"{_what} {k}": ((_what, uri), rf"bad\.gltf: .*{says}|no text")
+        for k, (uri, says) in enumerate(NAMED.items())
+    }
+    TABLE.add("gltf", naming, _named, ssdr.load, as_template)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes in folders here")
 @pytest.mark.parametrize("case", TABLE)
 def test_the_file_is_refused_in_words(tmp_path, case):
     TABLE.check(case, tmp_path)

@@ -37,9 +37,9 @@ def test_ply_rows_of_any_lengths_are_the_rows_that_were_written(tmp_path, kind):
     kinds = ("uchar", "short"), ("int", "double"), ("ushort", "int")
     codes = {"uchar": "B", "short": "h", "int": "i", "double": "d", "ushort": "H", "float": "f"}
     head = HEAD.format(kind, 9) + (
-        "property float z\nelement face 50\nproperty float a\n"
+        "property float z\ncomment by hand\nelement face 50\nproperty float a\n"
         "property list uchar short b\nproperty list int double c\nproperty uchar d\n"
-        "property list ushort int vertex_indices\nproperty double e\nend_header\n"
+        "property list ushort int vertex_index\nproperty double e\nend_header\n"
     )
     polygons, words, body = [], [], b""
     order = ">" if "big" in kind else "<"
