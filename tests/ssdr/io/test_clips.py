@@ -164,19 +164,6 @@ def test_usd_metadata_that_says_nothing_is_ignored(tmp_path, stated):
     assert [c.name for c in ssdr.list_clips(tmp_path / "a.usda")] == names
 
 
-def test_a_usd_file_cannot_claim_more_frames_than_memory_holds(tmp_path):
-    from pxr import Sdf
-
-    ssdr.save(model_of(), tmp_path / "a.usda")
-    layer = Sdf.Layer.FindOrOpen(str(tmp_path / "a.usda"))
-    prim = layer.GetPrimAtPath("/tube/Skeleton/jump_high")
-    prim.customData = {"ssdr": {"fps": 24.0, "frames": 2_000_000_000}}
-    layer.Save()
-    for read in (ssdr.list_clips, ssdr.load_skinning):
-        with pytest.raises(ssdr.FormatError, match="max_bytes"):
-            read(tmp_path / "a.usda")
-
-
 def test_between_frames_leaves_out_what_is_between_clips(tmp_path):
     model = tube(frames=40)
     whole = ssdr.save(model, tmp_path / "a.glb").between_frames

@@ -19,14 +19,16 @@ from ssdr import FormatError
 # a suffix and what the file holds, by default a sequence
 WHOLE = ["npz packed", "npz", "npz surface", "npz skinned", "npy", "glb skinned", "pc2", "mdd",
          "obj", "ply"]  # fmt: skip
-SEVERAL = ["gltf skinned", "usda", "usda skinned", "zarr"]  # in parts, or text of another library
+# in parts, or text of another library, or read by a process of its own
+SEVERAL = ["gltf skinned", "usda", "usda skinned", "zarr"]
+SEVERAL += [pytest.param("abc", marks=pytest.mark.slow)]
 
 
 @pytest.fixture
 def written(request, tmp_path, wave, seam, skinned):
     """A valid file of a kind: its parts that can be damaged, and a function that reads it."""
     suffix, _, what = request.param.partition(" ")
-    for module, other in (("pxr.UsdSkel", "usda"), ("zarr", "zarr")):
+    for module, other in (("pxr.UsdSkel", "usda"), ("zarr", "zarr"), ("alembic3d", "abc")):
         if suffix == other:
             pytest.importorskip(module)
     folder = tmp_path / "valid"

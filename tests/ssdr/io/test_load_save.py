@@ -16,15 +16,6 @@ def test_a_result_is_saved_as_its_skinning(tmp_path, skinned):
     np.testing.assert_array_equal(ssdr.load_skinning(tmp_path / "s.npz").rest, skinned.rest)
 
 
-def test_real_sequences_load_as_they_are(real, data_dir):
-    for name in ("fox", "ea_bone", "mannequin_rumba"):
-        with np.load(data_dir / f"{name}.npz") as archive:
-            sequence = real(name)
-            np.testing.assert_array_equal(sequence.vertices, archive["vertices"], strict=True)
-            np.testing.assert_array_equal(sequence.faces, archive["faces"])
-            assert sequence.fps == archive["fps"]
-
-
 @pytest.mark.parametrize("suffix", ["pc2", "mdd"])
 def test_results_go_back_to_the_mesh_before_welding(tmp_path, seam, suffix):
     welded, _ = seam.weld()

@@ -91,6 +91,13 @@ def _infinite_later(stage, mesh):
     moved.Set(matrix, 1)
 
 
+def _claimed(stage, _):
+    """Another clip, of more frames than memory holds."""
+    layer, old, new = stage.GetRootLayer(), "/tube/Skeleton/Animation", "/tube/Skeleton/more"
+    Sdf.CopySpec(layer, old, layer, new)
+    stage.GetPrimAtPath(new).SetCustomDataByKey("ssdr", {"fps": 24.0, "frames": 2_000_000_000})
+
+
 def _nan(_, mesh):
     points = np.array(mesh.GetPointsAttr().Get())
     points[3, 1] = np.nan
@@ -109,6 +116,7 @@ SCENES = [
     (lambda _, m: m.GetPointsAttr().Set([(0, 0, 0)]), "for 1 points"),
     (lambda s, _: s.SetEndTimeCode(1e15), "max_bytes"),
     (lambda s, _: s.SetEndTimeCode(1e7), "10000001 frames of 5 bones needs"),
+    (_claimed, "max_bytes"),
     (lambda s, _: s.SetTimeCodesPerSecond(0), "timeCodesPerSecond is 0"),
     (lambda _, m: m.GetFaceVertexCountsAttr().Set([2**31 - 1]), "add up to 2147483647"),
     (lambda s, _: s.SetEndTimeCode(-5), "time codes run"),
@@ -118,7 +126,7 @@ SCENES = [
         "vertices have no skin weight",
     ),
 ]
-TABLE.add("usda", edited, {f"scene {k}": row for k, row in enumerate(SCENES)})
+TABLE.add("usda", edited, {f"scene {k}": row for k, row in enumerate(SCENES)}, ssdr.load_skinning)
 
 
 def _many_of_one(path):
