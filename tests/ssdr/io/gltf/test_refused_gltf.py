@@ -122,6 +122,7 @@ GLB = {
     "an unknown extension": (
         top(extensionsRequired=["KHR_texture_basisu"]), "requires KHR_texture_basisu"),
     "version 1": (top(asset={"version": "1.0"}), "version 1.0"),
+    "of a later reader": (top(asset={"version": "2.0", "minVersion": "2.1"}), "reader of glTF 2.1"),
     "no positions": (
         lambda d, _: d["meshes"][0]["primitives"][0]["attributes"].pop("POSITION"), "no POSITION"),
     "other vertices": (other_target, "a morph target of other vertices"),
