@@ -57,10 +57,8 @@ def draw(
 
     Raises
     ------
-    FormatError
-        If Pillow cannot write the format of the suffix.
     InputError
-        As :func:`render_frame`.
+        If Pillow cannot write the format of the suffix, and as :func:`render_frame`.
 
     Examples
     --------

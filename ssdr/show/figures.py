@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from PIL import Image, ImageDraw, ImageFont
 
-from ..common.errors import FormatError, InputError, is_whole
+from ..common.errors import InputError, is_whole
 from ..io.atomic import atomic_path
 from ..mesh.sequence import MeshSequence
 from .camera import Size
@@ -237,10 +237,8 @@ def write_picture(picture: Image.Image, path: str | os.PathLike[str], **options:
 
     Raises
     ------
-    FormatError
-        If Pillow cannot write the format of the suffix.
     InputError
-        If the folder does not exist.
+        If Pillow cannot write the format of the suffix, or the folder does not exist.
 
     Examples
     --------
@@ -262,12 +260,12 @@ def picture_format(path: Path) -> str:
 
     Raises
     ------
-    FormatError
+    InputError
         If Pillow cannot write the format of the suffix.
     """
     name = Image.registered_extensions().get(path.suffix.lower())
     if name is None or name not in Image.SAVE:
-        raise FormatError(f"{path}: not the name of a picture; .png, .jpg and .webp are")
+        raise InputError("path", "a picture: .png, .jpg or .webp", str(path))
     return name
 
 

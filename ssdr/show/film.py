@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from PIL import Image, ImageDraw, ImageFont
 
-from ..common.errors import FormatError, InputError
+from ..common.errors import InputError
 from ..mesh.clips import one_rate
 from ..mesh.sequence import MeshSequence
 from .camera import Size
@@ -130,7 +130,7 @@ class Film:
         """Write the looping film and return its path; `callback` is that of :meth:`pictures`."""
         target = Path(path)
         if target.suffix.lower() not in FILMS:
-            raise FormatError(f"{path}: a film is written as .gif or .webp")
+            raise InputError("path", "a film: .gif or .webp", str(path))
         drawn = self.pictures(callback)
         if target.suffix.lower() == ".gif":
             # One palette for all frames, since the background flickers otherwise.

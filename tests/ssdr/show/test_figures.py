@@ -41,7 +41,7 @@ def test_contact_sheet_has_its_rows_and_columns(model, wave, tmp_path, monkeypat
         assert is_drawn(back)
         np.testing.assert_array_equal(np.asarray(back), np.asarray(full))
     assert [p.name for p in tmp_path.iterdir()] == ["sheet.png"]
-    with pytest.raises(ssdr.FormatError, match="not the name of a picture"):
+    with pytest.raises(ssdr.InputError, match="path: expected a picture"):
         render.write_picture(full, tmp_path / "a.xyz")
 
 
