@@ -43,7 +43,6 @@ def storage_options(
     *,
     weights: WeightStorage = "float32",
     template: str | None = None,
-    unweld: bool = False,
     centimetres: bool = False,
 ) -> None:
     """Options of every command that writes models, for the formats that have them.
@@ -54,8 +53,6 @@ def storage_options(
         How glTF stores weights.
     template : str, optional
         File whose other contents a glTF output keeps, or none; by default the first glTF input.
-    unweld : bool
-        Write .pc2 and .mdd with the vertices that the mesh had before it was welded.
     centimetres : bool
         Write FBX in centimetres.
     """

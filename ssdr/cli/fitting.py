@@ -16,7 +16,7 @@ import ssdr
 from ..common.errors import Cancelled, InputError
 from ..common.signals import stop_on_signals
 from ..decomposition import decompose as _decompose
-from ..io import SaveReport, check_outputs, in_space, load_any, load_clips, save_all, try_outputs
+from ..io import SaveReport, check_outputs, in_space, load_any, load_clips, save_all
 from ..io.outputs import check_file
 from ..mesh.clips import names_of
 from ..mesh.sequence import MeshSequence, joined
@@ -176,13 +176,13 @@ def _fit(
         raise InputError("--output", "a file for the model, too", str(drawn[0]))
     if checkpoint is not None and checkpoint.suffix.lower() != ".npz":
         raise InputError("--checkpoint", "a file ending in .npz", str(checkpoint))
-    check_outputs(models, inputs=inputs)
+    reading, writing = files_of(options, inputs)
+    check_outputs(models, inputs=inputs, **writing)
     for k, path in enumerate(drawn):
         check_file(path, "output", others=[*inputs, *models, *drawn[:k]])
     if checkpoint is not None:
         check_file(checkpoint, "checkpoint", others=[*inputs, *output])
     begin_compiling()  # while the files are read
-    reading, writing = files_of(options, inputs)
     model: Any
     with Output.current.waiting(f"loading {', '.join(map(str, inputs))}"):
         shots = load_clips(inputs, **reading)
@@ -192,8 +192,6 @@ def _fit(
             bare = isinstance(model, MeshSequence)
             options["start"] = ssdr.Start(rest=model.frames(0)) if bare else model
     _check_motion(shots, inputs[0])
-    tried = {k: options[k] for k in ("bones", "influences", "bone_model") if k in options}
-    try_outputs(models, shots, **tried, **writing)
     loaded = time.perf_counter()
     with stop_on_signals() as stop:
         with Output.current.progress_bar() as show:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from .formats import FORMATS
 from .inputs import load_any, load_clips
 from .load_save import list_clips, list_meshes, load, load_skinning, save
-from .outputs import check_outputs, save_all, try_outputs
+from .outputs import check_outputs, save_all
 from .save_report import SaveReport
 from .spaces import in_space
 
@@ -22,5 +22,4 @@ __all__ = [
     "load_skinning",
     "save",
     "save_all",
-    "try_outputs",
 ]

@@ -1,4 +1,4 @@
-"""UVs, normals and tangents for files: vertices split where they differ, and change of pose."""
+"""UVs and normals for files: vertices are split where they differ."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..mesh.normals import corner_normals, unit
+from ..mesh.normals import corner_normals
 from ..model.skinning import Skinning
 
 _UP = np.array([0.0, 1.0, 0.0])  # normal of a vertex without triangles
@@ -85,61 +85,3 @@ def rest_normals(model: Skinning, rest: NDArray[np.floating]) -> NDArray[np.floa
         return None
     own = None if model.surface is None else model.surface.normals
     return corner_normals(rest, model.faces, None) if own is None else own
-
-
-def carry_tangents(
-    tangents: NDArray[np.float64],
-    normals: NDArray[np.floating],
-    faces: NDArray[np.integer],
-    source: NDArray[np.float64],
-    target: NDArray[np.float64],
-) -> NDArray[np.float32]:
-    """Tangents ``(V, 4)`` of a mesh that is deformed from one pose to another.
-
-    Each triangle transforms the tangents at its corners by its own deformation.  The mean at a
-    vertex, weighted by the angles at the corners, is made perpendicular to the normal.  So edges
-    stay as smooth or hard as they were, and where the mesh moves rigidly, tangents move with it.
-    If all its triangles are degenerate, a tangent is only made perpendicular.  The signs in the
-    last column stay.
-
-    Parameters
-    ----------
-    tangents : (V, 4) array
-        In the source pose.
-    normals : (V, 3) array
-        In the target pose.
-    faces : (T, 3) int array
-    source, target : (V, 3) float64 arrays
-        Vertices in the first and the second pose.
-    """
-    before, usable = _triangle_frames(source[faces])
-    after, also = _triangle_frames(target[faces])
-    usable &= also
-    before[~usable] = after[~usable] = np.eye(3)
-    gradient = after @ np.linalg.inv(before)
-    moved = unit(np.einsum("tij,tcj->tci", gradient, tangents[faces, :3]), np.zeros(3))
-    moved *= (usable[:, None] * _angles(target[faces]))[..., None]
-    sums = np.zeros((len(tangents), 3))
-    np.add.at(sums, faces.reshape(-1), moved.reshape(-1, 3))
-    moved = unit(sums, tangents[:, :3], 1e-9)
-    flat = moved - (moved * normals).sum(axis=1, keepdims=True) * normals
-    return np.concatenate([unit(flat, moved, 1e-6), tangents[:, 3:]], axis=1).astype(np.float32)
-
-
-def _triangle_frames(p: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Matrix (T, 3, 3) with two edges and the unit normal as columns, and a mask (T,).
-
-    The mask is false for triangles without area.
-    """
-    a, b = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
-    normal = np.cross(a, b)
-    size = np.maximum((a**2).sum(axis=1), (b**2).sum(axis=1))
-    usable = np.linalg.norm(normal, axis=1) > np.maximum(1e-9 * size, 1e-300)
-    return np.stack([a, b, unit(normal, np.zeros(3))], axis=2), usable
-
-
-def _angles(p: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Angles ``(T, 3)`` at the corners of triangles with the corner positions ``(T, 3, 3)``."""
-    toward, back = np.roll(p, -1, axis=1) - p, np.roll(p, 1, axis=1) - p
-    cross = np.linalg.norm(np.cross(toward, back), axis=2)
-    return np.asarray(np.arctan2(cross, (toward * back).sum(axis=2)))

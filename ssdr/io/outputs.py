@@ -10,10 +10,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ..common.errors import FormatError, InputError, MissingDependencyError, SsdrWarning, error_text
-from ..mesh.clips import Clip, names_of
 from ..mesh.sequence import MeshSequence
 from .atomic import check_writable
 from .formats import FORMATS, as_path, format_of, option_names
@@ -22,12 +19,13 @@ from .optional import PACKAGES, require
 from .save_report import SaveReport
 
 _GLTF = (".glb", ".gltf")
-_TRIED_INFLUENCES = 16  # more than any format with a limit takes
-_SHEARED = np.array([[1.0, 0.5, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
 
 
 def check_outputs(
-    paths: Iterable[str | os.PathLike[str]], *, inputs: Iterable[str | os.PathLike[str]] = ()
+    paths: Iterable[str | os.PathLike[str]],
+    *,
+    inputs: Iterable[str | os.PathLike[str]] = (),
+    **options: Any,
 ) -> None:
     """Raise an error before long work if a model could not be written to files after it.
 
@@ -37,11 +35,13 @@ def check_outputs(
         Files to which :func:`save_all` is to write.
     inputs : paths
         Files that must not be overwritten.
+    **options
+        As for :func:`save_all`.
 
     Raises
     ------
     InputError
-        If a suffix is unknown, or a file is named twice, is an input,
+        If a suffix is unknown, no format has an option, or a file is named twice, is an input,
         lies in a folder that cannot be written to or would overwrite a companion file that is not
         its own.
     MissingDependencyError
@@ -51,8 +51,8 @@ def check_outputs(
     --------
     >>> ssdr.io.check_outputs(["horse.glb", "horse.npz"], inputs=["gallop.npz"])
     """
-    seen = [as_path(path) for path in inputs]
-    for path in map(as_path, paths):
+    seen, files = [as_path(path) for path in inputs], [as_path(path) for path in paths]
+    for path in files:
         try:
             format_ = format_of(path)
         except FormatError as error:
@@ -70,6 +70,7 @@ def check_outputs(
         made = format_ is FORMATS[".obj"] and "%" in path.name
         check_file(path, "output", others=seen, with_folder=made)
         seen.append(path)
+    _known_options(files, options)
 
 
 def check_file(
@@ -86,64 +87,6 @@ def check_file(
             raise InputError(argument, error.expected, error.got) from error
     if path.resolve() in [other.resolve() for other in others]:
         raise InputError(argument, "a file that is no input and no other output", str(path))
-
-
-def try_outputs(
-    paths: Iterable[str | os.PathLike[str]],
-    shots: Sequence[MeshSequence],
-    *,
-    bones: int | None = None,
-    influences: int = 4,
-    bone_model: str = "rigid",
-    **options: Any,
-) -> None:
-    """Raise an error before long work if a format could not store a model of these sequences.
-
-    A stand-in with the mesh, the names of the clips, the bone model and the number of influences
-    is written to a temporary folder.
-
-    Parameters
-    ----------
-    paths : paths
-    shots : sequence of MeshSequence
-    bones, influences, bone_model
-        As in :func:`decompose`.
-    **options
-        Options of :func:`save_all`.
-
-    Raises
-    ------
-    InputError, MissingDependencyError, SsdrError
-        As :func:`save`.
-
-    Examples
-    --------
-    >>> dancer = ssdr.samples.load("dancer_small")
-    >>> ssdr.io.try_outputs(["dancer.glb"], [dancer], bones=20, weights="uint8")
-    """
-    from ..model.skinning import Skinning
-
-    mesh, clips = shots[0], names_of(shots)["clips"]
-    n = mesh.n_vertices
-    count = max(1, min(influences, bones or n, _TRIED_INFLUENCES))
-    one = _SHEARED if bone_model == "affine" else np.eye(3, 4)
-    transforms = np.tile(one, (2 * len(clips), count, 1, 1))
-    arrays = mesh.frames(0), np.tile(np.arange(count), (n, 1)), np.full((n, count), 1 / count)
-    pairs = tuple(Clip(c.name, 2 * k, 2 * k + 2, c.fps) for k, c in enumerate(clips))
-    same = {
-        name: getattr(mesh, name) for name in ("faces", "surface", "vertex_map", "name", "space")
-    }
-    kind: Any = bone_model
-    model = Skinning(*arrays, transforms, clips=pairs, bone_model=kind, **same)
-    files = list(map(as_path, paths))
-    for path, given in zip(files, _settings(model, files, **options), strict=True):
-        if format_of(path).extra == "blender":  # starts another program, for seconds
-            continue
-        # Errors of the temporary folder say nothing about that of the output.
-        with contextlib.suppress(OSError), warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # they come again with the whole model
-            with tempfile.TemporaryDirectory(prefix="ssdr-") as folder:
-                save(model, Path(folder) / path.name, **given)
 
 
 def save_all(
@@ -234,15 +177,7 @@ def _settings(
     **options: Any,
 ) -> list[dict[str, Any]]:
     """Options of :func:`save` for each file: those that its format has, and a template."""
-    known = []
-    for path in files:
-        functions = format_of(path).functions()
-        skinned = None if isinstance(model, MeshSequence) else functions.write_skinning
-        known.append(option_names(skinned or functions.write_sequence))
-    for name in options:
-        if name != "meshes" and not any(name in one for one in known):
-            wanted = ", ".join(sorted(set().union(*known))) or "no options"
-            raise InputError("options", f"one of {wanted}", name)
+    known = _known_options(files, options, skinned=not isinstance(model, MeshSequence))
     sources = [as_path(path) for path in templates]
     found = []
     for path, names in zip(files, known, strict=True):
@@ -257,6 +192,22 @@ def _settings(
             given.pop("meshes", None)  # those of a template
         found.append(given)
     return found
+
+
+def _known_options(
+    files: Sequence[Path], options: Iterable[str], *, skinned: bool = True
+) -> list[list[str]]:
+    """Names of each format's options; an InputError for one of `options` that no format has."""
+    known = []
+    for path in files:
+        functions = format_of(path).functions()
+        write = functions.write_skinning if skinned else None
+        known.append(option_names(write or functions.write_sequence))
+    for name in options:
+        if name not in ("meshes", "templates") and not any(name in one for one in known):
+            wanted = ", ".join(sorted(set().union(*known))) or "no options"
+            raise InputError("options", f"one of {wanted}", name)
+    return known
 
 
 def _template(target: Path, sources: Sequence[Path]) -> Path | None:

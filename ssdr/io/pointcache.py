@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ..common.errors import InputError, SsdrWarning
+from ..common.errors import SsdrWarning
 from ..mesh.sequence import MeshSequence
 from .arrays.npy import over_mesh
 from .atomic import atomic_path
@@ -85,44 +85,29 @@ def read(
     return dataclasses.replace(sequence, fps=sequence.fps / step, validate=False)
 
 
-def write_sequence(sequence: MeshSequence, path: Path, *, unweld: bool = False) -> SaveReport:
+def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:
     """Write a point cache; an MDD file also holds the time of every frame.
-
-    Parameters
-    ----------
-    sequence : MeshSequence
-    path : Path
-    unweld : bool
-        Write the vertices that the mesh had before it was welded (by `vertex_map`), so that the
-        cache fits that mesh.
 
     Raises
     ------
     InputError
-        If a coordinate is beyond the range of float32, or `unweld` is true and `sequence` was not
-        welded.
+        If a coordinate is beyond the range of float32.
     """
-    index, before = np.arange(sequence.n_vertices), sequence.vertex_map
+    count, points, before = sequence.n_frames, sequence.n_vertices, sequence.vertex_map
     notes: tuple[str, ...] = ()
-    if unweld:
-        if before is None:
-            raise InputError("unweld", "a mesh that was welded", "one without vertex_map")
-        index = before
-    elif before is not None:
-        held = f"holds the {len(index)} welded vertices"
-        notes = (f"{held}; unweld=True writes the {len(before)} of the mesh before",)
-    count = sequence.n_frames
+    if before is not None:
+        notes = (f"holds the {points} welded vertices, not the {len(before)} before",)
     if path.suffix.lower() == ".pc2":
-        header, kind = _PC2.pack(b"POINTCACHE2\0", 1, len(index), 0.0, 1.0, count), "<f4"
+        header, kind = _PC2.pack(b"POINTCACHE2\0", 1, points, 0.0, 1.0, count), "<f4"
     else:
-        header, kind = _MDD.pack(count, len(index)), ">f4"
+        header, kind = _MDD.pack(count, points), ">f4"
         header += seconds(np.arange(count), sequence.fps).astype(kind).tobytes()
     error = StorageError()
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
         stream.write(header)
         for start, block in sequence.chunks():
             stored = error.round(block, start)
-            stream.write(stored[:, index].astype(kind, copy=False).tobytes())
+            stream.write(stored.astype(kind, copy=False).tobytes())
     return error.report(path, notes=notes)
 
 

@@ -7,7 +7,6 @@ contents of that file would go into an output. The user may name a further folde
 from __future__ import annotations
 
 import contextlib
-import logging
 import os
 from collections.abc import Iterator
 from contextvars import ContextVar
@@ -19,7 +18,6 @@ from ..common.errors import InputError
 OUTSIDE = "lies outside its folder"
 HINT = "folder= names a folder that may be read, too"
 _trusted: ContextVar[tuple[Path, ...]] = ContextVar("trusted", default=())
-_log = logging.getLogger(__name__)
 
 
 @contextlib.contextmanager
@@ -68,17 +66,3 @@ def locate(path: Path, name: str) -> tuple[Path, str]:
         return file, "" if file.is_file() else "is missing"
     except (OSError, ValueError, RuntimeError):
         return file, "is missing"
-
-
-def find_inside(path: Path, what: str, name: str) -> Path | None:
-    """File that `path` refers to as `name`, or None, with a warning in the log, if it is not read.
-
-    `what` is the kind of the file, for the warning.
-    """
-    file, problem = locate(path, name)
-    if not problem:
-        return file
-    if problem == OUTSIDE and not file.is_file():
-        problem = "is missing"
-    _log.warning("%s: its %s %s %s and is left out", path, what, name[:200], problem)
-    return None

@@ -178,7 +178,6 @@ class Rig:
 def build_rig(
     model: Skinned,
     *,
-    influences: int | None = None,
     most: int | None = None,
     storage: WeightStorage = "float32",
     stretch: bool = False,
@@ -191,8 +190,6 @@ def build_rig(
     Parameters
     ----------
     model : Skinning or ShapedSkinning
-    influences : int, optional
-        Number of largest weights to keep for each vertex; all by default.
     most : int, optional
         Largest number of weights for each vertex that the format can hold.
     storage : {"float32", "uint16", "uint8"}
@@ -207,13 +204,11 @@ def build_rig(
         coordinates are too large for float32.
     """
     skinning, shapes = skinning_and_shapes(model)
-    if influences is not None:
-        skinning = skinning.prune(influences)
     indices, weights = quantise(*_sorted_weights(skinning), storage)
     if most is not None and indices.shape[1] > most:
         raise InputError(
             "influences",
-            f"at most {most} influences of a vertex; influences={most} prunes the smallest",
+            f"at most {most} influences of a vertex; thing.prune({most}) drops the smallest",
             indices.shape[1],
         )
     parents, transforms = skinning.parents, np.asarray(skinning.transforms, dtype=np.float64)

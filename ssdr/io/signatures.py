@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-PICTURE_SUFFIXES = {"image/png": ".png", "image/jpeg": ".jpg"}
 _PICTURES = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 _FORMATS = {
     b"PK": "a zip archive such as .npz",

@@ -28,9 +28,7 @@ def write_skinning(
     thing: Skinned,
     path: Path,
     *,
-    influences: int | None = None,
     centimetres: bool = False,
-    name: str | None = None,
     time_limit: float = 600.0,
 ) -> SaveReport:
     """Write a skinned ``.fbx``: Blender imports the model as glTF and exports it as FBX.
@@ -45,8 +43,6 @@ def write_skinning(
         Without shapes.
         In metres with y up.
     path : Path
-    influences, name
-        As in :func:`ssdr.io.gltf.gltf_writing.write_skinning`.
     centimetres : bool
         Whether to store numbers in centimetres, the unit that the file states in any case. By
         default they are metres, below nodes that Blender gives a scale of 100.
@@ -64,7 +60,7 @@ def write_skinning(
         If Blender stops with an error or takes too long, or its file does not hold the model.
     """
     skinning = without_shapes(thing, "FBX; glTF and USD hold them")
-    title = name or skinning.name or path.stem
+    title = skinning.name or path.stem
     names = [clip.name or title for clip in skinning.clips]
     long = [one for one in names if len(one.encode()) > _LONGEST_NAME]
     if long:
@@ -82,7 +78,7 @@ def write_skinning(
         model = dataclasses.replace(skinning, fps=_IMPORT_FPS, clips=tuple(numbered))
         unit = 0.01 if centimetres else 1.0
         model = transformed(model, 1 / unit)
-        rig = build_rig(model, influences=influences, most=8)
+        rig = build_rig(model, most=8)
         stored = write_rig(model, rig, source, title)
         # An importer of FBX fixes a bone that begins where its parent ends, so bones that slide
         # must not be drawn there. By itself, Blender draws each bone along the y axis of its joint.

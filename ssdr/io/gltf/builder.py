@@ -325,22 +325,12 @@ def state_targets(mesh: dict[str, Any], shapes: Shapes) -> None:
     mesh.setdefault("extras", {})["targetNames"] = list(shapes.names)
 
 
-def add_channel(
-    builder: Builder, animation: dict[str, Any], shapes: Shapes, clip: Clip, start: float = 0.0
-) -> None:
+def add_channel(builder: Builder, animation: dict[str, Any], shapes: Shapes, clip: Clip) -> None:
     """Add a channel with the amounts in the frames of a clip to an animation of node 0."""
-    times = (start + seconds(np.arange(clip.n_frames), clip.fps)).astype(np.float32)
-    amounts = shapes.amounts[clip.frames].reshape(-1)
+    times = seconds(np.arange(clip.n_frames), clip.fps).astype(np.float32)
+    amounts = shapes.amounts[clip.frames].reshape(-1).astype(np.float32)
     target = {"node": 0, "path": "weights"}
     animation["channels"].append({"sampler": len(animation["samplers"]), "target": target})
-    output = builder.accessor(_stored_amounts(amounts), "SCALAR", normalized=True)
+    output = builder.accessor(amounts, "SCALAR")
     stamps = builder.accessor(times, "SCALAR", bounds=True)
     animation["samplers"].append({"input": stamps, "output": output, "interpolation": "LINEAR"})
-
-
-def _stored_amounts(amounts: NDArray[Any]) -> NDArray[Any]:
-    """Amounts as stored: uint8 if all are multiples of 1/255 in [0, 1], otherwise float32."""
-    inside = amounts.min(initial=0) >= 0 and amounts.max(initial=0) <= 1
-    if inside and np.abs(255 * amounts - np.rint(255 * amounts)).max(initial=0) < 1e-5:
-        return np.asarray(np.rint(255 * amounts), dtype=np.uint8)
-    return np.asarray(amounts, dtype=np.float32)

@@ -20,7 +20,6 @@ from ...common.errors import InputError
 from ...mesh.normals import corner_normals
 from ...mesh.surface import Surface
 from ...model.skinning import Skinning
-from ..corners import carry_tangents
 from ..file_errors import check, reading
 from ..rig import Rig
 from ..sampling import part_starts
@@ -145,24 +144,20 @@ class Template:
     ) -> dict[str, int]:
         """Add accessors of a part's attributes in the pose `rest`, with the model's normals.
 
-        Tangents are deformed along with the mesh. Skin weights are left out.
+        Skin weights and tangents are left out.
         """
         document, builder = self.document, self.builder
         old = next(iter(part.primitives.values()))["attributes"]
-        kept = {k: v for k, v in old.items() if not k.startswith(("JOINTS_", "WEIGHTS_"))}
+        gone = "JOINTS_", "WEIGHTS_", "TANGENT"
+        kept = {k: v for k, v in old.items() if not k.startswith(gone)}
+        said = "tangents are left out: programs compute them of UVs and normals"
+        if "TANGENT" in old and said not in builder.notes:
+            builder.notes.append(said)
         kept["POSITION"] = builder.accessor(rest, "VEC3", target=ARRAY, bounds=True)
         if "NORMAL" in old:
             new = document.accessor(old["NORMAL"], "VEC3", "NORMAL").astype(np.float32)
             new[part.corners] = normals
             kept["NORMAL"] = builder.accessor(new, "VEC3", target=ARRAY)
-            if "TANGENT" in old:
-                source = document.accessor(old["POSITION"], "VEC3", "POSITION")
-                tangents = document.accessor(old["TANGENT"], "VEC4", "TANGENT")
-                if part.mirrored:
-                    tangents[:, 3] *= -1
-                poses = source, rest.astype(np.float64)
-                tangents = carry_tangents(tangents, new, part.corners, *poses)
-                kept["TANGENT"] = builder.accessor(tangents, "VEC4", target=ARRAY)
         return kept
 
     def _remove_morphs(self, node: int, mesh: dict[str, Any]) -> None:

@@ -38,14 +38,15 @@ def write_skinning(
     skinning: Skinned,
     path: Path,
     *,
-    influences: int | None = None,
     weights: WeightStorage = "float32",
-    name: str | None = None,
     template: str | os.PathLike[str] | None = None,
     meshes: str | Sequence[str] | None = None,
     clip_names: Mapping[str, str | None] | None = None,
 ) -> SaveReport:
     """Write a skinning as ``.glb``, or as ``.gltf`` with a ``.bin`` of the same name beside it.
+
+    Scene and mesh have the name of the skinning or, if it has none, of the file. An animation has
+    the name of its clip or, if that has none, of the mesh.
 
     Parameters
     ----------
@@ -54,14 +55,8 @@ def write_skinning(
         rotates and scales and the inner one, the joint, rotates.  Shapes become morph targets,
         whose normals are fitted; they cannot be written with a template.
     path : Path
-    influences : int, optional
-        Number of largest weights to keep for each vertex; all by default. glTF holds 8, and many
-        engines read only the first 4.
     weights : {"float32", "uint16", "uint8"}
         Type in which weights are stored.
-    name : str, optional
-        Name of the scene and the mesh; by default that of the skinning or, if it has none, of the
-        file. An animation has the name of its clip or, if that has none, of the mesh.
     template : path, optional
         The glTF file that the model was made from, or one with the same vertices and triangles.
         It is written again with the model's skin and clips; all else in it stays as it is: names,
@@ -76,8 +71,8 @@ def write_skinning(
     Returns
     -------
     SaveReport
-        Its `error` is that of the whole file: rounding to float32 and quaternions, stored weights
-        and pruned weights.
+        Its `error` is that of the whole file: rounding to float32 and quaternions, and stored
+        weights.
 
     Raises
     ------
@@ -88,8 +83,8 @@ def write_skinning(
     ----------
     Khronos, "glTF 2.0 specification", sections 3.7.3 (skins) and 3.11 (animations).
     """
-    title = name or skinning.name or path.stem
-    rig = build_rig(skinning, influences=influences, most=8, storage=weights, stretch=True)
+    title = skinning.name or path.stem
+    rig = build_rig(skinning, most=8, storage=weights, stretch=True)
     if rig.n_bones > 65535:
         raise InputError("thing", "at most 65535 bones", rig.n_bones)
     if template is None:

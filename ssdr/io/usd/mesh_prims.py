@@ -45,7 +45,7 @@ class MeshPrim:
     polygon : (T,) int array
         Index of the polygon that each triangle is a piece of.
     material : (T,) int array
-        As in `ScenePart`, once :func:`~ssdr.io.usd.preview_materials.read_materials` has set it.
+        As in `ScenePart`, once :func:`~ssdr.io.usd.usd_materials.read_materials` has set it.
     """
 
     faces: NDArray[np.int64]

@@ -23,8 +23,8 @@ from ..mesh_names import choose
 from ..sampling import Sample
 from ..scene_file import SceneFile
 from .mesh_prims import MeshPrim, SkeletonPoints
-from .preview_materials import read_materials
 from .stage import open_stage
+from .usd_materials import read_materials
 
 _log = logging.getLogger(__name__)
 _ALL = Usd.TraverseInstanceProxies()
@@ -140,7 +140,7 @@ class StageFile(SceneFile):
         return [dataclasses.replace(clip, name=n) for clip, n in zip(clips, names, strict=True)]
 
     def materials(self, parts: Sequence[MeshPrim]) -> list[Material]:
-        return read_materials(self.path, parts)
+        return read_materials(parts)
 
     def sample(self, index: int, fps: float | None, joints_alone: bool = False) -> Sample:
         """Bind a clip and return the visible meshes and the time codes of the clip's frames.

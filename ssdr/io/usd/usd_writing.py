@@ -21,18 +21,17 @@ from ..atomic import atomic_path
 from ..corners import rest_normals
 from ..rig import Rig, build_rig
 from ..save_report import SaveReport, StorageError
-from .preview_materials import write_materials
 from .stage import identifier, system_errors
+from .usd_materials import write_materials
 
 
-def write_skinning(
-    skinning: Skinned, path: Path, *, influences: int | None = None, name: str | None = None
-) -> SaveReport:
+def write_skinning(skinning: Skinned, path: Path) -> SaveReport:
     """Write a UsdSkel character: skeleton, one animation per clip, skin weights, surface.
 
     The first clip is bound to the skeleton, and the stage has its frame rate. Clips with another
     rate have their frames between the time codes of the stage. The stage states the model's unit
-    and up axis or, where the model has none, 1 m and y.
+    and up axis or, where the model has none, 1 m and y. The root prim has the name of the skinning
+    or, if it has none, of the file.
 
     Parameters
     ----------
@@ -41,10 +40,6 @@ def write_skinning(
         their own.
     path : Path
         ``.usda`` (text), ``.usdc`` or ``.usd`` (binary).
-    influences : int, optional
-        Number of largest weights to keep for each vertex; all by default.
-    name : str, optional
-        Name of the root prim; by default that of the skinning or, if it has none, of the file.
 
     Returns
     -------
@@ -61,7 +56,7 @@ def write_skinning(
     ----------
     Pixar, "UsdSkel schemas", https://openusd.org/release/api/usd_skel_page_front.html
     """
-    rig = build_rig(skinning, influences=influences, stretch=True)
+    rig = build_rig(skinning, stretch=True)
     # A SkelAnimation stores all joints at each time code, so a key of one joint is a key of all.
     together = np.broadcast_to(rig.keys.any(axis=1, keepdims=True), rig.keys.shape)
     rig = dataclasses.replace(
@@ -74,11 +69,11 @@ def write_skinning(
     if rig.scales is not None:
         notes.append("UsdSkel holds scales in half precision")
     with _new_stage(path, first.fps, first.n_frames, skinning.space, notes) as stage:
-        top = Sdf.Path("/" + identifier(name or skinning.name or path.stem))
+        top = Sdf.Path("/" + identifier(skinning.name or path.stem))
         stage.SetDefaultPrim(UsdSkel.Root.Define(stage, top).GetPrim())
         skeleton = top.AppendChild("Skeleton")
         tokens = _put_skeleton(stage, skeleton, rig, skinning.name)
-        mesh = _define_mesh(stage, top, skinning, path, notes)
+        mesh = _define_mesh(stage, top, skinning, notes)
         mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(rig.rest))
         mesh.CreateExtentAttr(_extent(rig.rest))
         normals = rest_normals(skinning.skinning, rig.rest)
@@ -91,21 +86,14 @@ def write_skinning(
     return rig.report(skinning, path=path, bytes=size, notes=tuple(notes))
 
 
-def write_sequence(sequence: MeshSequence, path: Path, *, name: str | None = None) -> SaveReport:
-    """Write a point cache: one mesh with a float32 sample of its points per frame.
-
-    Parameters
-    ----------
-    sequence : MeshSequence
-    path, name
-        As in :func:`write_skinning`.
-    """
+def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:
+    """Write a point cache: one mesh with a float32 sample of its points per frame."""
     notes: list[str] = []
     error = StorageError()
     with _new_stage(path, sequence.fps, sequence.n_frames, sequence.space, notes) as stage:
-        top = Sdf.Path("/" + identifier(name or sequence.name or path.stem))
+        top = Sdf.Path("/" + identifier(sequence.name or path.stem))
         stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, top).GetPrim())
-        mesh = _define_mesh(stage, top, sequence, path, notes)
+        mesh = _define_mesh(stage, top, sequence, notes)
         if sequence.surface is not None and sequence.surface.normals is not None:
             notes.append("normals, of the first frame alone, are not kept")
         points, extent = mesh.CreatePointsAttr(), mesh.CreateExtentAttr()
@@ -134,10 +122,8 @@ def _new_stage(
         stage.GetRootLayer().Save()
 
 
-def _define_mesh(
-    stage: Any, top: Any, thing: MeshSequence | Skinned, path: Path, notes: list[str]
-) -> Any:
-    """Define and return a mesh below `top`, with the triangles, UVs and materials of `thing`."""
+def _define_mesh(stage: Any, top: Any, thing: MeshSequence | Skinned, notes: list[str]) -> Any:
+    """Define and return a mesh below `top`, with the triangles and UVs of `thing`."""
     faces, surface = thing.faces, thing.surface
     mesh = UsdGeom.Mesh.Define(stage, top.AppendChild("Mesh"))
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
@@ -146,7 +132,8 @@ def _define_mesh(
     if surface is not None and surface.uv is not None:
         _put_primvar(mesh, "st", Sdf.ValueTypeNames.TexCoord2fArray, surface.uv)
     if surface is not None and surface.materials:
-        write_materials(stage, top, mesh, surface, path, notes)
+        write_materials(stage, top, mesh, surface)
+        notes.append("of materials, the names alone are kept")
     return mesh
 
 

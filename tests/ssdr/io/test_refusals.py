@@ -11,7 +11,7 @@ import pytest
 import ssdr
 from helpers.rig_model import tube
 from ssdr import Clip, FormatError, InputError, Space
-from ssdr.io import check_outputs, list_meshes, load_any, load_clips, try_outputs
+from ssdr.io import check_outputs, list_meshes, load_any, load_clips
 
 ODD = ("", "nan", "٣", "true", [], True)
 
@@ -32,12 +32,10 @@ def several(*names, **options):
     return lambda g: load_clips([g.folder / name for name in names], **options)
 
 
-def outputs(*names):
-    return lambda g: check_outputs([g.folder / n for n in names], inputs=[g.folder / "shot.npz"])
-
-
-def trial(name, **options):
-    return lambda g: try_outputs([g.folder / name], [g.shot], **options)
+def outputs(*names, **options):
+    return lambda g: check_outputs(
+        [g.folder / name for name in names], inputs=[g.folder / "shot.npz"], **options
+    )
 
 
 def into(what, meshes=None):
@@ -83,10 +81,8 @@ INPUT = [
     *((load("shot.npz", max_bytes=v), "max_bytes: expected an integer") for v in ("", "nan", "1")),
     *((load("shot.npz", mmap=v), "mmap: expected true or false") for v in ("", 1, 0, 1.0, None)),
     (load("shot.npz", mmap=True), "mmap: expected an uncompressed archive"),
-    *((save("a.glb", influences=v), "influences: expected an integer") for v in (*ODD, 0, 1.5)),
     *((save("a.glb", units=v), "units: expected metres in a unit") for v in ODD),
-    *((save("a.pc2", "shot", unweld=v), "unweld: expected true or") for v in (*ODD[:-1], 1)),
-    (save("a.pc2", "shot", unweld=True), "^unweld"),
+    *((save("a.npz", compress=v), "compress: expected true or") for v in (*ODD[:-1], 1)),
     (save("a.glb", up="x"), "up"),
     (save("a.glb", weights="float16"), "weights"),
     *((lambda g, odd=odd: Space(**odd), f"{next(iter(odd))}: expected")
@@ -111,7 +107,7 @@ INPUT = [
     (several("shot.npz", "bare.npy"), "faces: expected a mesh"),
     # models that a format cannot hold
     (lambda g: ssdr.save(bent(g.model, "affine"), g.folder / "a.glb"), "bone 2, frame 3"),
-    (lambda g: ssdr.save(tube(bones=12, influences=10), g.folder / "a.glb"), "influences=8 prunes"),
+    (lambda g: ssdr.save(tube(bones=12, influences=10), g.folder / "a.glb"), r"prune\(8\)"),
     (into(lambda g: tube(rings=5, sides=4)), "vertices"),
     (into(lambda g: g.model, meshes="Hat"), "Hat"),
     (into(lambda g: dataclasses.replace(g.model, faces=g.model.faces[::-1], surface=None)),
@@ -123,10 +119,7 @@ INPUT = [
     (outputs("shot.npz"), "no input"),
     (outputs("no/a.npz"), "folder that exists"),
     (outputs("taken.npy"), "a name whose taken.faces.npy is not taken"),
-    (trial("x.obj"), "one number such as %04d in the name"),
-    (trial("x.glb", weights="uint9"), "weights: expected"),
-    (trial("x.glb", bones=9, influences=9), "at most 8"),
-    (trial("x.npz", colour="red"), "got colour"),
+    (outputs("x.npz", colour="red"), "got colour"),
 ]  # fmt: skip
 FORMAT = [
     (load("a.xyz"), r"a\.xyz: the suffix '\.xyz' is none of \.abc, .*\.zarr"),

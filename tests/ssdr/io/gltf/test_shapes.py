@@ -75,24 +75,6 @@ def test_sparse_targets_take_fewer_bytes(tmp_path):
     assert sparse < 0.8 * dense  # of a mesh so small, much is JSON
 
 
-def test_amounts_of_whole_steps_are_bytes(tmp_path):
-    model = shaped(sparse=True)
-    amounts = (model.shapes.amounts > 0.5).astype(float)
-    amounts[0] = 0
-    model = dataclasses.replace(model, shapes=dataclasses.replace(model.shapes, amounts=amounts))
-    ssdr.save(model, tmp_path / "a.glb")
-    document, binary = opened(tmp_path / "a.glb")
-    assert document["meshes"][0]["weights"] == [0, 0, 0]  # as in the frame without any
-    (channel,) = [
-        c for c in document["animations"][0]["channels"] if c["target"]["path"] == "weights"
-    ]
-    number = document["animations"][0]["samplers"][channel["sampler"]]["output"]
-    assert document["accessors"][number]["componentType"] == 5121
-    found = values_of(document, binary, number).reshape(amounts.shape) / 255
-    np.testing.assert_array_equal(found, amounts)
-    np.testing.assert_array_equal(ssdr.load_skinning(tmp_path / "a.glb").shapes.amounts, amounts)
-
-
 @pytest.mark.parametrize("hard", [False, True])
 def test_normals_follow_the_shapes(tmp_path, hard):
     """As an engine draws them: morph targets first, then the bones."""

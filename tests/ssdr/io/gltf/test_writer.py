@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 import trimesh
@@ -14,8 +16,8 @@ from ssdr.io.rig import build_rig
 
 
 def test_other_readers_agree(tmp_path):
-    model = tube()
-    ssdr.save(model, tmp_path / "a.glb", name="hero")
+    model = dataclasses.replace(tube(), name="hero")
+    ssdr.save(model, tmp_path / "a.glb")
     peer = GLTF2().load(str(tmp_path / "a.glb"))
     skin = peer.skins[0]
     assert peer.scenes[0].name == "hero"
@@ -46,11 +48,9 @@ def test_quantised_weights_cost_what_is_told(tmp_path, storage, steps):
 
 def test_influences_beyond_the_format(tmp_path):
     model = tube(bones=12, influences=10)
-    report = ssdr.save(model, tmp_path / "a.glb", influences=4)
+    ssdr.save(model.prune(4), tmp_path / "a.glb")
     pruned = ssdr.load_skinning(tmp_path / "a.glb")
     assert pruned.n_influences == 4
-    expected = largest_distance(pruned.skin(), model.skin())
-    assert report.max_error == pytest.approx(expected, rel=1e-3)
     assert largest_distance(pruned.skin(), model.prune(4).skin()) < 2e-6
 
 

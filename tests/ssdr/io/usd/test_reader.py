@@ -56,7 +56,6 @@ def test_polygons_transforms_and_primvars(tmp_path):
         )
         mesh.CreateFaceVertexCountsAttr([5])
         mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 3, 4])
-        mesh.CreateDisplayColorAttr([(1, 0, k)])
         uv = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
             "uvs", Sdf.ValueTypeNames.TexCoord2fArray, "vertex"
         )
@@ -77,7 +76,6 @@ def test_polygons_transforms_and_primvars(tmp_path):
         sequence.vertices[1, 1], [np.cos(angle), np.sin(angle), 0], atol=1e-6
     )
     np.testing.assert_array_equal(sequence.surface.uv[0], [[0, 0], [1, 0], [2, 0]])
-    assert [m.base_color[2] for m in sequence.surface.materials] == [0, 1]
     model = ssdr.load_skinning(path)
     assert model.names() == ("m0", "m1")
     assert largest_distance(model.skin(), sequence.vertices) < 1e-6
