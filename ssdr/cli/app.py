@@ -11,20 +11,19 @@ import typer
 
 from ..common.parallel import set_threads
 from ..io.references import trusting
-from . import commands, fitting
-from .info import info
+from . import file_commands, show_commands, solve_commands
 from .output import Output
 from .parameters import command
 from .shell import run_app
 
 _COMMANDS = {
-    "decompose": fitting.decompose,
-    "smallest": fitting.smallest,
-    "info": info,
-    "compare": commands.compare,
-    "convert": commands.convert,
-    "render": commands.render,
-    "view": commands.view,
+    "decompose": solve_commands.decompose,
+    "smallest": solve_commands.smallest,
+    "info": file_commands.info,
+    "compare": file_commands.compare,
+    "convert": file_commands.convert,
+    "render": show_commands.render,
+    "view": show_commands.view,
 }
 
 

@@ -1,4 +1,4 @@
-"""Options of the files that commands read and write."""
+"""Options of the files that commands read and write, and a file beside its reference."""
 
 from __future__ import annotations
 
@@ -8,57 +8,33 @@ from pathlib import Path
 from typing import Any
 
 from ..common.errors import InputError
-from ..io import load, load_clips
+from ..io import in_space, load, load_any, load_clips
+from ..io.arrays.npy import read as read_vertices
+from ..io.blender.fbx_writing import write_skinning as write_fbx
+from ..io.gltf.gltf_writing import write_skinning as write_gltf
+from ..io.inputs import clips_in
 from ..io.outputs import check_file
 from ..io.references import trust
-from ..io.weight_storage import WeightStorage
+from ..io.scene_file import SceneFile
+from ..mesh.sequence import MeshSequence, joined
+from ..model.shapes import Skinned
+from .output import Output
 
-_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 PAGES = (".html", ".htm")
+# Functions whose options every command has that reads files, and every command that writes models.
+READ = load_clips, load, SceneFile.read_skinning, SceneFile.read, read_vertices
+WRITTEN = write_gltf, write_fbx
 
 
-def file_options(
-    *,
-    units: str | None = None,
-    meshes: list[str] | None = None,
-    faces: str | None = None,
-    joints_alone: bool = False,
-) -> None:
-    """Options of every command that reads files, beside those of :func:`ssdr.load`.
-
-    Parameters
-    ----------
-    units : str, optional
-        Unit of the inputs, in place of what they state: m, cm, mm, in, ft or metres in a unit.
-    meshes : list of str, optional
-        Name of a mesh to read of several; repeatable.
-    faces : str, optional
-        File of the triangles of a .npy, .zarr, .pc2 or .mdd, or none.
-    joints_alone : bool
-        Read joints that move no vertices.
-    """
+def taken(options: dict[str, Any], *functions: Callable[..., Any]) -> dict[str, Any]:
+    """Take the options of some functions out of those of a command."""
+    known = {name for one in functions for name in inspect.signature(one).parameters}
+    return {name: options.pop(name) for name in tuple(options) if name in known}
 
 
-def storage_options(
-    *,
-    weights: WeightStorage = "float32",
-    template: str | None = None,
-    centimetres: bool = False,
-) -> None:
-    """Options of every command that writes models, for the formats that have them.
-
-    Parameters
-    ----------
-    weights : {"float32", "uint16", "uint8"}
-        How glTF stores weights.
-    template : str, optional
-        File whose other contents a glTF output keeps, or none; by default the first glTF input.
-    centimetres : bool
-        Write FBX in centimetres.
-    """
-
-
-def files_of(options: dict[str, Any], inputs: Sequence[Path]) -> tuple[dict[str, Any], ...]:
+def files_of(
+    options: dict[str, Any], inputs: Sequence[Path] = ()
+) -> tuple[dict[str, Any], dict[str, Any]]:
     """Take the options of files out of those of a command.
 
     Returns
@@ -69,35 +45,17 @@ def files_of(options: dict[str, Any], inputs: Sequence[Path]) -> tuple[dict[str,
         Options of :func:`ssdr.io.save_all`, with the inputs as templates where these fit: not if
         the mesh is scaled, or said to be elsewhere than the rest of its file.
     """
-    reading, writing = (
-        {name: options.pop(name) for name in tuple(options) if name in names}
-        for names in (
-            {*_names(file_options), *_names(load_clips), *_names(load)},
-            _names(storage_options),
-        )
-    )
-    if "units" in reading:
-        reading["units"] = _metres(reading["units"])
+    reading, writing = taken(options, *READ), taken(options, *WRITTEN)
+    if "faces" in reading:
+        reading["faces"] = str(reading["faces"])  # a path, or "none"
     if "folder" in reading:
         trust(reading.pop("folder"))  # templates may refer to files below it, too
     placed = any(name in reading for name in ("scale", "units", "up"))
-    if writing.get("template") == "none":
+    if str(writing.get("template")) == "none":
         placed = writing.pop("template") == "none"
     if not placed:
         writing |= {"templates": inputs} | {k: v for k, v in reading.items() if k == "meshes"}
     return reading, writing
-
-
-def _names(function: Callable[..., Any]) -> list[str]:
-    parameters = inspect.signature(function).parameters.values()
-    return [p.name for p in parameters if p.kind is p.KEYWORD_ONLY]
-
-
-def _metres(text: str) -> float:
-    try:
-        return _UNITS.get(text) or float(text)
-    except ValueError:
-        raise InputError("--units", f"metres, or {', '.join(_UNITS)}", repr(text)) from None
 
 
 def check_page(path: Path, others: Sequence[Path]) -> None:
@@ -105,3 +63,30 @@ def check_page(path: Path, others: Sequence[Path]) -> None:
     if path.suffix.lower() not in PAGES:
         raise InputError("--output", "a file ending in .html", str(path))
     check_file(path, "output", others=others)
+
+
+def pair(
+    source: Path, reference: Path | None, reading: dict[str, Any], *, scale: float = 1.0
+) -> tuple[MeshSequence | Skinned, Any]:
+    """What a file holds, and the sequence of its reference with the same clips, or None.
+
+    What the file holds is multiplied by `scale` and comes into the space of the reference.
+    """
+    with Output.current.waiting(f"loading {source}"):
+        names = reading.pop("clip", None)
+        # a file with one clip has no choice
+        own = names if len(clips_in(source, fps=reading.get("fps"))) > 1 else None
+        thing = load_any(source, clip=own, **({"scale": scale} | reading))
+        if reference is None:
+            return thing, None
+        if len(clips_in(reference, fps=reading.get("fps"))) < 2:
+            names = None
+        elif isinstance(thing, Skinned) and len(thing.clips) > 1:
+            names = [clip.name for clip in thing.clips]
+        truth = joined(load_clips(reference, clip=names, **reading))
+    stated = thing.space
+    thing = in_space(thing, truth.space)
+    if thing.space != stated:
+        said = f"{reference} is in {truth.space}, {source} in {stated}"
+        Output.current.warn(f"{said}: both are taken to {thing.space}")
+    return thing, truth

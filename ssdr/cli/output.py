@@ -131,10 +131,10 @@ def in_words(document: Mapping[str, Any], texts: Mapping[str, str]) -> list[tupl
 
 
 def saved_line(report: Any, diagonal: float = 0.0) -> str:
-    """Line of text on a save, with errors also in percent of the diagonal if this is given."""
+    """Line of text on a written file or page, with errors also in percent of a diagonal > 0."""
     parts = [str(report.path), decimal(report.bytes)]
-    lengths = {"error of storage": report.error, "between frames": report.between_frames}
-    for name, length in lengths.items():
+    for name, field in (("error of storage", "error"), ("between frames", "between_frames")):
+        length = getattr(report, field, None)
         if length:
             share = f" ({100 * length / diagonal:.3g} %)" if diagonal else ""
             parts.append(f"{name} {length:.4g}{share}")

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import os
 import re
 import types
 import typing
@@ -41,7 +42,12 @@ _ALL = {
     "json": "Print one JSON object and nothing else.",
     "quiet": "No progress and no table.",
 }
-_METAVARS = {Path: "FILE", list[Path]: "FILE", list[str]: "NAME", int: "N", float: "X", str: "TEXT"}
+_METAVARS = {Path: "FILE", list[Path]: "FILE", list[str]: "NAME", int: "N", float: "X", bool: " "}
+# Arguments that only Python can give, or nobody from a shell.
+_PYTHONS = (
+    *("callback", "vertex_importance", "frame_importance"),
+    *("mmap", "clip_names"),
+)
 _KINDS = (bool, Path, str, int, float)  # of several that a parameter takes, the first of these
 
 
@@ -49,7 +55,7 @@ def passes(*functions: Callable[..., Any], without: Sequence[str] = ()) -> Calla
     """Decorator that says to which functions a command passes its ``**options``."""
 
     def mark(function: Any) -> Any:
-        function.passes = functions, {*without, "callback", "vertex_importance", "frame_importance"}
+        function.passes = functions, {*without, *_PYTHONS}
         return function
 
     return mark
@@ -101,7 +107,7 @@ def _parameter(p: inspect.Parameter, hint: Any, text: str) -> inspect.Parameter:
         if kind is bool and (p.default is not False):
             flags[0] += "/--no-" + flags[0][2:]
         panel = None if p.name in _FIRST else "More"
-        metavar = _METAVARS.get(kind)
+        metavar = p.name.upper() if kind is str else _METAVARS.get(kind)
         info = typer.Option(*flags, help=text, rich_help_panel=panel, metavar=metavar)
     annotation: Any = Annotated[kind | None if optional else kind, info]
     return p.replace(kind=p.KEYWORD_ONLY, annotation=annotation)
@@ -126,7 +132,8 @@ def _kind(hint: Any) -> tuple[Any, bool]:
         if isinstance(origin, type) and issubclass(origin, Sequence):
             several = typing.get_args(kind)[0]
             return list[Path] if several is Path else list[str], optional
-    return next((kind for kind in _KINDS if kind in kinds), Path), optional
+    paths = any(typing.get_origin(kind) is os.PathLike for kind in kinds)
+    return Path if paths else next((k for k in _KINDS if k in kinds), Path), optional
 
 
 def _help(functions: Sequence[Callable[..., Any]], name: str) -> str:

@@ -24,8 +24,10 @@ def draw(
     styles: Sequence[Style] | None = None,
     width: int | None = None,
     title: str | None = None,
+    up: str = "y",
+    azimuth: float | None = None,
+    elevation: float = 12.0,
     callback: Callable[[float], object] | None = None,
-    **look: Any,
 ) -> Path:
     """Draw a film (.gif, .webp), a contact sheet or, with `frame`, a single frame to a file.
 
@@ -46,10 +48,14 @@ def draw(
         Pixels; by default 1600, for a single frame 1000, for each panel of a film 480.
     title : str, optional
         Heading of a sheet.
+    up : {"x", "y", "z", "-x", "-y", "-z"}
+        The axis that points up.
+    azimuth : float, optional
+        Degrees around; by default those that show most of the subject.
+    elevation : float
+        Degrees above.
     callback : callable, optional
         Called with the fraction of a film that is done.
-    **look
-        `up`, `azimuth` and `elevation` of :func:`render_frame`.
 
     Returns
     -------
@@ -72,7 +78,8 @@ def draw(
     """
     target = Path(path)
     picture_format(target)
-    look["reference"] = reference
+    look: dict[str, Any] = {"reference": reference, "up": up}
+    look |= {"azimuth": azimuth, "elevation": elevation}
     if frame is not None:
         style = styles[0] if styles else "error" if reference is not None else None
         size = (width or 1000,) * 2

@@ -21,6 +21,7 @@ from .finder import command, run
 
 _SCRIPT = Path(__file__).with_name("write_script.py")
 _IMPORT_FPS = 24.0
+_TIME_LIMIT = 600.0  # seconds after which Blender is stopped
 _LONGEST_NAME = 63  # bytes in the name of anything in Blender
 
 
@@ -29,7 +30,6 @@ def write_skinning(
     path: Path,
     *,
     centimetres: bool = False,
-    time_limit: float = 600.0,
 ) -> SaveReport:
     """Write a skinned ``.fbx``: Blender imports the model as glTF and exports it as FBX.
 
@@ -44,10 +44,8 @@ def write_skinning(
         In metres with y up.
     path : Path
     centimetres : bool
-        Whether to store numbers in centimetres, the unit that the file states in any case. By
-        default they are metres, below nodes that Blender gives a scale of 100.
-    time_limit : float
-        Seconds after which Blender is stopped.
+        Whether FBX stores numbers in centimetres, the unit that it states in any case. By default
+        they are metres, below nodes that Blender gives a scale of 100.
 
     Raises
     ------
@@ -96,10 +94,10 @@ def write_skinning(
                 for k, (one, clip) in enumerate(zip(names, skinning.clips, strict=True))
             ],
         }
-        written = run(_SCRIPT, job, time_limit=time_limit)
+        written = run(_SCRIPT, job, time_limit=_TIME_LIMIT)
         if not temporary.is_file():
             raise SsdrError("Blender wrote no FBX file")
-    back = read_skinning(path, time_limit=time_limit)
+    back = read_skinning(path)
     vertex = written["vertex"]
     if (back.n_frames, back.n_vertices) != (skinning.n_frames, len(vertex)):
         raise SsdrError(

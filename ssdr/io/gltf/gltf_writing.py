@@ -56,7 +56,7 @@ def write_skinning(
         whose normals are fitted; they cannot be written with a template.
     path : Path
     weights : {"float32", "uint16", "uint8"}
-        Type in which weights are stored.
+        Type in which glTF stores weights.
     template : path, optional
         The glTF file that the model was made from, or one with the same vertices and triangles.
         It is written again with the model's skin and clips; all else in it stays as it is: names,

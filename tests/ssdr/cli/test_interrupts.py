@@ -78,7 +78,7 @@ def test_a_signal_while_loading_is_a_line(name, interrupted, run, tmp_path, clip
         send(name)
         threading.Event().wait()
 
-    monkeypatch.setattr("ssdr.cli.fitting.load_clips", load)
+    monkeypatch.setattr("ssdr.cli.solve_commands.load_clips", load)
     found = run("decompose", clip, "-o", tmp_path / "b.npz", "-b", 2)
     assert found == (130, "", "ssdr: interrupted\n")
 
@@ -143,7 +143,7 @@ def until_taken(process):
 def test_a_second_signal_ends_code_that_never_returns_to_python(names, tmp_path, clip):
     """As when another library's function that reads a file does not end."""
     code = (
-        "import hashlib, sys, threading, ssdr.cli.fitting, ssdr.cli\n"
+        "import hashlib, sys, threading, ssdr.cli.solve_commands, ssdr.cli\n"
         "go = threading.Event()\n"
         "def tell():\n"
         "    go.wait(); sys.stderr.write('loading\\n'); sys.stderr.flush()\n"
@@ -151,7 +151,7 @@ def test_a_second_signal_ends_code_that_never_returns_to_python(names, tmp_path,
         "    threading.Thread(target=tell, daemon=True).start()\n"
         "    sys.setswitchinterval(1e4); go.set()  # nobody is told before the next call\n"
         "    hashlib.pbkdf2_hmac('sha256', b'', b'', 10**9)\n"
-        "ssdr.cli.fitting.load_clips = load\n"
+        "ssdr.cli.solve_commands.load_clips = load\n"
         "sys.exit(ssdr.cli.main())\n"
     )
     process = start(["-c", code, "decompose", clip, "-o", tmp_path / "b.npz", "-b", 2])

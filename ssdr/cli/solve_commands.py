@@ -1,4 +1,4 @@
-"""The commands that fit a model to an animation: decompose and smallest."""
+"""The commands that solve: decompose and smallest."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ..mesh.clips import names_of
 from ..mesh.sequence import MeshSequence, joined
 from ..model.start import JointKind
 from ..parsimony.smallest import smallest as _smallest
-from .files import PAGES, file_options, files_of, storage_options
+from .files import PAGES, READ, WRITTEN, files_of
 from .output import Output, clips_document, clips_text, in_words, saved_line
 from .parameters import passes
 
@@ -45,7 +45,7 @@ _PRUNING = "{before:,} to {after:,}: {bytes_after:,} bytes, error {error_after:.
 
 
 @passes(
-    *(_decompose, storage_options, file_options, load_clips, ssdr.load),
+    *(_decompose, *READ, *WRITTEN),
     without=["joints_alone"],
 )
 def decompose(
@@ -113,7 +113,7 @@ def decompose(
 
 
 @passes(
-    *(_smallest, _decompose, storage_options, file_options, load_clips, ssdr.load),
+    *(_smallest, _decompose, *READ, *WRITTEN),
     without=["joints_alone", "smoothness"],
 )
 def smallest(
@@ -297,5 +297,4 @@ def _draw(
         return SaveReport(path=path, bytes=path.stat().st_size)
     name = ", ".join(source.name for source in inputs)
     file = model if model.is_file() else None
-    page = ssdr.view(result, shots, path, title=title, file=file, reference_name=name)
-    return SaveReport(path=page.path, bytes=page.bytes, notes=tuple(page.notes))
+    return ssdr.view(result, shots, path, title=title, file=file, reference_name=name)
