@@ -55,6 +55,10 @@ def test_a_tube_comes_back(path, options):
     np.testing.assert_allclose(back.surface.uv, surface.uv[order], atol=1e-7)
     np.testing.assert_array_equal(back.surface.material_index, surface.material_index[order])
     assert largest_distance(back.surface.normals, surface.normals[order]) < 0.02
+    if path.suffix.startswith(".usd"):
+        assert [m.name for m in back.surface.materials] == [m.name for m in surface.materials]
+        assert "the names alone" in str(report.notes)
+        return
     assert back.surface.materials[0].texture == surface.materials[0].texture
     assert back.surface.materials[1].double_sided
     np.testing.assert_allclose(back.surface.materials[1].base_color, [0.1, 0.6, 0.2, 1])
