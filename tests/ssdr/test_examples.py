@@ -56,14 +56,13 @@ def _examples(name: str) -> list[doctest.DocTest]:
 
 
 @pytest.mark.parametrize("name", sorted(_THINGS))
-def test_has_an_example(name: str) -> None:
-    assert any(test.examples for test in _examples(name))
-
-
-@pytest.mark.parametrize("name", sorted(_THINGS))
-def test_example_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_has_an_example_that_runs(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)  # where examples write
     runner = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS)
-    for test in _examples(name):
+    tests = _examples(name)
+    assert any(test.examples for test in tests)
+    for test in tests:
         runner.run(test)
     assert runner.summarize(verbose=False).failed == 0

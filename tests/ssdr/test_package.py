@@ -93,13 +93,6 @@ def test_the_readme_and_the_page_on_installing_name_the_extras() -> None:
     assert {name for name in for_users if f"`{name}`" in readme} == for_users
 
 
-def test_the_readme_promises_no_fbx_without_blender() -> None:
-    paragraphs = (ROOT / "README.md").read_text().split("\n\n")
-    promised = [text for text in paragraphs if ".fbx" in text]
-    assert promised
-    assert all("Blender" in text for text in promised)
-
-
 def test_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="no_such_name"):
         _ = ssdr.no_such_name
@@ -119,23 +112,16 @@ def test_optional_packages_are_not_required() -> None:
 
 
 @pytest.mark.parametrize(("name", "shape"), [("dancer", (72, 4202)), ("dancer_small", (24, 799))])
-def test_a_sample_is_a_closed_mesh_that_moves_in_a_loop(name: str, shape: tuple[int, int]) -> None:
+def test_a_sample_is_a_closed_mesh(name: str, shape: tuple[int, int]) -> None:
     sequence = samples.load(name)
     assert (sequence.n_frames, sequence.n_vertices) == shape
     assert sequence.vertices.dtype == np.float32
-    vertices, faces = sequence.vertices, sequence.faces
+    faces = sequence.faces
     assert np.unique(faces).size == sequence.n_vertices
     # Closed and consistently wound: each edge once in each direction.
     directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     assert np.unique(directed, axis=0).shape == directed.shape
     assert {tuple(e) for e in directed} == {tuple(e[::-1]) for e in directed}
-    # On the floor most of the time, once in the air, and a loop.
-    height = vertices[:, :, 1].min(axis=1)
-    assert np.median(np.abs(height)) < 0.005
-    assert 0.3 < height.max() < 0.6
-    step = np.linalg.norm(np.diff(vertices, axis=0, append=vertices[:1]), axis=2).max(axis=1)
-    assert step[-1] < np.median(step)
-    assert 2.0 < sequence.diagonal() < 3.5
 
 
 def test_samples_are_small_and_named() -> None:
@@ -237,15 +223,10 @@ def test_wheel_holds_the_package_and_nothing_else(package: str, tmp_path: Path) 
     assert not [name for name in held if name.endswith((".pyc", ".nbi", ".nbc"))]
 
 
-def test_setup_and_pages_name_the_pythons_of_the_classifiers() -> None:
+def test_setup_looks_for_the_pythons_of_the_classifiers() -> None:
     named = re.compile(r"Programming Language :: Python :: (3\.\d+)")
     classified = [m[1] for text in _project()["classifiers"] if (m := named.fullmatch(text))]
     setup = (ROOT / ".ci" / "setup.sh").read_text()
     candidates = re.search(r"for candidate in (.*) python3 python;", setup)
     assert candidates is not None
     assert candidates[1].split() == [f"python{version}" for version in reversed(classified)]
-    said = f"Python {classified[0]} to {classified[-1]} on Linux"
-    assert said in (ROOT / "README.md").read_text()
-    *before, last = classified
-    said = f"runs on Python {', '.join(before)} and {last}."
-    assert said in (ROOT / "docs" / "install.md").read_text()

@@ -70,19 +70,6 @@ def test_two_threads_really_run_beside_each_other():
     run_chunks(lambda *_: meet.wait(), [(0, 1), (1, 2)])
 
 
-def test_same_bits_for_any_number_of_threads():
-    rng = np.random.default_rng(0)
-    rest = rng.normal(size=(5000, 3)).astype(np.float32)
-    indices = rng.integers(0, 9, (5000, 4))
-    weights = rng.dirichlet(np.ones(4), 5000).astype(np.float32)
-    transforms = rng.normal(size=(6, 9, 3, 4)).astype(np.float32)
-    results = []
-    for threads in (1, 2, 3):
-        ssdr.set_threads(threads)
-        results.append(ssdr.skin(rest, indices, weights, transforms).tobytes())
-    assert results[0] == results[1] == results[2]
-
-
 @pytest.mark.parametrize(("threads", "caller"), [(1, True), (2, True), (3, True), (3, False)])
 def test_errors_propagate_and_end_the_work(threads, caller, monkeypatch):
     """No chunk is begun after an error; `caller`: whether it is raised in the calling thread."""

@@ -94,13 +94,6 @@ def test_a_rest_frame_is_the_one_that_is_resembled() -> None:
         assert strain[frame] < 1.5 * min(strain)
 
 
-def test_a_given_rest_pose_is_not_pulled() -> None:
-    start = ssdr.Start(rest=rig().rest)
-    for options in ({}, {"rest_pose": "free"}):
-        found = ssdr.decompose(frames(), rig().faces, bones=4, start=start, **options).skinning
-        np.testing.assert_allclose(found.rest, rig().rest, atol=1e-12)
-
-
 def test_the_model_has_the_normals_that_were_solved() -> None:
     """Handed back are normals fitted on all frames, near those of the last steps."""
     result = ssdr.decompose(frames(), rig().faces, bones=4)

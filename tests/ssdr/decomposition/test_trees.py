@@ -175,15 +175,6 @@ def test_a_tolerance_finds_as_many_joints_as_there_are(tmp_path: Path) -> None:
     assert rmse_of(back, made.frames) <= 2.1e-4 * size
 
 
-@pytest.mark.slow
-def test_a_tolerance_of_the_largest_error() -> None:
-    made, size = trees.six_bones(), diagonal(trees.six_bones().frames)
-    call = {"influences": 2, "tolerance": 0.02 * size, "measure": "max"}
-    result = ssdr.smallest(made.frames, **call, **_RIG)
-    assert result.parsimony.held
-    assert result.skinning.joint_gaps().max() < 1e-6 * size
-
-
 def test_a_tolerance_beside_loose_joints_is_that_without_joints() -> None:
     frames = trees.six_bones().frames
     options = {"influences": 2, "tolerance": 0.01 * diagonal(frames), "effort": "fast"}

@@ -24,6 +24,7 @@ from ssdr.fit import bones
 def test_single_influence_is_kabsch_or_umeyama(seed: int, turn: float, kind: str) -> None:
     rng = np.random.default_rng(seed)
     rest, importance = rng.standard_normal((24, 3)), 0.1 + rng.random(24)
+    importance[::8] = 0.0
     indices = np.repeat(np.arange(3), 8)[:, None]
     truth = motions.motions(rng, 4, 3, turn=turn)
     if kind == "similarity":
@@ -47,16 +48,6 @@ def test_single_influence_is_kabsch_or_umeyama(seed: int, turn: float, kind: str
             tolerance = 1e-7 if kind == "rigid" else 1e-5
             np.testing.assert_allclose(found[t, j], want, atol=tolerance)
     assert fit.converged
-
-
-def test_vertices_of_no_importance_do_not_count(rng: np.random.Generator) -> None:
-    rest, frames = rng.standard_normal((10, 3)), rng.standard_normal((3, 10, 3))
-    importance = rng.random(10)
-    importance[3] = 0
-    fit = ssdr.fit_bones(frames, motions.model(rest), vertex_importance=importance)
-    for t in range(3):
-        expected = ssdr.kabsch(rest, frames[t], importance)
-        np.testing.assert_allclose(fit.skinning.transforms[t, 0], expected, atol=1e-7)
 
 
 def test_blended_weights_against_least_squares() -> None:

@@ -78,14 +78,6 @@ def test_area_of_the_mesh_is_shared_out():
         assert mass_matrix(vertices, faces, kind=kind).diagonal().sum() == pytest.approx(area)
 
 
-def test_scale_and_rigid_motion_leave_the_cotangents_alone():
-    vertices, faces = sphere()
-    base = cotangent_laplacian(vertices, faces).toarray()
-    rotation = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
-    moved = cotangent_laplacian(1e6 * vertices @ rotation + 3e6, faces).toarray()
-    np.testing.assert_allclose(moved, base, atol=1e-9)
-
-
 def test_slivers_keep_the_matrix_semi_definite():
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 0, 0], [0.5, 1e-12, 0], [0.3, 1e-5, 0]])
     for third in (2, 3, 4):
@@ -95,12 +87,13 @@ def test_slivers_keep_the_matrix_semi_definite():
         assert np.abs(matrix).max() <= 2e6
 
 
-@pytest.mark.parametrize("size", [1e60, 1e99, 1e150, 1e200, 1e307])
-def test_the_cotangent_laplacian_of_any_size_is_the_same(size: float) -> None:
+@pytest.mark.parametrize("size", [1e6, 1e60, 1e99, 1e150, 1e200, 1e307])
+def test_the_cotangent_laplacian_of_any_size_place_and_turn_is_the_same(size: float) -> None:
     dancer = ssdr.samples.load("dancer_small")
     points = dancer.vertices[0].astype(np.float64)
     plain = cotangent_laplacian(points, dancer.faces)
-    large = cotangent_laplacian(points * size, dancer.faces)
+    turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    large = cotangent_laplacian(size * (points @ turn + 3), dancer.faces)
     assert abs(large - plain).max() < 1e-9 * abs(plain).max()
 
 

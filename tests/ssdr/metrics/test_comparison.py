@@ -52,9 +52,6 @@ def test_compare_has_them_all():
             np.testing.assert_array_equal(getattr(found, key), value)
             np.testing.assert_array_equal(table[key], value)
             assert (key in (plain[name] if name else plain)) == (not isinstance(value, np.ndarray))
-    table = str(result)
-    for text in (f"{d.rmse:.6g}", f"{h.surface_max:.6g}", f"{s.value:.4g}", "5 frames"):
-        assert text in table
 
 
 def test_no_share_of_a_diagonal_of_zero_in_json():
@@ -67,19 +64,9 @@ def test_compare_of_parts_and_options():
     (a, _), (b, _) = animation(F=5), animation(1, F=5)
     bare = compare(a, b, hausdorff=False, sted=False)
     assert bare.hausdorff is bare.sted is None
-    scalars = {k for k, v in vars(distances(a, b)).items() if not isinstance(v, np.ndarray)}
-    assert set(bare.as_dict()) == scalars | {"n_frames", "n_vertices"}
-    assert "STED" not in str(bare)
     cloud = compare(a, b)
     assert cloud.hausdorff.surface_max is None
     assert cloud.sted.spatial == 0
-    assert "surfaces" not in str(cloud)
-
-
-def test_a_diagonal_whose_square_is_no_number() -> None:
-    assert ssdr.MeshSequence(np.eye(3)[None] * 1e200).diagonal() == pytest.approx(
-        np.sqrt(3) * 1e200
-    )
 
 
 @pytest.mark.parametrize("kind", ["skinning", "result"])

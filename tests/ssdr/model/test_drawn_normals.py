@@ -38,19 +38,6 @@ def test_normal_equations_against_a_dense_solver(rng, scaled):
             np.testing.assert_allclose(found[k, c], n / np.linalg.norm(n), atol=1e-6)
 
 
-def test_rigid_parts_get_the_normals_of_their_shape(rng):
-    model = tube(rings=7, sides=6)
-    first = dataclasses.replace(
-        model, indices=np.zeros((model.n_vertices, 1), int), weights=np.ones((model.n_vertices, 1))
-    )
-    sequence = ssdr.MeshSequence(first.skin(), first.faces)
-    plain = dataclasses.replace(first, surface=None)
-    fitted = with_fitted_normals([sequence], plain)
-    expected = naive.corner_normals(first.rest, first.faces)
-    np.testing.assert_allclose(fitted.surface.normals, expected, atol=1e-6)
-    assert drawn_angles([sequence], fitted)[1].largest < 1e-3
-
-
 def test_shots_and_spans_do_not_matter(rng):
     model = tube(frames=70, rings=7, sides=6)
     sequence = sequence_of(model, rng)
@@ -85,14 +72,6 @@ def test_unknown_normals_are_left_out_of_the_fit(rng):
     geometric = naive.corner_normals(model.rest, model.faces, holders_of(sequence).corner)
     unfitted = with_fitted_normals([none], model).surface.normals
     np.testing.assert_allclose(unfitted, geometric, atol=1e-6)
-
-
-def test_a_point_cloud_has_none(rng):
-    cloud = ssdr.MeshSequence(rng.normal(size=(4, 9, 3)))
-    model = ssdr.initialize(cloud, bones=2)
-    assert with_fitted_normals([cloud], model) is model
-    assert model.surface is None
-    assert ssdr.decompose(cloud, bones=2, effort="fast").normals is None
 
 
 def test_a_model_of_other_triangles_keeps_them(rng):

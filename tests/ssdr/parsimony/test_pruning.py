@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import ssdr
 from helpers.measures import small, wavy
 from ssdr import parsimony
@@ -36,11 +34,3 @@ def test_one_bone_less_is_tried_before_it_is_given_up() -> None:
     found = ssdr.smallest(wavy(), tolerance="0.8%", effort="fast", callback=note).parsimony
     assert str(found.bones) in tried
     assert found.bones == found.least_bones or str(found.bones - 1) in tried
-
-
-def test_the_result_goes_through_a_file(tmp_path: Path) -> None:
-    path = tmp_path / "model.npz"
-    ssdr.save(small(), path)
-    back = ssdr.load_skinning(path)
-    assert (back.keyframes == small().skinning.keyframes).all()
-    assert parsimony.size(back) == small().parsimony.size  # type: ignore[union-attr]

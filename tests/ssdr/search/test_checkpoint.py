@@ -110,23 +110,6 @@ def test_while_frames_are_streamed_it_is_a_model_of_those_that_were_read(tmp_pat
 
 
 @pytest.mark.usefixtures("always")
-def test_a_folder_that_goes_does_not_end_the_run(tmp_path: Path) -> None:
-    folder = tmp_path / "gone"
-    folder.mkdir()
-
-    def remove(progress: object) -> None:
-        for file in folder.iterdir() if folder.exists() else ():
-            file.unlink()
-        if folder.exists():
-            folder.rmdir()
-
-    options = {"bones": 3, "effort": "fast"}
-    with pytest.warns(ssdr.SsdrWarning, match="no checkpoint at"):
-        result = ssdr.decompose(frames(), **options, checkpoint=folder / "a.npz", callback=remove)
-    assert result.rmse == ssdr.decompose(frames(), **options).rmse
-
-
-@pytest.mark.usefixtures("always")
 def test_a_full_disk_leaves_the_last_model_whole_and_does_not_end_the_run(tmp_path: Path) -> None:
     path = tmp_path / "model.npz"
     first = ssdr.decompose(frames(), bones=3, effort="fast", checkpoint=path)

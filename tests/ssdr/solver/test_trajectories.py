@@ -127,16 +127,6 @@ def test_products_against_loops(rng: np.random.Generator) -> None:
         np.testing.assert_allclose(sums[t], want, atol=1e-12)
 
 
-def test_frame_importance_scales_the_error(rng: np.random.Generator) -> None:
-    frames = rng.standard_normal((5, 7, 3))
-    importance = 0.5 + rng.random(5)
-    data = gathered(frames, bones=10, frame_importance=importance)
-    square = sum(
-        importance[t] / importance.mean() * (data.frame(t) ** 2).sum(axis=1) for t in range(5)
-    )
-    np.testing.assert_allclose(data.x2, square, rtol=1e-12)
-
-
 @pytest.mark.parametrize("n_frames", [5, 120])
 def test_vertex_error_is_that_of_skinning(n_frames: int, rng: np.random.Generator) -> None:
     """The kernel's error, from moments in the reduced basis, against forward skinning."""
@@ -165,11 +155,3 @@ def test_unimportant_vertices_do_not_decide_the_basis(rng: np.random.Generator) 
     exact = gathered(frames, bones=10**6, vertex_importance=1.0 - junk)
     gap = full(data)[~junk] - full(exact)[~junk]
     assert np.sqrt((gap**2).sum() / exact.x2[~junk].sum()) < 1e-6
-
-
-def test_shots_follow_each_other(rng: np.random.Generator) -> None:
-    frames = rng.standard_normal((7, 6, 3)).astype(np.float32)
-    whole = gathered(frames, bones=10)
-    parts = gather([ssdr.MeshSequence(frames[:3]), ssdr.MeshSequence(frames[3:])], bones=10)
-    assert np.array_equal(whole.z, parts.z)
-    assert np.array_equal(whole.alignment.rotation, parts.alignment.rotation)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import dataclasses
-import html
 import io
 from html.parser import HTMLParser
 
@@ -114,21 +113,3 @@ def test_points_one_frame_and_names_that_mean_harm():
         shown = elements(ssdr.MeshSequence(np.eye(3)[None], faces, name=name))
         assert set(shown.found) == {"div", "iframe"}
         assert Held(shown.found["iframe"]["srcdoc"]).document["title"] == name
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("default")  # of packages that only a notebook needs
-def test_cells_of_a_notebook_that_runs(tmp_path):
-    nbformat, client = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
-    pytest.importorskip("ipykernel")
-    cells = (
-        "import ssdr\ndancer = ssdr.samples.load('dancer_small')\ndancer",
-        "ssdr.decompose(dancer, bones=4, effort='fast')",
-    )
-    book = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(c) for c in cells])
-    client.NotebookClient(book, timeout=600, resources={"metadata": {"path": tmp_path}}).execute()
-    for cell, kind in zip(book.cells, ["MeshSequence", "Decomposition"], strict=True):
-        data = cell.outputs[-1].data
-        assert data["text/plain"].startswith(kind)
-        assert "<iframe " in data["text/html"]
-        assert html.escape(data["text/plain"]) in data["text/html"]
