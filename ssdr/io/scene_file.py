@@ -91,7 +91,7 @@ class SceneFile:
         -------
         MeshSequence
             Vertices in float32, in the file's unit and with its up axis; for glTF, metres with y
-            up. Meshes follow each other in the order of the scene. Polygons are cut into fans.
+            up. Meshes follow each other in the order of the scene. Polygons are cut into triangles.
 
         Raises
         ------

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...mesh.clips import readable
 from ...mesh.normals import unit
 from ..file_errors import check
-from ..meshes.polygons import fan, value_index
+from ..meshes.polygons import cut, value_index
 from ..scene import Bones, Shape, facing
 
 _log = logging.getLogger(__name__)
@@ -99,7 +99,7 @@ class Transforms:
 
 
 class CacheMesh:
-    """A mesh of a cache, as a `ScenePart`; polygons are cut into fans of triangles.
+    """A mesh of a cache, as a `ScenePart`; polygons are cut into triangles.
 
     Parameters
     ----------
@@ -160,10 +160,11 @@ class CacheMesh:
         self._check((counts >= 0).all() and total == len(indices), problem)
         problem = f"indices from {least} to {most} for {self.n_points} vertices"
         self._check(least >= 0 and most < self.n_points, problem)
-        corners, self.polygon = fan(counts)
         # Alembic's polygons are clockwise.
         ends = 2 * (np.cumsum(counts) - counts) + counts - 1
-        self.corners = ends[self.polygon, None] - corners
+        order = np.repeat(ends, counts) - np.arange(total)
+        corners, self.polygon = cut(counts, indices[order], self.points.values[0])
+        self.corners = order[corners]
         if self._mirrored:
             self.corners = self.corners[:, ::-1]  # a mirroring transform flips triangles
         self.faces = indices[self.corners]

@@ -24,7 +24,7 @@ _PRINTF = re.compile(r"%0?([0-9]{0,2})d")
 def read(path: Path, *, fps: float | None = None) -> MeshSequence:
     """Read a mesh file, or a folder or pattern of numbered files with one frame each.
 
-    Frames follow the natural order of the files' names (2 before 10). Polygons are cut into fans of
+    Frames follow the natural order of the files' names (2 before 10). Polygons are cut into
     triangles. UVs, normals and names of materials are those of the first file.
 
     Parameters
@@ -45,9 +45,9 @@ def read(path: Path, *, fps: float | None = None) -> MeshSequence:
     files = _files(path)
     parse = _PARSERS[files[0].suffix.lower()]
     first = parse(files[0], None)
-    frames, mesh = [first.vertices], first
+    frames = [first.vertices]
     for file in files[1:]:
-        mesh = parse(file, mesh)  # of two files with the same text, the faces are parsed once
+        mesh = parse(file, first)  # of two files with the same text, the faces are parsed once
         _compare(file, mesh, files[0], first)
         frames.append(mesh.vertices)
     with reading(files[0] if len(files) == 1 else path):

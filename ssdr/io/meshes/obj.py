@@ -20,7 +20,7 @@ from ...mesh.surface import Material, Surface
 from ..atomic import write_bytes
 from ..file_errors import check, read_file, reading
 from ..signatures import describe
-from .polygons import Mesh, fan
+from .polygons import Mesh, cut
 
 _log = logging.getLogger(__name__)
 
@@ -47,7 +47,8 @@ def parse_obj(path: Path, like: Mesh | None = None) -> Mesh:
         # Negative indices count back from their line, so equal text may name other vertices.
         if like is not None and topology == like.topology and b"-" not in topology:
             return Mesh(vertices=vertices, faces=like.faces, topology=topology)
-        faces, surface = _faces(path, lines, with_surface=like is None)
+        first = vertices if like is None else like.vertices
+        faces, surface = _faces(path, lines, first, with_surface=like is None)
         return Mesh(vertices=vertices, faces=faces, surface=surface, topology=topology)
 
 
@@ -60,7 +61,7 @@ def _vertex_rows(rows: list[list[bytes]]) -> NDArray[np.float64]:
 
 
 def _faces(
-    path: Path, lines: list[bytes], *, with_surface: bool
+    path: Path, lines: list[bytes], first: NDArray[Any], *, with_surface: bool
 ) -> tuple[NDArray[np.int64], Surface | None]:
     tables: dict[bytes, list[list[bytes]]] = {b"v": [], b"vt": [], b"vn": []}
     corners = array.array("q")  # a list for each would take five times the memory
@@ -82,13 +83,13 @@ def _faces(
             name = rest.strip().decode("utf-8", "replace")
             material = materials.setdefault(name, len(materials))
     index = np.array(corners, dtype=np.int64).reshape(-1, 3)
-    triangles, polygon = fan(np.array(counts, dtype=np.int64))
     for table, column, least in zip(tables, index.T, (0, -1, -1), strict=True):
         wrong = column[(column < least) | (column >= len(tables[table]))]
         if len(wrong):
             raise FormatError(
                 f"a face names {table.decode()} {wrong[0] + 1}, there are {len(tables[table])}"
             )
+    triangles, polygon = cut(np.array(counts, dtype=np.int64), index[:, 0], first)
     faces = index[:, 0][triangles]
     if not with_surface:
         return faces, None

@@ -19,7 +19,7 @@ from ...mesh.surface import Surface
 from ..atomic import write_bytes
 from ..file_errors import check, read_file, reading
 from ..signatures import describe
-from .polygons import Mesh, fan
+from .polygons import Mesh, cut
 
 _KINDS = {  # type codes of struct and NumPy
     **dict.fromkeys(("char", "int8"), "b"),
@@ -43,7 +43,7 @@ _Elements = dict[str, tuple[int, list[_Property]]]  # number of rows, and proper
 _Columns = dict[str, tuple[NDArray[np.int64], NDArray[Any]]]  # counts by row, all numbers
 
 
-def parse_ply(path: Path, _like: Mesh | None = None) -> Mesh:
+def parse_ply(path: Path, like: Mesh | None = None) -> Mesh:
     """Read one PLY file; normals and UVs of its vertices are copied to the triangle corners."""
     with reading(path):
         data = read_file(path)
@@ -67,7 +67,8 @@ def parse_ply(path: Path, _like: Mesh | None = None) -> Mesh:
             with np.errstate(invalid="ignore"):  # of what is no integer at all
                 indices = values.astype(np.int64)
             check((indices == values).all(), "the faces are not lists of integers")
-            faces = indices[fan(counts)[0]]
+            first = vertices if like is None else like.vertices
+            faces = indices[cut(counts, indices, first)[0]]
         return Mesh(vertices=vertices, faces=faces, surface=_surface(vertex, faces))
 
 

@@ -31,13 +31,25 @@ class Mesh:
     topology: bytes = b""
 
 
-def fan(counts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Cut polygons into triangles that share the first corner of their polygon.
+_MOST_CORNERS = 500  # of a polygon that is cut by ears, which takes a time of their square
+
+
+def cut(
+    counts: NDArray[np.int64], indices: NDArray[np.int64], vertices: NDArray[Any]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Cut polygons into triangles that face as their polygon does.
+
+    A polygon is cut into a fan at its first corner if no triangle of it is turned over, else by
+    ears (Meisters, Polygons have ears, 1975).
 
     Parameters
     ----------
     counts : (N,) int
         Number of corners of each polygon.
+    indices : (C,) int
+        Vertex of every corner of all polygons; one that does not exist counts as another.
+    vertices : (V, 3) float
+        Vertices in the first frame.
 
     Returns
     -------
@@ -56,10 +68,48 @@ def fan(counts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]
         raise FormatError(f"face {k} has {counts[k]} corners")
     n = counts - 2
     polygon = np.repeat(np.arange(len(counts)), n)
-    start = np.cumsum(counts) - counts
-    step = np.arange(len(polygon)) - np.repeat(np.cumsum(n) - n, n)
+    start, first = np.cumsum(counts) - counts, np.cumsum(n) - n
+    step = np.arange(len(polygon)) - first[polygon]
     base = start[polygon]
-    return np.stack([base, base + step + 1, base + step + 2], axis=1), polygon
+    corners = np.stack([base, base + step + 1, base + step + 2], axis=1)
+    many = np.flatnonzero(counts[polygon] > 3)
+    if not len(many) or not len(vertices):
+        return corners, polygon
+    points = vertices.take(indices, axis=0, mode="clip")
+    a, b, c = np.asarray(points, dtype=np.float64)[corners[many]].transpose(1, 0, 2)
+    area = np.cross(b - a, c - a)
+    whole = np.stack([np.bincount(polygon[many], x, len(counts)) for x in area.T], axis=1)
+    facing = (area * whole[polygon[many]]).sum(axis=1)
+    over = facing < -1e-6 * (whole**2).sum(axis=1)[polygon[many]]
+    for k in np.unique(polygon[many][over]):
+        if counts[k] <= _MOST_CORNERS:
+            own = points[start[k] : start[k] + counts[k]]
+            corners[first[k] : first[k] + n[k]] = start[k] + _ears(own, whole[k])
+    return corners, polygon
+
+
+def _ears(points: NDArray[Any], area: NDArray[np.float64]) -> list[list[int]]:
+    """Triangles (N - 2) of a polygon that faces along `area`; the rest without ears is a fan."""
+    axis = int(np.abs(area).argmax())
+    flat = np.delete(np.asarray(points, dtype=np.float64), axis, axis=1)
+    if (area[axis] < 0) != (axis == 1):  # seen from the other side
+        flat = flat[:, ::-1]
+
+    def turn(a: int, b: int, c: NDArray[np.float64]) -> Any:
+        side, along = flat[b] - flat[a], c - flat[a]
+        return side[0] * along[..., 1] - side[1] * along[..., 0]
+
+    def is_ear(i: int) -> bool:
+        a, b, c = corner = left[i - 1], left[i], left[(i + 1) % len(left)]
+        others = flat[[k for k in left if k not in corner]]
+        inside = (turn(a, b, others) >= 0) & (turn(b, c, others) >= 0) & (turn(c, a, others) >= 0)
+        return bool(turn(a, b, flat[c]) > 0) and not inside.any()
+
+    left, triangles = list(range(len(flat))), []
+    while len(left) > 3 and (ear := next(filter(is_ear, range(len(left))), None)) is not None:
+        triangles.append([left[ear - 1], left[ear], left[(ear + 1) % len(left)]])
+        del left[ear]
+    return triangles + [[left[0], left[k], left[k + 1]] for k in range(1, len(left) - 1)]
 
 
 def value_index(

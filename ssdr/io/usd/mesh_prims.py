@@ -13,7 +13,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from ...mesh.normals import unit
 from ...model.shapes import Shapes
 from ..file_errors import check
-from ..meshes.polygons import fan, value_index
+from ..meshes.polygons import cut, value_index
 from ..scene import Bones, Shape, facing, file_weights, vertices_at_joints
 
 _log = logging.getLogger(__name__)
@@ -24,7 +24,7 @@ _MOST_LOOKS = 64  # largest number of times at which it is checked whether a mes
 class MeshPrim:
     """A mesh prim with its skin and blend shapes, as a `ScenePart`.
 
-    Each polygon is cut into a fan of triangles.
+    Polygons are cut into triangles.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ class MeshPrim:
         self._check(total == len(indices), problem)
         problem = f"faceVertexIndices from {least} to {most} for {self.n_points} points"
         self._check(least >= 0 and most < self.n_points, problem)
-        self.corners, self.polygon = fan(self.counts)
+        self.corners, self.polygon = cut(self.counts, indices, self.raw_points(_FIRST))
         if mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded:
             self.corners = self.corners[:, ::-1]
         self.faces = indices[self.corners]

@@ -233,10 +233,17 @@ def test_a_mirrored_mesh_faces_outwards(tmp_path, grows):
     assert ((corners * back.surface.normals).sum(axis=2) > 0).all()
 
 
-def test_polygons_are_cut_into_fans_seen_from_outside(tmp_path):
+def test_polygons_are_cut_into_triangles_seen_from_outside(tmp_path):
     points = np.concatenate([TETRAHEDRON, TETRAHEDRON + 3])[None]
     path = one_mesh(tmp_path / "a.abc", points, uniform(24), polygons=[(0, 1, 2, 3, 4), (5, 6, 7)])
     assert ssdr.load(path).faces.tolist() == [[4, 3, 2], [4, 2, 1], [4, 1, 0], [7, 6, 5]]
+
+    ell = np.array([[2, 0], [2, 1], [1, 1], [1, 2], [0, 2], [0, 0]]) @ np.eye(2, 3)
+    back = ssdr.load(one_mesh(path, ell[None], uniform(24), polygons=[(5, 4, 3, 2, 1, 0)]))
+    a, b, c = ell[back.faces].transpose(1, 0, 2)
+    areas = np.cross(b - a, c - a)[:, 2] / 2
+    assert areas.min() > 0
+    assert areas.sum() == 3
 
 
 UV = np.arange(24, dtype=np.float32).reshape(12, 2)
