@@ -17,9 +17,11 @@ from helpers import trees
 from helpers.command import fake_decompose, model_of, start
 from helpers.page import Held
 from helpers.rig_model import largest_distance
+from ssdr import cli
 from ssdr.cli import app
 from ssdr.cli.output import Output
 from ssdr.cli.parameters import command
+from ssdr.cli.shell import safe_streams
 
 COMMANDS = ("decompose", "smallest", "info", "compare", "convert", "render", "view")
 FAST = ("--bones", 3, "--effort", "fast")
@@ -159,6 +161,13 @@ def test_smallest(run, done, rigged, tmp_path):
 
 
 def test_info(run, done, rigged, tmp_path):
+    model = ssdr.load_skinning(rigged)
+    tree = dataclasses.replace(model, parents=[-1, 0, 1], joint_positions=model.centroids())
+    ssdr.save(tree, tmp_path / "m.npz")
+    d = done("info", tmp_path / "m.npz")
+    assert (d["bones"], d["bones_without_vertices"]) == (3, 0)
+    assert (d["hierarchy"]["joints"], d["hierarchy"]["depth"]) == (3, 3)
+    assert "3 joints, 3 deep" in run("info", tmp_path / "m.npz")[1]
     # The last vertex lies on the first.
     points = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [5, 5, 5], [0, 0, 0.0]])
     mesh = ssdr.MeshSequence(np.stack([points, points + 1]), [[0, 1, 2], [0, 2, 3], [1, 1, 2]], 10)
@@ -174,16 +183,6 @@ def test_info(run, done, rigged, tmp_path):
     assert "0.0254 m a unit, z up" in out
     assert [c["name"] for c in done("info", rigged, "--clip", "jump")["clips"]] == ["jump"]
     assert done("info", "sample:dancer_small")["input"] == str(ssdr.samples.path("dancer_small"))
-
-
-def test_info_of_a_skinning_tells_of_bones_and_joints(run, done, rigged, tmp_path):
-    model = ssdr.load_skinning(rigged)
-    tree = dataclasses.replace(model, parents=[-1, 0, 1], joint_positions=model.centroids())
-    ssdr.save(tree, tmp_path / "m.npz")
-    d = done("info", tmp_path / "m.npz")
-    assert (d["bones"], d["bones_without_vertices"]) == (3, 0)
-    assert (d["hierarchy"]["joints"], d["hierarchy"]["depth"]) == (3, 3)
-    assert "3 joints, 3 deep" in run("info", tmp_path / "m.npz")[1]
 
 
 def test_convert_keeps_a_skinning_or_bakes_it(done, run, rigged, tmp_path):
@@ -285,27 +284,48 @@ def test_a_process_of_its_own_without_a_display(clip, tmp_path):
     assert "a.png" in out
 
 
-class Terminal(io.StringIO):
+class Terminal(io.TextIOWrapper):
+    """A terminal that lacks most characters."""
+
+    def __init__(self, shows=True):
+        super().__init__(io.BytesIO(), "latin-1")
+        self._shows = shows
+
     def isatty(self):
-        return True
+        return self._shows
 
 
 @pytest.mark.parametrize(
-    ("stream", "options", "shown"),
-    [
-        (Terminal(), {}, True),
-        (Terminal(), {"quiet": True}, False),
-        (Terminal(), {"json": True}, False),
-        (io.StringIO(), {}, False),
-    ],
-)
-def test_progress_is_shown_on_a_terminal_and_nowhere_else(stream, options, shown, monkeypatch):
+    ("terminal", "options", "shown"),
+    [(True, {}, True), (True, {"quiet": True}, False), (True, {"json": True}, False),
+     (False, {}, False)],
+)  # fmt: skip
+def test_progress_is_shown_on_a_terminal_and_nowhere_else(terminal, options, shown, monkeypatch):
+    stream = Terminal(terminal)
     monkeypatch.setattr(sys, "stderr", stream)
     monkeypatch.setenv("TERM", "xterm")
-    output = Output(**options)
-    with output.waiting("loading a[1].abc"):
-        pass
-    with output.progress_bar() as show:
-        show("alternate", 0.5, "RMSE 1")
-    for text in ("loading a[1].abc", "alternate", "50%", "RMSE 1"):
-        assert (text in stream.getvalue()) == shown
+    with safe_streams():
+        output = Output(**options)
+        with output.waiting("loading a[1].abc"):
+            pass
+        with output.progress_bar() as show:
+            show("alternate", 0.5, "RMSE 1")
+    stream.flush()
+    text = stream.buffer.getvalue().decode("latin-1")
+    for part in ("loading a[1].abc", "alternate", "50%", "RMSE 1"):
+        assert (part in text) == shown
+
+
+def test_the_shell_completes_commands_and_options(monkeypatch, capsys):
+    def complete(words):
+        variables = {"_SSDR_COMPLETE": "complete_bash", "COMP_WORDS": words}
+        for key, value in (variables | {"COMP_CWORD": str(len(words.split()) - 1)}).items():
+            monkeypatch.setenv(key, value)
+        with pytest.raises(SystemExit):
+            cli.main([])
+        return capsys.readouterr().out
+
+    commands = complete("ssdr dec")
+    assert "decompose" in commands
+    assert "convert" not in commands
+    assert "--tolerance" in complete("ssdr smallest --to")

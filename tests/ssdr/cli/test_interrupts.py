@@ -167,35 +167,6 @@ def test_a_second_signal_ends_code_that_never_returns_to_python(names, tmp_path,
 
 
 @pytest.mark.slow
-def test_the_solver_is_interrupted_and_goes_on(tmp_path):
-    """The whole way on the sample: Ctrl-C, the model, going on."""
-    out = tmp_path / "a.npz"
-    line = ["decompose", "sample:dancer_small", "-o", out, "-b", 12, "--json"]
-    code = (
-        "import sys, ssdr, ssdr.cli\n"
-        "solve = ssdr.decompose\n"
-        "def decompose(*a, callback, **k):\n"
-        "    def follow(progress):\n"
-        "        if progress.rmse < 1: sys.stderr.write('solving\\n'); sys.stderr.flush()\n"
-        "        return callback(progress)\n"
-        "    return solve(*a, callback=follow, **k)\n"
-        "ssdr.decompose = decompose\n"
-        "sys.exit(ssdr.cli.main())\n"
-    )
-    process = start(["-c", code, *line, "--effort", "best"])
-    wait_for(process, "solving")
-    process.send_signal(signal.SIGINT)
-    text, err = process.communicate(timeout=600)
-    assert process.returncode == 130, err
-    before = json.loads(text)
-    assert before["stop_reason"] == "cancelled"
-    process = start(["-m", "ssdr.cli", *line, "--start", out, "--time-limit", 2])
-    text, err = process.communicate(timeout=600)
-    assert process.returncode == 0, err
-    assert json.loads(text)["rmse"] <= before["rmse"] * (1 + 1e-6)
-
-
-@pytest.mark.slow
 def test_a_second_signal_ends_at_once(clip, tmp_path):
     process = start([*faked(9, 60), "decompose", clip, "-o", tmp_path / "a.npz", "--bones", 2])
     wait_for(process, "solving")

@@ -10,7 +10,7 @@ import pytest
 import ssdr
 from helpers.blender import no_blender
 from helpers.command import fake_decompose, model_of
-from helpers.disks import fill, small_files
+from helpers.disks import fill
 
 LONG = "n" * 252
 D = ("decompose", "clip.npz", "-b", "2", "-o")
@@ -23,23 +23,18 @@ TABLE = [
     (("decompose", "a.npz", "-b", "many", "-o", "b.npz"), 2, "'--bones'"),
     (("decompose", "a.npz", "-b", "1", "-o", "b.npz", "--bone-model", "rubber"), 2, "'affine'"),
     (("info", "clip.npz", "-v"), 2, "No such option: -v"),
-    (("convert", "clip.npz", "b.npz", "--folder", "missing"), 2, "folder: expected a folder"),
     # inputs
     (("info", "none.npz"), 2, "none.npz: no such file"),
     (("info", "9" * 300 + ".npz"), 2, "File name too long"),
     (("info", "bad.npz"), 3, "bad.npz"),
     (("info", "sample:nobody"), 2, "one of dancer, dancer_small"),
     (("info", "clip.npz", "--units", "ell"), 2, "'ell' is not a valid float"),
-    (("info", "clip.npz", "--units", "-1"), 2, "units: expected"),
     (("info", "clip.npz", "--up", "x"), 2, "--up"),
     (("info", "clip.npz", "--meshes", "Body"), 2, "got meshes"),
     (("info", "rigged.glb", "--clip", "run"), 2, "clip: expected one of walk, jump, or all"),
-    (("info", "clip.npz", "--scale", "0"), 2, "scale: expected"),
     (("decompose", "still.obj", "-b", "2", "-o", "out.npz"), 2, "(no motion)"),
-    (("decompose", "clip.npz", "rigged.glb", "-b", "2", "-o", "a.npz"), 2, "the 12 vertices of"),
     # options
     ((*OUT, "-b", "0"), 2, "bones: expected an integer"),
-    ((*OUT, "-k", "0"), 2, "influences: expected an integer"),
     ((*OUT, "--start", "none.npz"), 2, "no such file"),
     (TREE, 2, "--bones: expected a number of bones, --rig FILE or --start MODEL"),
     ((*TREE, "--rig", "loose"), 2, "--bones"),
@@ -49,24 +44,16 @@ TABLE = [
     ((*OUT, "--joints", "loose"), 2, "--joints: expected the file of a rig beside it"),
     (SMALL, 2, "--tolerance"),
     ((*SMALL, "--tolerance", "half"), 2, "such as"),
-    ((*SMALL, "--tolerance", "1%", "--measure", "mean"), 2, "'rmse'"),
     ((*SMALL, "--tolerance", "1%", "--rig", "rig.npz"), 2, "'loose'"),
     # outputs
     ((*D, "a.xyz"), 2, "output: expected a known suffix"),
-    ((*D, "no/a.npz"), 2, "folder that exists"),
-    ((*D, "no/way/a_%02d.obj"), 2, "folder that exists"),
-    ((*D, "clip.npz"), 2, "no input"),
-    ((*OUT, "-o", "out.npz"), 2, "no other output"),
     ((*OUT, "-o", "a.png", "-o", "a.png"), 2, "no other output"),
     ((*D, "a.png"), 2, "--output: expected a file for the model, too"),
     ((*OUT, "--checkpoint", "state.txt"), 2, "ending in .npz"),
-    ((*OUT, "--checkpoint", "clip.npz"), 2, "no input"),
     ((*OUT, "--checkpoint", "./out.npz"), 2, "no other output"),
-    ((*D, f"{LONG}.npz"), 2, "File name too long"),
     ((*OUT, "-o", f"{LONG}.png"), 2, "File name too long"),
     ((*D, "a.fbx"), 4, "a.fbx: FBX needs Blender. Blender, 4.2 or newer, was not found"),
     ((*OUT, "--weights", "uint8"), 2, "got weights"),
-    ((*D, "a.gltf"), 2, "a name whose a.bin is not taken"),
     (("convert", "rigged.glb", "a.npz", "--bake", "--clip", "all"), 2, "one clip where vertices"),
     (("compare", "rigged.glb", "renamed.npz"), 2, "clip: expected one of walk, jump"),
     (("compare", "clip.npz", "rigged.glb", "--clip", "jump"), 2, "vertices"),
@@ -84,7 +71,6 @@ def folder(clip, rigged, wave, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     no_blender(monkeypatch, tmp_path)
     (tmp_path / "bad.npz").write_bytes(b"not a zip archive")
-    (tmp_path / "a.bin").write_bytes(b"precious")
     ssdr.save(ssdr.MeshSequence(wave.vertices[:1], wave.faces), "still.obj")
     model = ssdr.load_skinning(rigged)
     clips = [model.clips[0], dataclasses.replace(model.clips[1], name="run")]
@@ -104,7 +90,6 @@ def test_what_is_refused_in_one_line_before_anything_is_written(run, folder, lin
     assert len(err.strip().splitlines()) <= 2  # usage, and the error
     assert "Traceback" not in err
     assert sorted(folder.iterdir()) == before
-    assert (folder / "a.bin").read_bytes() == b"precious"
 
 
 def test_errors_as_json_and_those_that_nobody_expected(run, folder, monkeypatch):
@@ -124,7 +109,7 @@ def test_errors_as_json_and_those_that_nobody_expected(run, folder, monkeypatch)
 
 @pytest.mark.usefixtures("faked")
 def test_a_model_that_cannot_be_written_is_kept(run, clip, tmp_path, monkeypatch):
-    """On a disk that fills, in a folder that goes, under a quota."""
+    """On a disk that fills, in a folder that goes."""
     (tmp_path / "full").mkdir()
     (tmp_path / "temporary").mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
@@ -138,11 +123,6 @@ def test_a_model_that_cannot_be_written_is_kept(run, clip, tmp_path, monkeypatch
         f"ssdr: warning: the model is kept in {place}",
         f"ssdr: error: {tmp_path / 'full' / 'a.glb'}: No space left on device",
     ]
-    assert json.loads(run(*line, "--json")[1])["exit_code"] == 1
-    good = tmp_path / "good.npz"
-    code, _, err = run(*line, "-o", good)
-    assert ssdr.load_skinning(good).n_bones == 2
-    assert "is kept" not in err
     gone = tmp_path / "gone"
     gone.mkdir()
 
@@ -154,12 +134,3 @@ def test_a_model_that_cannot_be_written_is_kept(run, clip, tmp_path, monkeypatch
     code, _, err = run("decompose", clip, "-b", 2, "-o", gone / "b.npz")
     assert code == 2
     assert f"the model is kept in {tmp_path / 'temporary' / 'b.rescued.npz'}" in err
-
-
-@pytest.mark.usefixtures("faked")
-def test_files_that_may_not_grow(run, clip, tmp_path):
-    """What the system says of a full quota comes from the write itself."""
-    with small_files(500):
-        code, _, err = run("decompose", clip, "-b", 2, "-o", tmp_path / "a.npz")
-    assert code == 1
-    assert f"ssdr: error: {tmp_path / 'a.npz'}: File too large" in err

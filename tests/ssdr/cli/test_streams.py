@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import os
-import pty
 import sys
 
 import pytest
@@ -78,31 +77,6 @@ def test_a_reader_that_has_gone_loses_no_work(clip, tmp_path):
         _, err = process.communicate(timeout=600)
         assert (process.returncode, err.replace("solving\n", "")) == (code, "")
     assert (tmp_path / "a.npz").exists()
-
-
-@pytest.mark.slow
-def test_progress_on_a_terminal(clip, tmp_path):
-    leader, follower = pty.openpty()
-    variables = {"PYTHONIOENCODING": "latin-1", "TERM": "xterm"}
-    process = command.start(
-        [*command.faked(20, 0.05), "decompose", clip, "-o", tmp_path / "a.npz", "--bones", 2],
-        stderr=follower,
-        environment=variables,
-    )
-    os.close(follower)
-    text, _ = process.communicate(timeout=600)
-    seen = b""
-    with open(leader, "rb", buffering=0) as terminal:
-        try:
-            while block := terminal.read(4096):
-                seen += block
-        except OSError:  # how a terminal ends
-            pass
-    assert process.returncode == 0, seen
-    assert b"alternate" in seen
-    assert b"RMSE" in seen
-    assert b"Traceback" not in seen
-    assert "2 bones" in text
 
 
 @pytest.mark.slow

@@ -102,6 +102,7 @@ INPUT = [
     # several files of one mesh
     (load("rigged.glb", load_clips, clip="walk", anim=1), r"options: expected .*, got anim"),
     (several("rigged.glb", "rigged.glb", anim=1), r"options: .*meshes.*, got anim"),
+    (load("rigged.glb", scale=0), "scale: expected"),
     (load("rigged.glb", load_clips, weld="yes"), r"weld: expected True or False"),
     (several("rigged.glb", ssdr.samples.path("dancer_small"), clip="walk"), "the 18 vert"),
     (several("shot.npz", "bare.npy"), "faces: expected a mesh"),
@@ -118,6 +119,9 @@ INPUT = [
     (outputs("a.npz", "a.npz"), "no other output"),
     (outputs("shot.npz"), "no input"),
     (outputs("no/a.npz"), "folder that exists"),
+    (outputs("no/way/a_%02d.obj"), "folder that exists"),
+    (outputs(f"{'n' * 252}.npz"), "File name too long"),
+    (outputs("b.gltf"), "a name whose b.bin is not taken"),
     (outputs("taken.npy"), "a name whose taken.faces.npy is not taken"),
     (outputs("x.npz", colour="red"), "got colour"),
 ]  # fmt: skip
@@ -142,7 +146,7 @@ def given(tmp_path_factory):
     ssdr.save(model, folder / "rigged.glb")
     ssdr.save(shot, folder / "shot.npz")
     np.save(folder / "bare.npy", shot.vertices)
-    for name in ("a", "a.xyz", "shot.obj", "taken.faces.npy"):
+    for name in ("a", "a.xyz", "b.bin", "shot.obj", "taken.faces.npy"):
         (folder / name).write_text("precious")
     for suffix in (".abc", ".fbx", ".mdd", ".npy", ".npz", ".pc2", ".usd"):
         (folder / f"folder{suffix}").mkdir()
