@@ -6,9 +6,9 @@ import io
 
 import numpy as np
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 import ssdr
-from ssdr.model.rigid import matrix_from_quaternion
 
 FPS = 24.0
 
@@ -23,40 +23,26 @@ def checker() -> bytes:
 
 def tube(*, bones=5, frames=20, influences=4, rings=21, sides=12, scaled=False, offset=0.0):
     """A capped tube along y of exact skinning; its last bone turns more than a full circle."""
-    height = np.linspace(0, 4, rings)
-    angle = np.arange(sides) * 2 * np.pi / sides
-    ring = np.stack([0.5 * np.cos(angle), 0 * angle, 0.5 * np.sin(angle)], axis=1)
-    rest = (ring[None] + height[:, None, None] * np.array([0, 1, 0])).reshape(-1, 3)
+    height, angle = np.linspace(0, 4, rings), np.arange(sides) * 2 * np.pi / sides
+    out = np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=1)
+    rest = (0.5 * out + height[:, None, None] * np.array([0, 1, 0])).reshape(-1, 3)
     rest = np.concatenate([rest, [[0, 0, 0], [0, 4, 0]]])
-    faces, uv, normals, material = [], [], [], []
-
-    def add(corner_ids, corner_uv, corner_normals, k):
-        faces.append(corner_ids)
-        uv.append(corner_uv)
-        normals.append(corner_normals)
-        material.append(k)
-
-    def out(j):
-        return [np.cos(angle[j % sides]), 0, np.sin(angle[j % sides])]
-
-    for i in range(rings - 1):
-        for j in range(sides):
-            a, b = i * sides + j, i * sides + (j + 1) % sides
-            c, d = a + sides, b + sides
-            u0, u1, v0, v1 = j / sides, (j + 1) / sides, height[i] / 4, height[i + 1] / 4
-            k = int(i >= rings // 2)
-            add([a, c, b], [[u0, v0], [u0, v1], [u1, v0]], [out(j), out(j), out(j + 1)], k)
-            add([b, c, d], [[u1, v0], [u0, v1], [u1, v1]], [out(j + 1), out(j), out(j + 1)], k)
-    for j in range(sides):
-        a, b = j, (j + 1) % sides
-        low, high = rings * sides, rings * sides + 1
-        top = (rings - 1) * sides
-        add([low, a, b], [[0.5, 0.5], [0, 0], [1, 0]], [[0, -1, 0]] * 3, 0)
-        add([high, top + b, top + a], [[0.5, 0.5], [0, 0], [1, 0]], [[0, 1, 0]] * 3, 1)
+    # two triangles between neighbours of two rings, then one of either cap, by corners
+    row = np.arange(rings - 1)[:, None, None, None] + np.array([[0, 1, 0], [0, 1, 1]])
+    column = np.arange(sides)[:, None, None] + np.array([[0, 0, 1], [1, 0, 1]])
+    row, column = np.broadcast_arrays(row, column)
+    j, k, top = np.arange(sides), np.roll(np.arange(sides), -1), (rings - 1) * sides
+    low, high = np.full(sides, rings * sides), np.full(sides, rings * sides + 1)
+    caps = np.stack([low, j, k, high, top + k, top + j], axis=1).reshape(-1, 3)
+    faces = np.concatenate([(row * sides + column % sides).reshape(-1, 3), caps])
+    flat = np.tile([[0.5, 0.5], [0, 0], [1, 0]], (2 * sides, 1, 1))
+    uv = np.stack([column / sides, height[row] / 4], axis=-1).reshape(-1, 3, 2)
+    ends = np.tile(np.repeat([[0, -1, 0], [0, 1, 0]], 3, axis=0).reshape(2, 3, 3), (sides, 1, 1))
+    upper = np.repeat(np.arange(rings - 1) >= rings // 2, 2 * sides)
     surface = ssdr.Surface(
-        uv=np.array(uv, dtype=np.float32),
-        normals=np.array(normals, dtype=np.float32),
-        material_index=np.array(material, dtype=np.int32),
+        uv=np.concatenate([uv, flat]).astype(np.float32),
+        normals=np.concatenate([out[column % sides].reshape(-1, 3, 3), ends]).astype(np.float32),
+        material_index=np.concatenate([upper, np.tile([0, 1], sides)]).astype(np.int32),
         materials=(
             ssdr.Material(name="checker", base_color=(1, 1, 1, 1), texture=checker()),
             ssdr.Material(name="green", base_color=(0.1, 0.6, 0.2, 1.0), double_sided=True),
@@ -68,33 +54,26 @@ def tube(*, bones=5, frames=20, influences=4, rings=21, sides=12, scaled=False, 
     weights = np.take_along_axis(dense, indices, axis=1)
     weights /= weights.sum(axis=1, keepdims=True)
     transforms = np.zeros((frames, bones, 3, 4))
-    for t in range(frames):
-        phase = t / max(1, frames - 1)
-        motion = np.eye(4)
-        motion[:3, 3] = [phase, 0.2 * np.sin(6 * phase), offset]
-        for b in range(bones):
-            joint = np.array([0, 4 * b / bones, 0])
-            bend = 0.5 * np.sin(2 * np.pi * phase + b)
-            turn = 2.2 * np.pi * phase / bones
-            q = np.array([0, np.sin(turn / 2), 0, np.cos(turn / 2)])
-            r = matrix_from_quaternion(q)
-            q = np.array([np.sin(bend / 2), 0, 0, np.cos(bend / 2)])
-            r = matrix_from_quaternion(q) @ r
-            step = np.eye(4)
-            step[:3, :3] = r
-            step[:3, 3] = joint - r @ joint
-            motion = motion @ step
-            transforms[t, b] = motion[:3]
-            if scaled:
-                size = 1 + 0.3 * np.sin(5 * phase + b)
-                transforms[t, b, :, :3] *= size
-                transforms[t, b, :, 3] += motion[:3, :3] @ joint * (1 - size)
+    phase = np.arange(frames) / max(1, frames - 1)
+    motion, step = np.tile(np.eye(4), (2, frames, 1, 1))
+    motion[:, :3, 3] = np.stack([phase, 0.2 * np.sin(6 * phase), 0 * phase + offset], axis=1)
+    for b in range(bones):
+        joint = np.array([0, 4 * b / bones, 0])
+        turn, bend = 2.2 * np.pi * phase / bones, 0.5 * np.sin(2 * np.pi * phase + b)
+        r = Rotation.from_euler("yx", np.stack([turn, bend], axis=1)).as_matrix()
+        step[:, :3, :3], step[:, :3, 3] = r, joint - r @ joint
+        motion = motion @ step
+        transforms[:, b] = motion[:, :3]
+        if scaled:
+            size = 1 + 0.3 * np.sin(5 * phase + b)[:, None]
+            transforms[:, b, :, :3] *= size[..., None]
+            transforms[:, b, :, 3] += motion[:, :3, :3] @ joint * (1 - size)
     return ssdr.Skinning(
         rest,
         indices,
         weights,
         transforms,
-        faces=np.array(faces),
+        faces=faces,
         fps=FPS,
         bone_model="similarity" if scaled else "rigid",
         surface=surface,

@@ -22,21 +22,19 @@ POSITIONS, ENDS = _RODS["positions"], _RODS["ends"]
 def creature(*, frames=10, loose=False, scaled=False, clips=None):
     """Rigid joints; `loose` ones slide too, `scaled` bones grow."""
     parents = np.array(PARENTS)
-    n = len(PARENTS)
-    local = np.zeros((frames, n, 3, 4))
-    for t in range(frames):
-        phase = t / max(1, frames - 1)
-        for b in range(n):
-            turn = 0.6 * np.sin(2 * np.pi * phase + b) * np.array([1, 0.4 * b - 1, 0.5])
-            local[t, b, :, :3] = Rotation.from_rotvec(turn).as_matrix()
-            up = parents[b]
-            local[t, b, :, 3] = POSITIONS[b] - (POSITIONS[up] if up >= 0 else 0)
-            if loose:
-                local[t, b, :, 3] += 0.05 * np.array([np.sin(3 * phase + b), np.cos(b), phase])
-            if scaled:
-                local[t, b, :, :3] *= 1 + 0.1 * np.sin(4 * phase + b)
-        local[t, 2, :, 3] += [0.5 * phase, 0.1 * np.sin(6 * phase), 0]
-        local[t, 5, :, 3] += [0, 0.3 * phase, 0.2]
+    phase, b = (np.arange(frames) / max(1, frames - 1))[:, None], np.arange(len(PARENTS))
+    local = np.zeros((frames, len(b), 3, 4))
+    axes = np.stack([0 * b + 1, 0.4 * b - 1, 0 * b + 0.5], axis=1)
+    turns = 0.6 * np.sin(2 * np.pi * phase + b)[..., None] * axes
+    local[..., :3] = Rotation.from_rotvec(turns.reshape(-1, 3)).as_matrix().reshape(*turns.shape, 3)
+    local[..., 3] = POSITIONS - np.where(parents[:, None] >= 0, POSITIONS[parents], 0)
+    if loose:
+        parts = np.sin(3 * phase + b), np.cos(b), phase
+        local[..., 3] += 0.05 * np.stack(np.broadcast_arrays(*parts), axis=-1)
+    if scaled:
+        local[..., :3] *= (1 + 0.1 * np.sin(4 * phase + b))[..., None, None]
+    local[:, 2, :, 3] += np.stack([0.5 * phase, 0.1 * np.sin(6 * phase), 0 * phase], axis=-1)[:, 0]
+    local[:, 5, :, 3] += np.stack([0 * phase, 0.3 * phase, 0 * phase + 0.2], axis=-1)[:, 0]
     return ssdr.Skinning(
         _RODS["rest"],
         _RODS["indices"],
