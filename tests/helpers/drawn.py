@@ -32,6 +32,32 @@ def vertex_normals(frames, faces, groups=None):
     return np.array(out)
 
 
+def groups_of(faces, hard=None):
+    """Numbers (T, 3) of equal vertices at corners; with `hard`, of equal normals of these."""
+    key = faces.reshape(-1, 1)
+    if hard is not None:
+        key = np.concatenate([key, hard.reshape(-1, 3)], axis=1)
+    return np.unique(key, axis=0, return_inverse=True)[1].reshape(-1, 3)
+
+
+def surface_normals(points, faces, hard=None):
+    """Normals (T, 3, 3) by loops over triangles; corners with equal `hard` share one."""
+    return naive.corner_normals(points, faces, groups_of(faces, hard))
+
+
+def model_normals(model, frame):
+    """Normals (T, 3, 3) of the rest pose, turned by Σ w R in loops over corners."""
+    rest = None if model.surface is None else model.surface.normals
+    rest = surface_normals(model.rest, model.faces) if rest is None else rest
+    out = np.empty((len(model.faces), 3, 3))
+    for t, c in np.ndindex(len(model.faces), 3):
+        v = model.faces[t, c]
+        turn = np.tensordot(model.weights[v], model.transforms[frame, model.indices[v], :, :3], 1)
+        turned = turn.astype(np.float64) @ rest[t, c]
+        out[t, c] = turned / np.linalg.norm(turned)
+    return out
+
+
 def mean_angle(a, b):
     """Mean angle in degrees, where both are known."""
     return float(np.nanmean(naive.angles(a, b)))

@@ -25,10 +25,7 @@ def bent(rng):
 
 def groups_of(sequence):
     """Numbers of equal (vertex, normal of the surface) at corners."""
-    if sequence.surface is None or sequence.surface.normals is None:
-        return sequence.faces
-    key = [sequence.faces.reshape(-1, 1), sequence.surface.normals.reshape(-1, 3)]
-    return np.unique(np.concatenate(key, axis=1), axis=0, return_inverse=True)[1].reshape(-1, 3)
+    return drawn.groups_of(sequence.faces, sequence.surface and sequence.surface.normals)
 
 
 def error_in(path, sequence):

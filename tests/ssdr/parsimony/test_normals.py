@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ssdr
-from helpers import normal_angles
+from helpers.drawn import surface_normals
 from ssdr.parsimony import pruning
 
 DANCER = ssdr.samples.load("dancer_small")
@@ -17,7 +17,7 @@ DANCER = ssdr.samples.load("dancer_small")
 def against(points: Any, faces: Any) -> Any:
     """Mask of triangles that point against the normals at their corners."""
     a, b, c = points[faces].astype(float).transpose(1, 0, 2)
-    around = normal_angles.surface_normals(points, faces).sum(axis=1)
+    around = surface_normals(points, faces).sum(axis=1)
     return (np.cross(b - a, c - a) * around).sum(axis=1) < 0
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ssdr
-from helpers import normal_angles as naive
+from helpers.drawn import model_normals
 from ssdr import show as render
 from ssdr.mesh.normals import unit
 from ssdr.show.subject import Scene
@@ -39,7 +39,7 @@ def test_normals_are_those_of_the_rest_pose_turned_by_the_blended_matrices(model
     assert (len(scene.vertex) > model.n_vertices) == (own == "hard")
     for frame in range(model.n_frames):
         drawn = unit(scene.normals(frame))[scene.faces]
-        np.testing.assert_allclose(drawn, naive.drawn_normals(model, frame), atol=2e-6)
+        np.testing.assert_allclose(drawn, model_normals(model, frame), atol=2e-6)
 
 
 def test_a_model_is_lit_by_its_rest_normals_and_a_sequence_by_its_surface():

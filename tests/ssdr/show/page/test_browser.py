@@ -13,8 +13,8 @@ import trimesh
 from PIL import Image
 
 import ssdr
-from helpers import normal_angles
 from helpers.browser import Browser, chromium
+from helpers.drawn import model_normals, surface_normals
 from helpers.rig_model import tube
 
 pytestmark = [
@@ -319,7 +319,7 @@ def test_the_shader_turns_rest_normals_by_the_blended_matrices(opened, dancer, m
             browser.value(f"ssdr.seek({frame})")
             turned = np.reshape(browser.value("Array.from(ssdr.mesh.normals())"), (-1, 4))[:, :3]
             turned = turned / np.linalg.norm(turned, axis=1, keepdims=True)
-            expected = normal_angles.drawn_normals(subject, frame)
+            expected = model_normals(subject, frame)
             np.testing.assert_allclose(turned[subject.faces], expected, atol=2e-3)
 
 
@@ -388,7 +388,7 @@ def test_normals_of_a_surface_are_weighted_by_angles(opened, wave):
     still = np.tile(np.eye(3, 4), (1, 1, 1, 1))
     n = wave.n_vertices
     skin = np.zeros((n, 1), int), np.ones((n, 1)), still
-    normals = normal_angles.surface_normals(wave.frames(0), wave.faces).astype(np.float32)
+    normals = surface_normals(wave.frames(0), wave.faces).astype(np.float32)
     model = ssdr.Skinning(
         wave.frames(0), *skin, faces=wave.faces, surface=ssdr.Surface(normals=normals)
     )

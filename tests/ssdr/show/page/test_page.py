@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ssdr
-from helpers import normal_angles
+from helpers.drawn import surface_normals
 from helpers.page import Held
 from ssdr.show.page.page import page_text
 
@@ -198,7 +198,7 @@ def test_rest_normals_of_vertices_and_copies(own):
     if own:
         model = dataclasses.replace(model, surface=ssdr.Surface(normals=normals))
     else:
-        normals = normal_angles.surface_normals(model.rest, model.faces)
+        normals = surface_normals(model.rest, model.faces)
     page = held(model)
     faces = page.array(page.document["faces"]).reshape(-1, 3)
     found = page.array(page.document["normals"])
