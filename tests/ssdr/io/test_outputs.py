@@ -12,8 +12,8 @@ import pytest
 import ssdr
 from helpers.disks import fill
 from helpers.gltf_asset import make_asset
-from helpers.gltf_difference import NEW_SKIN, difference, tree
-from ssdr.io import check_outputs, load_clips, save_all
+from helpers.gltf_difference import NEW_SKIN, difference
+from ssdr.io import check_outputs, list_meshes, load_clips, save_all
 
 DATA = Path(os.environ.get("SSDR_TEST_DATA", "missing")) / "gltf"
 
@@ -54,15 +54,12 @@ def test_a_model_is_kept_where_no_file_could_be_written(wave, tmp_path, monkeypa
         save_all(model, [full / "a.glb"])
 
 
-def test_a_gltf_file_keeps_all_but_the_skin(tmp_path):
-    source, out = make_asset(tmp_path / "all.gltf"), tmp_path / "o.glb"
-    meshes = ["Body", "Coat"]
+def test_a_template_is_given_to_the_files_that_take_one(tmp_path):
+    source, out, meshes = make_asset(tmp_path / "all.gltf"), tmp_path / "o.glb", ["Body", "Coat"]
     model = ssdr.initialize(load_clips(source, clip="Dance", meshes=meshes), bones=3)
-    save_all(model, [out, tmp_path / "o.npz"], templates=[source], meshes=meshes)
-    found = [place for place in difference(source, out) if not NEW_SKIN.match(place)]
-    assert all(place.startswith("animations/Dance/") for place in found)
-    save_all(model, [out], meshes=meshes)
-    assert len(tree(out)["drawn"]) == 1
+    for templates, count in (([source], 3), ([], 1)):
+        save_all(model, [out, tmp_path / "o.npz"], templates=templates, meshes=meshes)
+        assert len(list_meshes(out)) == count
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="no files in SSDR_TEST_DATA")
@@ -71,7 +68,7 @@ def test_a_gltf_file_keeps_all_but_the_skin(tmp_path):
 def test_skinned_files_get_a_new_skin_alone(tmp_path, name):
     source, out = DATA / name, tmp_path / "o.glb"
     model = ssdr.initialize(load_clips(source, clip="all"), bones=3)
-    save_all(model, [out], templates=[source])
+    save_all(model, [out, tmp_path / "o.npz"], templates=[source])
     found = [p for p in difference(source, out) if not NEW_SKIN.match(p)]
     # Old joints are gone, and their tracks.
     assert all(p.startswith(("animations/", "scenes/0/")) for p in found)
