@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from helpers import naive
 from helpers.glb import opened, values_of
+from helpers.stages import items
 
 
 def vertex_normals(frames, faces, groups=None):
@@ -148,9 +149,7 @@ def from_usd(path, codes):
     from pxr import Usd, UsdGeom, UsdSkel
 
     stage = Usd.Stage.Open(str(path))
-    prims = list(stage.Traverse())
-    mesh = next(UsdGeom.Mesh(prim) for prim in prims if prim.IsA(UsdGeom.Mesh))
-    skeleton = UsdSkel.Skeleton(next(prim for prim in prims if prim.IsA(UsdSkel.Skeleton)))
+    (mesh,), (skeleton,) = items(stage, UsdGeom.Mesh), items(stage, UsdSkel.Skeleton)
     cache = UsdSkel.Cache()
     cache.Populate(UsdSkel.Root.Find(mesh.GetPrim()), Usd.PrimDefaultPredicate)
     skin, query = cache.GetSkinningQuery(mesh.GetPrim()), cache.GetSkelQuery(skeleton)

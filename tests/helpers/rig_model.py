@@ -9,6 +9,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 import ssdr
+from helpers.stages import items
 
 FPS = 24.0
 
@@ -91,7 +92,7 @@ def baked_by_usd(path, times):
 
     stage = Usd.Stage.Open(str(path))
     assert UsdSkel.BakeSkinning(stage.Traverse())
-    mesh = next(UsdGeom.Mesh(p) for p in stage.Traverse() if p.IsA(UsdGeom.Mesh))
+    mesh = items(stage, UsdGeom.Mesh)[0]
     result = []
     for time in times:
         world = np.array(mesh.ComputeLocalToWorldTransform(time))

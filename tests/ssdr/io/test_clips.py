@@ -11,6 +11,7 @@ import pytest
 import ssdr
 from helpers import drawn
 from helpers.rig_model import largest_distance, tube
+from helpers.stages import items
 from ssdr import Clip
 
 SUFFIXES = [".npz", ".glb", ".gltf", ".usda", ".usdc"]
@@ -105,7 +106,7 @@ def test_usd_plays_each_clip_once_it_is_bound(tmp_path):
     ssdr.save(model, path)
     for k, clip in enumerate(CLIPS):
         stage = Usd.Stage.Open(Sdf.Layer.OpenAsAnonymous(str(path)))  # baking writes into it
-        found = [p for p in stage.Traverse() if p.IsA(UsdSkel.Animation)]
+        found = [one.GetPrim() for one in items(stage, UsdSkel.Animation)]
         assert [p.GetName() for p in found] == ["walk", "jump_high", "death"]
         assert stage.GetDefaultPrim().GetName() == "tube"
         assert dict(found[k].GetCustomDataByKey("ssdr")) == {
@@ -113,7 +114,7 @@ def test_usd_plays_each_clip_once_it_is_bound(tmp_path):
             "fps": clip.fps,
             "frames": clip.n_frames,
         }
-        skeleton = next(p for p in stage.Traverse() if p.IsA(UsdSkel.Skeleton))
+        (skeleton,) = items(stage, UsdSkel.Skeleton)
         source = UsdSkel.BindingAPI(skeleton).GetAnimationSourceRel()
         if k == 0:  # bound as it is written, over the range of the stage
             assert source.GetTargets() == [found[0].GetPath()]
@@ -125,7 +126,7 @@ def test_usd_plays_each_clip_once_it_is_bound(tmp_path):
         np.testing.assert_allclose(samples, codes, rtol=1e-12)
         interval = Gf.Interval(float(codes[0]) - 1e-6, float(codes[-1]) + 1e-6)
         assert UsdSkel.BakeSkinning(stage.Traverse(), interval)
-        mesh = next(UsdGeom.Mesh(p) for p in stage.Traverse() if p.IsA(UsdGeom.Mesh))
+        (mesh,) = items(stage, UsdGeom.Mesh)
         seen = [np.array(mesh.GetPointsAttr().Get(code)) for code in samples]
         assert largest_distance(seen, model.skin(clip.frames)) < 3e-6
 
@@ -136,7 +137,7 @@ def test_a_usd_file_whose_binding_was_changed(tmp_path):
     model, path = model_of(), tmp_path / "a.usda"
     ssdr.save(model, path)
     stage = Usd.Stage.Open(str(path))
-    (skeleton,) = [p for p in stage.Traverse() if p.IsA(UsdSkel.Skeleton)]
+    skeleton = items(stage, UsdSkel.Skeleton)[0].GetPrim()
     other = skeleton.GetChild("jump_high").GetPath()
     UsdSkel.BindingAPI(skeleton).GetAnimationSourceRel().SetTargets([other])
     for prim in skeleton.GetChildren():
@@ -155,10 +156,9 @@ def test_usd_metadata_that_says_nothing_is_ignored(tmp_path, stated):
 
     ssdr.save(model_of(), tmp_path / "a.usda")
     stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
-    for prim in stage.Traverse():
-        if prim.IsA(UsdSkel.Animation):
-            prim.ClearCustomData()
-            prim.SetCustomDataByKey("ssdr", stated)
+    for animation in items(stage, UsdSkel.Animation):
+        animation.GetPrim().ClearCustomData()
+        animation.GetPrim().SetCustomDataByKey("ssdr", stated)
     stage.GetRootLayer().Save()
     names = ["walk", "jump_high", "death"]
     assert [c.name for c in ssdr.list_clips(tmp_path / "a.usda")] == names

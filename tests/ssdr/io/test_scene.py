@@ -11,6 +11,7 @@ import ssdr
 from helpers.blender_scene import needs_blender
 from helpers.rig_model import largest_distance, tube
 from helpers.rig_tree import NAMES, PARENTS, creature, differences, flat, tree_of
+from helpers.stages import items
 from ssdr.io.file_errors import SceneBudget
 
 FILES = ["a model.glb", "a.gltf", "a.usda", "a.usdc"]
@@ -142,8 +143,8 @@ def test_keyframes_alone_are_written(path):
         from pxr import Usd, UsdSkel
 
         stage = Usd.Stage.Open(str(path))
-        (animation,) = [p for p in stage.Traverse() if p.IsA(UsdSkel.Animation)]
-        stored = UsdSkel.Animation(animation).GetRotationsAttr().GetTimeSamples()
+        (animation,) = items(stage, UsdSkel.Animation)
+        stored = animation.GetRotationsAttr().GetTimeSamples()
         assert stored == [0, 4, 8, 12, 16, 20]
 
 

@@ -11,6 +11,7 @@ import ssdr
 from helpers.blender_scene import needs_blender
 from helpers.rig_model import largest_distance, tube
 from helpers.rig_tree import creature
+from helpers.stages import mesh
 from ssdr import Space
 from ssdr.io import in_space
 from ssdr.io.gltf.document import Document
@@ -34,13 +35,8 @@ def standing(model=None):
 def stage(path, **metadata):
     """A stage of one triangle, which states just this."""
     Usd = pytest.importorskip("pxr.Usd")
-    from pxr import UsdGeom
-
     made = Usd.Stage.CreateNew(str(path))
-    mesh = UsdGeom.Mesh.Define(made, "/Flag")
-    mesh.CreatePointsAttr([(0, 0, 0), (120, 0, 0), (0, 0, 200)])
-    mesh.CreateFaceVertexCountsAttr([3])
-    mesh.CreateFaceVertexIndicesAttr([0, 1, 2])
+    mesh(made, "/Flag", [(0, 0, 0), (120, 0, 0), (0, 0, 200)])
     for key, value in metadata.items():
         made.SetMetadata(key, value)
     made.GetRootLayer().Save()

@@ -15,6 +15,7 @@ import ssdr
 from helpers import drawn, naive
 from helpers.glb import hand_made
 from helpers.motions import grid
+from helpers.stages import items
 
 FRAMES = 12
 
@@ -94,7 +95,7 @@ def test_usd(tmp_path, roof, scale):
     source, target = tmp_path / "a.usda", tmp_path / "b.usda"
     ssdr.save(ssdr.MeshSequence(frames, faces), source)
     stage = Usd.Stage.Open(str(source))
-    (mesh,) = (UsdGeom.Mesh(p) for p in stage.Traverse() if p.IsA(UsdGeom.Mesh))
+    (mesh,) = items(stage, UsdGeom.Mesh)
     size = mesh.AddScaleOp()
     mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(vertex_normals(frames[0], faces)))
     mesh.SetNormalsInterpolation("vertex")

@@ -10,6 +10,7 @@ import pytest
 import ssdr
 from helpers.rig_model import baked_by_usd
 from helpers.rig_tree import NAMES, PARENTS, creature, tree_of
+from helpers.stages import items
 
 pytest.importorskip("pxr.UsdSkel", reason="usd-core is not installed")
 from pxr import Usd, UsdGeom, UsdSkel, Vt
@@ -19,8 +20,7 @@ def opened(path, **kind):
     model = creature(**kind)
     ssdr.save(model, path)
     stage = Usd.Stage.Open(str(path))
-    skeleton = next(UsdSkel.Skeleton(p) for p in stage.Traverse() if p.IsA(UsdSkel.Skeleton))
-    return model, stage, skeleton
+    return model, stage, items(stage, UsdSkel.Skeleton)[0]
 
 
 def test_joints_are_paths_with_local_transforms(tmp_path):
@@ -67,7 +67,7 @@ def test_a_joint_that_no_mesh_names_is_passed_over(tmp_path):
     model = dataclasses.replace(creature(), indices=order, weights=weights)
     ssdr.save(model, tmp_path / "a.usda")
     stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
-    binding = UsdSkel.BindingAPI(next(p for p in stage.Traverse() if p.IsA(UsdGeom.Mesh)))
+    binding = UsdSkel.BindingAPI(items(stage, UsdGeom.Mesh)[0])
     joints = [str(j) for j in binding.GetJointsAttr().Get()]
     kept = [j for j in joints if not j.endswith("/leg")]
     index = np.array(binding.GetJointIndicesPrimvar().Get())

@@ -8,6 +8,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 import ssdr
 from helpers.rig_model import baked_by_usd, largest_distance, tube
+from helpers.stages import mesh
 
 pytest.importorskip("pxr.UsdSkel", reason="usd-core is not installed")
 
@@ -24,12 +25,8 @@ def test_irregular_samples_are_sampled_and_what_that_loses_is_said(tmp_path, rea
     codes = [0, 0.31, 1.2, 1.94, 4.8, 7.92, 9.65, 12.24, 18.4, 22.41]
     stage = Usd.Stage.CreateNew(str(tmp_path / "a.usda"))
     stage.SetTimeCodesPerSecond(24)
-    mesh = UsdGeom.Mesh.Define(stage, "/m")
-    mesh.CreatePointsAttr([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
-    mesh.CreateFaceVertexCountsAttr([3])
-    mesh.CreateFaceVertexIndicesAttr([0, 1, 2])
     x = np.sin(np.array(codes) * 0.4)
-    moved = mesh.AddTranslateOp()
+    moved = mesh(stage, "/m", [(0, 0, 0), (1, 0, 0), (0, 1, 0)]).AddTranslateOp()
     for code, value in zip(codes, x.tolist(), strict=True):
         moved.Set(Gf.Vec3d(value, 0, 0), code)
     stage.GetRootLayer().Save()
@@ -50,21 +47,16 @@ def test_polygons_transforms_and_primvars(tmp_path):
     spin.Set(0.0, 1.0)
     spin.Set(90.0, 4.0)
     for k in range(2):
-        mesh = UsdGeom.Mesh.Define(stage, f"/top/m{k}")
-        mesh.CreatePointsAttr(
-            Vt.Vec3fArray([(0, 0, k), (1, 0, k), (1, 1, k), (0, 1, k), (-1, 1, k)])
-        )
-        mesh.CreateFaceVertexCountsAttr([5])
-        mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 3, 4])
-        uv = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
+        points = [(0, 0, k), (1, 0, k), (1, 1, k), (0, 1, k), (-1, 1, k)]
+        one = mesh(stage, f"/top/m{k}", points, range(5))
+        uv = UsdGeom.PrimvarsAPI(one).CreatePrimvar(
             "uvs", Sdf.ValueTypeNames.TexCoord2fArray, "vertex"
         )
         uv.Set([(i, k) for i in range(5)])
-    mesh.CreateOrientationAttr("leftHanded")
+    one.CreateOrientationAttr("leftHanded")
     hidden = UsdGeom.Mesh.Define(stage, "/top/hidden")
     hidden.CreateVisibilityAttr("invisible")
     stage.GetRootLayer().Save()
-    del stage, mesh, hidden, top, spin, uv
     sequence = ssdr.load(path)
     fan = [[0, 1, 2], [0, 2, 3], [0, 3, 4]]
     other = [[7, 6, 5], [8, 7, 5], [9, 8, 5]]
@@ -84,12 +76,11 @@ def test_polygons_transforms_and_primvars(tmp_path):
 def test_blend_shapes_and_bind_transform_against_usd(tmp_path):
     ssdr.save(tube(frames=6), tmp_path / "a.usda")
     stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
-    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/tube/Mesh"))
     shape = UsdSkel.BlendShape.Define(stage, "/tube/Mesh/bulge")
     rows = np.arange(0, 250, 7, dtype=np.int32)
     shape.CreateOffsetsAttr([(0.3, 0.1 * i, -0.2) for i in range(len(rows))])
     shape.CreatePointIndicesAttr(Vt.IntArray.FromNumpy(rows))
-    binding = UsdSkel.BindingAPI(mesh)
+    binding = UsdSkel.BindingAPI(stage.GetPrimAtPath("/tube/Mesh"))
     binding.CreateBlendShapesAttr(["bulge"])
     binding.CreateBlendShapeTargetsRel().SetTargets([shape.GetPath()])
     binding.GetGeomBindTransformAttr().Set(Gf.Matrix4d(1).SetTranslate(Gf.Vec3d(0.5, 0, 0.25)))
@@ -114,12 +105,8 @@ def test_meshes_are_chosen_by_name(tmp_path):
     path = tmp_path / "a.usda"
     stage = Usd.Stage.CreateNew(str(path))
     for k, name in enumerate(("/skirt/SkirtShape", "/body/Shape")):
-        mesh = UsdGeom.Mesh.Define(stage, name)
-        mesh.CreatePointsAttr(Vt.Vec3fArray([(k, 0, 0), (k, 1, 0), (k, 0, 1)]))
-        mesh.CreateFaceVertexCountsAttr([3])
-        mesh.CreateFaceVertexIndicesAttr([0, 1, 2])
+        mesh(stage, name, [(k, 0, 0), (k, 1, 0), (k, 0, 1)])
     stage.GetRootLayer().Save()
-    del stage, mesh
     assert ssdr.load(path).n_vertices == 6
     for name in ("skirt", "SkirtShape", ["SkirtShape"]):
         assert ssdr.load(path, meshes=name).vertices[0, :, 0].tolist() == [0, 0, 0]
