@@ -126,9 +126,7 @@ def test_an_unreachable_tolerance_says_what_was_reached() -> None:
     (text,) = result.warnings
     assert str(caught[0].message) == text
     rmse = rmse_of(result.skinning, wavy())
-    assert "tolerance 5.15e-05" in text or "out of reach" in text
     assert f"2 bones of at most 4 influences reach a RMSE of {rmse:.4g}" in text
-    assert "rank asks for at least" in text
     assert result.stop_reason == "tolerance out of reach"
     assert not result.converged
     assert not result.parsimony.held

@@ -6,6 +6,7 @@ import importlib
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -62,30 +63,74 @@ def test_other_pythons_do_not_inherit_the_hosts_modules(
     assert "PATH" in seen
 
 
+@pytest.fixture
+def clerk(extension: Any) -> Any:
+    """Function that makes the operator with steps of a test's own; `clerk.told` is what it said."""
+
+    def make(steps: Callable[[], Any]) -> Any:
+        class Clerk(extension.ui.SSDR_OT_decompose):  # type: ignore[misc, name-defined]
+            def _start(self, context: Any) -> Any:
+                return steps()
+
+            def report(self, kind: set[str], text: str) -> None:
+                make.told.append((kind, text))  # type: ignore[attr-defined]
+
+        return Clerk()
+
+    make.told = []  # type: ignore[attr-defined]
+    return make
+
+
+def put_away(context: MagicMock) -> bool:
+    """Whether timer, progress and status are gone."""
+    manager, status = context.window_manager, context.workspace.status_text_set
+    ended = manager.event_timer_remove.call_count == manager.progress_end.call_count == 1
+    return ended and status.call_args.args == (None,)
+
+
 @pytest.mark.parametrize("error", [ValueError("no number"), KeyError("armature"), OSError("full")])
-def test_any_error_of_a_step_ends_the_operator_in_words(extension: Any, error: Exception) -> None:
+def test_any_error_of_a_step_ends_the_operator_in_words(clerk: Any, error: Exception) -> None:
     def failing() -> Any:
         yield 0.5, "working"
         raise error
 
-    class Clerk(extension.ui.SSDR_OT_decompose):  # type: ignore[misc, name-defined]
-        def _start(self, context: Any) -> Any:
-            return failing()
-
-        def report(self, kind: set[str], text: str) -> None:
-            told.append((kind, text))
-
-    told: list[tuple[set[str], str]] = []
     context, event = MagicMock(), SimpleNamespace(type="TIMER", value="NOTHING")
-    clerk = Clerk()
-    assert clerk.invoke(context, None) == {"RUNNING_MODAL"}
-    assert clerk.modal(context, event) == {"CANCELLED"}
-    assert context.window_manager.event_timer_remove.call_count == 1
-    assert context.window_manager.progress_end.call_count == 1
-    assert Clerk().execute(context) == {"CANCELLED"}
-    kinds, texts = zip(*told, strict=True)
+    one = clerk(failing)
+    assert one.invoke(context, None) == {"RUNNING_MODAL"}
+    assert one.modal(context, event) == {"CANCELLED"}
+    assert put_away(context)
+    assert clerk(failing).execute(context) == {"CANCELLED"}
+    kinds, texts = zip(*clerk.told, strict=True)
     assert kinds == ({"ERROR"},) * 2
     assert all(str(error.args[0]) in text for text in texts)
+
+
+def test_esc_ends_the_operator_and_its_steps_and_nothing_else_does(clerk: Any) -> None:
+    closed: list[bool] = []
+
+    def working() -> Any:
+        try:
+            for k in range(100):
+                yield k / 100, "reading the frames"
+        finally:
+            closed.append(True)
+
+    context, event = MagicMock(), SimpleNamespace(type="TIMER", value="PRESS")
+    one = clerk(working)
+    assert one.invoke(context, None) == {"RUNNING_MODAL"}
+    ends = {}
+    for event.type in ("TIMER", "A", "MIDDLEMOUSE", "TIMER"):
+        ends[event.type] = one.modal(context, event)
+    running = {"RUNNING_MODAL"}
+    assert ends == {"TIMER": running, "A": running, "MIDDLEMOUSE": {"PASS_THROUGH"}}
+    said = [call.args[0] for call in context.workspace.status_text_set.call_args_list]
+    assert said == [f"{k} %  reading the frames  (Esc: cancel)" for k in (1, 2)]
+    assert not closed
+    event.type = "ESC"
+    assert one.modal(context, event) == {"CANCELLED"}
+    assert closed
+    assert put_away(context)
+    assert clerk.told == [({"INFO"}, "Cancelled: nothing has changed")]
 
 
 JOINTS = {"names": ["hips", "head"], "parents": [-1, 0], "positions": [[0, 0, 0], [1, 0, 0.0]]}
