@@ -105,13 +105,6 @@ class Camera:
         right, up = (view[:, :2] * (near * pixels_per_unit(size))[:, None]).T
         return np.stack([size[0] / 2 + right, size[1] / 2 - up, near], axis=1)
 
-    def rays(self, rows: NDArray[np.intp], columns: NDArray[np.intp], size: Size) -> Float:
-        """Directions ``(N, 3)`` of the lines of sight through pixels, from the eye."""
-        pixel = pixels_per_unit(size)
-        right, up = (columns + 0.5 - size[0] / 2) / pixel, (size[1] / 2 - rows - 0.5) / pixel
-        across = np.outer(right, self.axes[0]) + np.outer(up, self.axes[1])
-        return np.asarray(across - self.axes[2])
-
 
 def pixels_per_unit(size: Size) -> float:
     """Pixels per unit of length at distance 1 from the eye."""

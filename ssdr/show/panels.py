@@ -38,8 +38,6 @@ class Panels:
     camera : Camera
     size : (int, int)
         Width and height of a panel in pixels.
-    ground : float
-        Height of the lowest point along the camera's vertical.
     shift : dict of int to (3,) float64
         Vector subtracted from the points of each frame, to keep a travelling subject in view.
     scale : (float, bool), optional
@@ -51,7 +49,6 @@ class Panels:
     frames: tuple[int, ...]
     camera: Camera
     size: Size
-    ground: float
     shift: dict[int, Float]
     scale: tuple[float, bool] | None
 
@@ -126,7 +123,6 @@ class Panels:
             tuple(order),
             look(aspect=size[0] / size[1]),
             (int(size[0]), int(size[1])),
-            min(float((p @ vertical).min()) for p in points),
             dict(zip(some, moved, strict=True)),
             shown,
         )
@@ -155,7 +151,7 @@ class Panels:
         points = scene.positions(frame)[scene.vertex] - self.shift[frame]
         if not len(scene.faces):
             return cloud_drawer(self.camera, size, points, scene.ball_radius)
-        mesh = points, scene.faces, scene.normals(frame), self.ground
+        mesh = points, scene.faces, scene.normals(frame)
         return mesh_drawer(self.camera, size, *mesh, creases=not scene.has_bones)
 
     def draw_scale(

@@ -1,4 +1,4 @@
-"""Colours of vertices, measured vertices, films, and light from around."""
+"""Colours of vertices, measured vertices and films."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import ssdr
 from helpers.surfaces import sphere
 from ssdr import show as render
 from ssdr.show import Film
-from ssdr.show.light import Lights, around_both_sides, sphere_directions
 from ssdr.show.subject import Scene
 
 
@@ -131,39 +130,3 @@ def test_a_gif_keeps_many_colours(pair, tmp_path):
     Film.of(truth, size=(120, 90), **look).write(tmp_path / "a.gif")
     with Image.open(tmp_path / "a.gif") as film:
         assert len(set(film.convert("RGB").get_flattened_data())) > 120
-
-
-def test_light_from_around_is_half_on_a_floor_beside_a_wall():
-    # A wall that fills half of the sky of points at its foot.
-    wall = np.array([[-50.0, 0, 0], [50, 0, 0], [50, 50, 0], [-50, 50, 0]])
-    faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
-    directions = sphere_directions(200)
-    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1, atol=1e-12)
-    lights = Lights.around(directions, np.ones((200, 3)), wall, faces, 300)
-    at = np.array([[0.0, 0, 0.6], [0, 0, 500.0]])
-    up = np.tile([0.0, 1, 0], (2, 1))
-    light = around_both_sides(lights, at, up, 0.1)
-    assert light[0, :3] == pytest.approx([0.5] * 3, abs=0.03)
-    assert light[1] == pytest.approx([1.0] * 6, abs=0.03)
-
-
-def test_shares_of_light_against_a_slow_twin(rng):
-    lights = Lights.around(sphere_directions(5), np.ones((5, 3)), *sphere(1), 24)
-    at, bias = rng.normal(size=(40, 3)) * 1.5, 0.05
-    normals = at / np.linalg.norm(at, axis=1, keepdims=True)
-    shares = lights.shares(at, normals, bias)
-    for k in range(40):
-        for d in range(5):
-            a, near = lights.axes[d], lights.nearness[d]
-            side = 1 if normals[k] @ a[2] >= 0 else -1
-            x, y, z = a @ (at[k] + side * bias * normals[k])
-            u, v = (np.array([x, y]) - lights.corners[d]) * lights.scales[d] - 0.5
-            u, v = np.clip([u, v], 0, 23)
-            expected = 0.0
-            for r in range(24):
-                for c in range(24):
-                    weight = max(0, 1 - abs(v - r)) * max(0, 1 - abs(u - c))
-                    if weight:
-                        blocked = np.clip((near[r, c] - z) / bias - 1, 0, 1)
-                        expected += weight * (1 - blocked)
-            assert shares[k, d] == pytest.approx(expected, abs=1e-9)

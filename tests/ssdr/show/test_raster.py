@@ -78,6 +78,8 @@ def test_values_are_interpolated_in_space_not_on_the_screen():
     size = (120, 120)
     pixels, hit, share = raster.triangles_seen(camera, floor, faces, raster.empty_depth(size))
     at = raster.between(share, floor[faces[hit]])
-    ray = camera.rays(*pixels, size)
+    pixel = raster.pixels_per_unit(size)
+    right, up = (pixels[1] + 0.5 - 60) / pixel, (60 - pixels[0] - 0.5) / pixel
+    ray = np.stack([right, up, -np.ones(len(up))], axis=1) @ camera.axes
     expected = camera.eye - ray * (camera.eye[1] / ray[:, 1])[:, None]
     np.testing.assert_allclose(at, expected, atol=1e-9)
