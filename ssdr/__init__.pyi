@@ -19,11 +19,11 @@ from .decomposition import decompose as decompose
 from .expressions import Expressions as Expressions
 from .expressions import decompose_expressions as decompose_expressions
 from .expressions import drive as drive
-from .fit.bones import fit_bones as fit_bones
-from .fit.rest_pose import fit_rest_pose as fit_rest_pose
+from .fit.fit_bones import fit_bones as fit_bones
+from .fit.fit_rest_pose import fit_rest_pose as fit_rest_pose
+from .fit.fit_weights import fit_weights as fit_weights
+from .fit.initial_model import initialize as initialize
 from .fit.ssdr2012 import ssdr2012 as ssdr2012
-from .fit.start import initialize as initialize
-from .fit.weights import fit_weights as fit_weights
 from .io import list_clips as list_clips
 from .io import load as load
 from .io import load_clips as load_clips

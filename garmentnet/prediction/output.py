@@ -53,7 +53,7 @@ def check_output(path: Path | str) -> None:
     if not file.parent.is_dir():
         raise InputError("output", "a file in a folder that exists", str(file))
     suffix = file.suffix.lower()
-    meshes = [s for s, f in FORMATS.items() if f.sequences] + list(_BONES)
+    meshes = [s for s, f in FORMATS.items() if f.writes_sequences] + list(_BONES)
     known = sorted({*_FILMS, *_PICTURES, *meshes, _PAGE})
     if suffix not in known:
         raise InputError("output", f"a suffix of {', '.join(known)}", str(file))

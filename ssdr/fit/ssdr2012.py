@@ -13,7 +13,7 @@ from ..search.progress import Callback, Monitor, Stop
 from ..solver.alternation import repeat_alternation
 from ..solver.model import Lowest
 from .fit import Fit, fit_of
-from .start import fitted_skinning, started
+from .initial_model import fitted_skinning, started
 
 
 @names_arguments

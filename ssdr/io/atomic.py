@@ -14,7 +14,6 @@ from pathlib import Path
 from ..common.errors import InputError
 
 _PREFIX = ".ssdr-"  # of the names of temporary files
-_BESIDE = {".gltf": ".bin", ".npy": ".faces.npy"}  # suffix of a file's companion, by format
 _STALE_SECONDS = 3600.0  # no write goes on for so long without a change of its file
 
 
@@ -80,10 +79,8 @@ def check_writable(path: Path | str) -> None:
     Raises
     ------
     InputError
-        If `path` cannot name a file, no file can be created in its folder, or :func:`check_beside`
-        refuses it.
+        If `path` cannot name a file, or no file can be created in its folder.
     """
-    check_beside(Path(path))
     probe = free_name(_file_behind(path))
     try:
         probe.touch()
@@ -92,22 +89,6 @@ def check_writable(path: Path | str) -> None:
         raise InputError(
             "path", "a file in a folder that can be written to", f"{path} ({error.strerror})"
         ) from error
-
-
-def check_beside(path: Path) -> None:
-    """Raise an InputError if writing `path` would overwrite a companion file that is not its own.
-
-    The companion is the .bin of a .gltf or the .faces.npy of a .npy. If `path` exists, so that it
-    is overwritten, the companion is taken to be that of the old file; if not, that of another file.
-
-    Raises
-    ------
-    InputError
-        If the companion exists and `path` does not.
-    """
-    beside = path.with_suffix(_BESIDE.get(path.suffix.lower(), path.suffix))
-    if os.path.lexists(beside) and not os.path.lexists(path):
-        raise InputError("path", f"a name whose {beside.name} is not taken", str(path))
 
 
 def write_bytes(path: Path | str, data: bytes, *, flush: bool = True) -> int:

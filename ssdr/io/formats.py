@@ -53,8 +53,13 @@ class Format:
     title : str
     functions : callable
         Imports the format's modules and returns its `Functions`.
-    sequences, skinnings : bool
-        Whether sequences and skinnings can be written; all that is written can be read.
+    reads_skinnings : bool
+        Whether skinnings and clips can be read; sequences always can.
+    writes_sequences, writes_skinnings : bool
+    shown : bool
+        Whether programs show what it holds, as a surface where there are triangles.
+    beside : str or None
+        Ending, in place of the suffix, of a file that is written beside one of this format.
     extra : str or None
         Optional dependencies of ssdr that the format needs ("blender" is a program); None if it
         needs none.
@@ -65,8 +70,11 @@ class Format:
 
     title: str
     functions: Callable[[], Functions]
-    sequences: bool = True
-    skinnings: bool = False
+    reads_skinnings: bool = False
+    writes_sequences: bool = True
+    writes_skinnings: bool = False
+    shown: bool = False
+    beside: str | None = None
     extra: str | None = None
     space: Space | None = None
 
@@ -137,29 +145,47 @@ def _fbx() -> Functions:
     return _scenes(fbx_reading, write_skinning=fbx_writing.write_skinning)
 
 
-_NUMBERED = Format(title="numbered OBJ or PLY", functions=lambda: _sequences("meshes.numbered"))
+_NUMBERED = Format(
+    title="numbered OBJ or PLY", functions=lambda: _sequences("meshes.numbered"), shown=True
+)
 _ZARR = Format(title="zarr store", functions=lambda: _sequences("arrays.zarr_store"), extra="zarr")
 _GLTF = Format(
-    title="glTF 2.0", functions=_gltf, sequences=False, skinnings=True, space=METRES_Y_UP
+    title="glTF 2.0",
+    functions=_gltf,
+    reads_skinnings=True,
+    writes_sequences=False,
+    writes_skinnings=True,
+    shown=True,
+    space=METRES_Y_UP,
 )
 _USD = Format(
     title="Universal Scene Description",
     functions=_usd,
-    skinnings=True,
+    reads_skinnings=True,
+    writes_skinnings=True,
+    shown=True,
     extra="usd",
     space=UNKNOWN,
 )
 
 FORMATS: Mapping[str, Format] = {
-    ".npz": Format(title="NumPy archive", functions=_npz, skinnings=True, space=UNKNOWN),
-    ".npy": Format(title="NumPy array", functions=lambda: _sequences("arrays.npy")),
+    ".npz": Format(
+        title="NumPy archive",
+        functions=_npz,
+        reads_skinnings=True,
+        writes_skinnings=True,
+        space=UNKNOWN,
+    ),
+    ".npy": Format(
+        title="NumPy array", functions=lambda: _sequences("arrays.npy"), beside=".faces.npy"
+    ),
     ".zarr": _ZARR,
     ".obj": _NUMBERED,
     ".ply": _NUMBERED,
     ".pc2": Format(title="PC2 point cache", functions=lambda: _sequences("pointcache")),
     ".mdd": Format(title="MDD point cache", functions=lambda: _sequences("pointcache")),
     ".glb": _GLTF,
-    ".gltf": _GLTF,
+    ".gltf": dataclasses.replace(_GLTF, beside=".bin"),
     ".usd": _USD,
     ".usda": _USD,
     ".usdc": _USD,
@@ -167,8 +193,10 @@ FORMATS: Mapping[str, Format] = {
     ".fbx": Format(
         title="FBX",
         functions=_fbx,
-        sequences=False,
-        skinnings=True,
+        reads_skinnings=True,
+        writes_sequences=False,
+        writes_skinnings=True,
+        shown=True,
         extra="blender",
         space=METRES_Y_UP,
     ),
@@ -237,6 +265,23 @@ def check_readable(path: Path) -> None:
     if path.is_dir() and format_of(path) is not _ZARR:
         raise FormatError(f"{path}: a folder, not a file")
     refuse_device(path)
+
+
+def check_beside(path: Path) -> None:
+    """Raise an InputError if writing `path` would overwrite a companion file that is not its own.
+
+    If `path` exists, so that it is overwritten, the companion is taken to be that of the old file;
+    if not, that of another file.
+
+    Raises
+    ------
+    InputError
+        If the companion exists and `path` does not.
+    """
+    format_ = FORMATS.get(path.suffix.lower())
+    beside = path.with_suffix((format_ and format_.beside) or path.suffix)
+    if os.path.lexists(beside) and not os.path.lexists(path):
+        raise InputError("path", f"a name whose {beside.name} is not taken", str(path))
 
 
 _KINDS: dict[Any, tuple[Callable[[Any], bool], str]] = {

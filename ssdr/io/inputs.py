@@ -139,7 +139,7 @@ def load_any(
 
 def clips_in(path: Path, **options: Any) -> list[str]:
     """Names of a file's clips; none if its format has no clips."""
-    if not format_to_read(path).skinnings or not path.exists():
+    if not format_to_read(path).reads_skinnings or not path.exists():
         return []
     known = {k: v for k, v in options.items() if k in ("fps", "folder")}
     return [clip.name for clip in list_clips(path, **known)]

@@ -15,12 +15,12 @@ from ..mesh.clips import Clip, pick
 from ..mesh.sequence import MeshSequence
 from ..mesh.surface import Space, Up
 from .arrays.npy import reads
-from .atomic import check_beside
 from .file_clips import bake
 from .formats import (
     FORMATS,
     Format,
     as_path,
+    check_beside,
     check_options,
     check_readable,
     format_of,
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
 
 _log = logging.getLogger(__name__)
-_SHOWN = (".glb", ".gltf", ".usd", ".usda", ".usdc", ".fbx", ".obj", ".ply")
 _BARE = "has no triangles: programs show points or nothing (faces= of what was fitted adds them)"
 
 
@@ -207,8 +206,8 @@ def _to_read(
             raise InputError(argument, "a positive number", repr(value))
     source = as_path(path)
     format_ = format_to_read(source)
-    if skinning and not format_.skinnings:
-        able = ", ".join(sorted(suffix for suffix, f in FORMATS.items() if f.skinnings))
+    if skinning and not format_.reads_skinnings:
+        able = ", ".join(sorted(suffix for suffix, f in FORMATS.items() if f.reads_skinnings))
         wrong = f"no skinning can be read from {source.suffix}, only from {able}"
         raise FormatError(f"{source}: {wrong}")
     check_readable(source)
@@ -349,11 +348,11 @@ def save(
     thing = skinning_in(thing)
     if not isinstance(thing, (MeshSequence, Skinning, ShapedSkinning)):
         raise InputError("thing", "a MeshSequence, Skinning or Decomposition", type(thing).__name__)
-    if not (format_.sequences or isinstance(thing, Skinned)):
-        able = ", ".join(sorted(suffix for suffix, f in FORMATS.items() if f.sequences))
+    if not (format_.writes_sequences or isinstance(thing, Skinned)):
+        able = ", ".join(sorted(suffix for suffix, f in FORMATS.items() if f.writes_sequences))
         raise InputError("path", f"a suffix of {able} for a MeshSequence", target.suffix)
     functions, notes = format_.functions(), []
-    rigged = isinstance(thing, Skinned) and functions.write_skinning is not None
+    rigged = isinstance(thing, Skinned) and format_.writes_skinnings
     write = functions.write_skinning if rigged else functions.write_sequence
     assert write is not None  # as the format says
     check_options(write, format_.title, options)
@@ -368,7 +367,7 @@ def save(
         report = write(ready, target, **options)
     if report.lost:
         warnings.warn(f"{target}: not kept: {', '.join(report.lost)}", SsdrWarning, stacklevel=2)
-    bare = target.suffix.lower() in _SHOWN and not len(thing.faces)
+    bare = format_.shown and not len(thing.faces)
     notes = [*([_BARE] if bare else []), *([said] if said else []), *report.notes, *notes]
     back = (ready.space.units or 1.0) / (given.space.units or ready.space.units or 1.0)
     between = report.between_frames

@@ -13,12 +13,10 @@ from typing import Any
 from ..common.errors import FormatError, InputError, MissingDependencyError, SsdrWarning, error_text
 from ..mesh.sequence import MeshSequence
 from .atomic import check_writable
-from .formats import FORMATS, as_path, format_of, option_names
+from .formats import FORMATS, as_path, check_beside, format_of, option_names
 from .load_save import list_clips, save
 from .optional import PACKAGES, require
 from .save_report import SaveReport
-
-_GLTF = (".glb", ".gltf")
 
 
 def check_outputs(
@@ -82,6 +80,7 @@ def check_file(
     """
     if not (path.suffix.lower() == ".zarr" and path.is_dir()):
         try:
+            check_beside(path)
             check_writable(path.parent if with_folder and not path.parent.exists() else path)
         except InputError as error:
             raise InputError(argument, error.expected, error.got) from error
@@ -147,7 +146,7 @@ def save_all(
     if not failed:
         return reports
     said = [f"{path}: {error_text(other)}" for path, other in failed[1:]]
-    if not any(format_of(report.path).skinnings for report in reports):
+    if not any(format_of(report.path).writes_skinnings for report in reports):
         kept = _save_beside(model, failed[0][0])
         said.append(f"the model is kept in {kept}" if kept else "the model is lost")
     for text in said:
@@ -183,7 +182,7 @@ def _settings(
     for path, names in zip(files, known, strict=True):
         given = {k: v for k, v in options.items() if k in names}
         source = None
-        if path.suffix.lower() in _GLTF and not isinstance(model, MeshSequence):
+        if "template" in names:
             source = options.get("template") or _template(path, sources)
         if source is not None:
             new = _new_names(source, [clip.name for clip in model.clips])
@@ -215,7 +214,8 @@ def _template(target: Path, sources: Sequence[Path]) -> Path | None:
     from .gltf.gltf_template import template_problem
 
     for source in sources:
-        if source.suffix.lower() in _GLTF and source.is_file():
+        known = FORMATS.get(source.suffix.lower())
+        if known and known.title == format_of(target).title and source.is_file():
             problem = template_problem(source)
             if not problem:
                 return source

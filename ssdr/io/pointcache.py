@@ -23,7 +23,7 @@ from .arrays.npy import over_mesh
 from .atomic import atomic_path
 from .file_clips import seconds
 from .file_errors import check, reading
-from .save_report import SaveReport, StorageError
+from .save_report import Rounding, SaveReport
 from .signatures import describe
 
 _PC2 = struct.Struct("<12siiffi")
@@ -102,7 +102,7 @@ def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:
     else:
         header, kind = _MDD.pack(count, points), ">f4"
         header += seconds(np.arange(count), sequence.fps).astype(kind).tobytes()
-    error = StorageError()
+    error = Rounding()
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
         stream.write(header)
         for start, block in sequence.chunks():

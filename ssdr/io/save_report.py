@@ -65,8 +65,8 @@ def frame_blocks(start: int, stop: int, n_vertices: int) -> Iterator[slice]:
         yield slice(first, min(first + step, stop))
 
 
-class StorageError:
-    """Accumulates the RMS and largest distance of stored from given vertices (not an exception)."""
+class Rounding:
+    """Accumulates the RMS and largest distance of stored from given vertices."""
 
     def __init__(self) -> None:
         self._squares, self._count, self._largest = 0.0, 0, 0.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from .factor import Backend
 from .operators import MassKind, cotangent_laplacian, mass_matrix, uniform_laplacian
 from .smoothing import FrequencySplit, LaplacianKind, LaplacianSmoother, split_frequencies
-from .weights import smooth_weights
+from .weight_smoothing import smooth_weights
 
 __all__ = [
     "Backend",

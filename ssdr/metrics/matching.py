@@ -74,9 +74,14 @@ def matched(
     Raises
     ------
     InputError
-        If it has other frames, or neither the vertices of the model nor those before its welding.
+        If it has other frames, or neither the vertices of the model nor those before its welding,
+        nor those that it had itself before it was welded.
     """
-    found = _at_vertices_of(model, reference)
+    found, welded = _at_vertices_of(model, reference), reference.vertex_map
+    if welded is not None and len(welded) == model.n_vertices != found.n_vertices:
+        found = found.with_vertices(welded, np.arange(found.n_vertices))
+        same = {"faces": model.faces, "surface": model.surface}
+        found = dataclasses.replace(found, **same, validate=False)
     if (found.n_frames, found.n_vertices) != (model.n_frames, model.n_vertices):
         raise InputError(
             argument,

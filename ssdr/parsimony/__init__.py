@@ -1,4 +1,4 @@
-"""The search of ``ssdr.smallest`` and its report; what a model takes to store."""
+"""The search of ``ssdr.smallest`` for the smallest model, by bytes that an engine stores."""
 
 from __future__ import annotations
 

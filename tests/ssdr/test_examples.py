@@ -28,7 +28,7 @@ _RESULTS = (
     ("ssdr.search.progress", "Progress"),
     ("ssdr.search.progress", "Record"),
     ("ssdr.fit.fit", "Fit"),
-    ("ssdr.fit.bones", "BoneFit"),
+    ("ssdr.fit.fit_bones", "BoneFit"),
     ("ssdr.show.page.page", "Page"),
 )
 

@@ -49,7 +49,7 @@ def steps(
                 asked["joints"] = joints_of(options.armature, taken.place)
         (folder / "asked.json").write_text(json.dumps(asked), encoding="utf-8")
         np.savez(folder / "frames.npz", vertices=taken.vertices, faces=taken.faces)
-        words = [str(python), str(Path(__file__).with_name("solve.py")), str(folder)]
+        words = [str(python), str(Path(__file__).with_name("run_solver.py")), str(folder)]
         said = json.loads((yield from _part(follow(words, folder), 0.2, 1.0)))
         build(context, source, taken, clips, folder)
         yield 1.0, said["text"]

@@ -13,7 +13,7 @@ from ...mesh.normals import corner_normals
 from ...mesh.sequence import MeshSequence
 from ..atomic import atomic_path
 from ..optional import require
-from ..save_report import SaveReport, StorageError
+from ..save_report import Rounding, SaveReport
 
 
 def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:
@@ -35,13 +35,13 @@ def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:
         If alembic3d is not installed.
     """
     library = require("alembic", "writing Alembic")
-    error = StorageError()
+    error = Rounding()
     with atomic_path(path) as temporary:
         _write(library, sequence, temporary, error)
     return error.report(path)
 
 
-def _write(library: Any, sequence: MeshSequence, path: Path, error: StorageError) -> None:
+def _write(library: Any, sequence: MeshSequence, path: Path, error: Rounding) -> None:
     """Write to `path`; the file is complete once all objects of the library are deleted."""
     import imath
 

@@ -12,9 +12,9 @@ from ...common.errors import InputError, SsdrError
 from ...model.shapes import Skinned, without_shapes
 from ..atomic import atomic_path
 from ..file_clips import check_one_rate
-from ..gltf.gltf_writing import write_rig
-from ..rig import build_rig
-from ..save_report import SaveReport, StorageError, frame_blocks
+from ..gltf.gltf_writing import write_played
+from ..played_model import as_played
+from ..save_report import Rounding, SaveReport, frame_blocks
 from ..spaces import transformed
 from .fbx_reading import read_skinning
 from .finder import command, run
@@ -76,18 +76,18 @@ def write_skinning(
         model = dataclasses.replace(skinning, fps=_IMPORT_FPS, clips=tuple(numbered))
         unit = 0.01 if centimetres else 1.0
         model = transformed(model, 1 / unit)
-        rig = build_rig(model, most=8)
-        stored = write_rig(model, rig, source, title)
+        played = as_played(model, most=8)
+        stored = write_played(model, played, source, title)
         # An importer of FBX fixes a bone that begins where its parent ends, so bones that slide
         # must not be drawn there. By itself, Blender draws each bone along the y axis of its joint.
-        slides = rig.parents is not None and bool(rig.translating[rig.parents >= 0].any())
+        slides = played.parents is not None and bool(played.translating[played.parents >= 0].any())
         drawn = "TEMPERANCE" if slides else "FORTUNE"
         job = {
             "source": str(source),
             "path": str(temporary.resolve()),
             "fps": skinning.fps,
             "import_fps": _IMPORT_FPS,
-            "options": {} if rig.parents is None else {"bone_heuristic": drawn},
+            "options": {} if played.parents is None else {"bone_heuristic": drawn},
             "unit": unit,
             "clips": [
                 {"name": one, "action": f"c{k}", "frames": clip.n_frames}
@@ -104,7 +104,7 @@ def write_skinning(
             f"Blender's FBX holds {back.n_frames} frames of {back.n_vertices} vertices, "
             f"not {skinning.n_frames} of {len(vertex)}"
         )
-    error = StorageError()
+    error = Rounding()
     for block in frame_blocks(0, skinning.n_frames, len(vertex)):
         truth = skinning.skin(block, dtype=np.float64)[:, vertex]
         error.add(back.skin(block, dtype=np.float64), truth)

@@ -14,7 +14,7 @@ from ...mesh.clips import Clip, readable, unique_names
 from ...model.rigid import matrix_from_quaternion
 from ..file_errors import check
 from ..frame_rates import DEFAULT_RATE, Frames, frame_rate, frames_between, off_frames
-from ..rig import interpolate_quaternions
+from ..played_model import interpolate_quaternions
 from .document import Document
 
 _KINDS = {"translation": "VEC3", "rotation": "VEC4", "scale": "VEC3", "weights": "SCALAR"}

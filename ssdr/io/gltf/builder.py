@@ -20,7 +20,7 @@ from ..atomic import write_bytes
 from ..corners import Corners
 from ..file_clips import seconds
 from ..file_errors import check, reading
-from ..rig import Rig
+from ..played_model import PlayedModel
 from ..signatures import picture_type
 from .compression import MESHOPT
 from .document import COMPONENTS, Document
@@ -212,16 +212,18 @@ class Builder:
                 image["bufferView"] = self.view(data)
 
 
-def add_weights(builder: Builder, rig: Rig, vertex: NDArray[np.integer]) -> dict[str, int]:
-    """Add the skin weights of the rig's vertices `vertex` (N,) and return accessors by attribute.
+def add_weights(
+    builder: Builder, played: PlayedModel, vertex: NDArray[np.integer]
+) -> dict[str, int]:
+    """Add the skin weights of the vertices `vertex` (N,) and return accessors by attribute.
 
     Each pair of attributes, ``JOINTS_k`` and ``WEIGHTS_k``, holds four influences of a vertex.
     """
-    count = rig.n_bones if rig.moving is None else len(rig.moving)
+    count = played.n_bones if played.moving is None else len(played.moving)
     narrow = np.uint8 if count <= 256 else np.uint16
-    pad = ((0, 0), (0, -rig.weights.shape[1] % 4))
-    joints = np.pad(rig.indices[vertex].astype(narrow), pad)
-    weights = np.pad(rig.weights[vertex], pad)
+    pad = ((0, 0), (0, -played.weights.shape[1] % 4))
+    joints = np.pad(played.indices[vertex].astype(narrow), pad)
+    weights = np.pad(played.weights[vertex], pad)
     attributes = {}
     for k in range(joints.shape[1] // 4):
         four = slice(4 * k, 4 * k + 4)
@@ -233,12 +235,12 @@ def add_weights(builder: Builder, rig: Rig, vertex: NDArray[np.integer]) -> dict
     return attributes
 
 
-def skeleton_nodes(rig: Rig, title: str, first: int) -> list[dict[str, Any]]:
+def skeleton_nodes(played: PlayedModel, title: str, first: int) -> list[dict[str, Any]]:
     """JSON of a skeleton's nodes: its root, which becomes node `first`, and then its joints."""
-    parents = np.full(rig.n_bones, -1) if rig.parents is None else rig.parents
+    parents = np.full(played.n_bones, -1) if played.parents is None else played.parents
     nodes: list[dict[str, Any]] = [{"name": f"{title}_skeleton"}]
-    for bone, name in enumerate(rig.names):
-        nodes.append({"name": name, "translation": [float(str(x)) for x in rig.offsets[bone]]})
+    for bone, name in enumerate(played.names):
+        nodes.append({"name": name, "translation": [float(str(x)) for x in played.offsets[bone]]})
     for place, node in enumerate(nodes):
         children = first + 1 + np.flatnonzero(parents == place - 1)
         if len(children):
@@ -246,15 +248,15 @@ def skeleton_nodes(rig: Rig, title: str, first: int) -> list[dict[str, Any]]:
     return nodes
 
 
-def add_skin(builder: Builder, rig: Rig, title: str, first: int) -> dict[str, Any]:
+def add_skin(builder: Builder, played: PlayedModel, title: str, first: int) -> dict[str, Any]:
     """Add the inverse bind matrices of a skeleton and return the JSON of its skin.
 
     The skeleton's root is node `first` of the file, and its joints are the nodes that follow.
     """
-    moving = np.arange(rig.n_bones) if rig.moving is None else rig.moving
+    moving = np.arange(played.n_bones) if played.moving is None else played.moving
     inverse = np.tile(np.eye(4, dtype=np.float32), (len(moving), 1, 1))
     # glTF stores matrices column by column, so that rows here are the columns of the matrix.
-    inverse[:, 3, :3] = -rig.centers[moving]
+    inverse[:, 3, :3] = -played.centers[moving]
     return {
         "name": title,
         "inverseBindMatrices": builder.accessor(inverse.reshape(-1, 16), "MAT4"),
@@ -263,18 +265,20 @@ def add_skin(builder: Builder, rig: Rig, title: str, first: int) -> dict[str, An
     }
 
 
-def _moved(rig: Rig, clip: Clip) -> list[int]:
+def _moved(played: PlayedModel, clip: Clip) -> list[int]:
     """Indices of the bones that leave their rest transforms in a clip; bone 0 if none do."""
     some = clip.frames
-    moved = (rig.rotations[some] != np.array([0, 0, 0, 1])).any(axis=(0, 2))
-    moved |= ((rig.translations[some] != rig.offsets).any(axis=2) & rig.translating).any(axis=0)
-    if rig.scales is not None:
-        moved |= (rig.scales[some] != 1).any(axis=(0, 2))
+    moved = (played.rotations[some] != np.array([0, 0, 0, 1])).any(axis=(0, 2))
+    moved |= ((played.translations[some] != played.offsets).any(axis=2) & played.translating).any(
+        axis=0
+    )
+    if played.scales is not None:
+        moved |= (played.scales[some] != 1).any(axis=(0, 2))
     return np.flatnonzero(moved).tolist() or [0]
 
 
 def add_animation(
-    builder: Builder, rig: Rig, clip: Clip, name: str, first: int, start: float = 0.0
+    builder: Builder, played: PlayedModel, clip: Clip, name: str, first: int, start: float = 0.0
 ) -> dict[str, Any]:
     """Add the keys of a clip and return the JSON of its animation.
 
@@ -283,16 +287,16 @@ def add_animation(
     samplers: list[dict[str, Any]] = []
     channels: list[dict[str, Any]] = []
     inputs: dict[bytes, int] = {}
-    for bone in _moved(rig, clip):
-        keys = clip.start + np.flatnonzero(rig.keys[clip.frames, bone])
+    for bone in _moved(played, clip):
+        keys = clip.start + np.flatnonzero(played.keys[clip.frames, bone])
         if keys.tobytes() not in inputs:
             times = (start + seconds(keys - clip.start, clip.fps)).astype(np.float32)
             inputs[keys.tobytes()] = builder.accessor(times, "SCALAR", bounds=True)
-        tracks = [("rotation", rig.rotations[keys, bone], "VEC4")]
-        if rig.translating[bone]:
-            tracks.insert(0, ("translation", rig.translations[keys, bone], "VEC3"))
-        if rig.scales is not None and (rig.scales[:, bone] != 1).any():
-            tracks.append(("scale", rig.scales[keys, bone], "VEC3"))
+        tracks = [("rotation", played.rotations[keys, bone], "VEC4")]
+        if played.translating[bone]:
+            tracks.insert(0, ("translation", played.translations[keys, bone], "VEC3"))
+        if played.scales is not None and (played.scales[:, bone] != 1).any():
+            tracks.append(("scale", played.scales[keys, bone], "VEC3"))
         for path, values, kind in tracks:
             target = {"node": first + 1 + bone, "path": path}
             channels.append({"sampler": len(samplers), "target": target})

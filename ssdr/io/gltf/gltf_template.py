@@ -21,7 +21,7 @@ from ...mesh.normals import corner_normals
 from ...mesh.surface import Surface
 from ...model.skinning import Skinning
 from ..file_errors import check, reading
-from ..rig import Rig
+from ..played_model import PlayedModel
 from ..sampling import part_starts
 from ..scene import join_faces
 from .animation import Nodes, descendants, read_animations
@@ -100,18 +100,18 @@ class Template:
         self.missed = set(new_names) - {None, *(clip.name for clip in model.clips)}
         self.left: set[int] = set()  # nodes whose mesh was moved to a new node
 
-    def put(self, rig: Rig, title: str) -> None:
-        """Give the meshes the rest pose, skin and clips of a rig; `title` names its skeleton."""
+    def put(self, played: PlayedModel, title: str) -> None:
+        """Give the meshes the rest pose, skin and clips of a model; `title` names its skeleton."""
         with reading(self.document.path):
-            self._put_meshes(rig)
-            first = self._put_skeleton(rig, title)
+            self._put_meshes(played)
+            first = self._put_skeleton(played, title)
             skins = used(self.document.json, "skins") - used(self.json, "skins")
             joints = self._unneeded_nodes(skins)
             self._remove_channels(joints)
-            self._put_clips(rig, title, first)
+            self._put_clips(played, title, first)
             self._remove_old(skins, joints)
 
-    def _put_meshes(self, rig: Rig) -> None:
+    def _put_meshes(self, played: PlayedModel) -> None:
         """Replace rest pose, normals and skin weights of each part; remove its morph targets."""
         nodes, meshes = self.json["nodes"], self.json["meshes"]
         uses = collections.Counter(node.get("mesh") for node in nodes)
@@ -121,11 +121,11 @@ class Template:
                 uses[mesh] -= 1
                 meshes.append(copy.deepcopy(meshes[mesh]))
                 nodes[node]["mesh"] = len(meshes) - 1
-        normals = _normals(self.parts, self.vertices, self.model, rig.rest)
+        normals = _normals(self.parts, self.vertices, self.model, played.rest)
         for part, vertices, own in zip(self.parts, self.vertices, normals, strict=True):
             index = vertices[part.label]
-            attributes = self._new_attributes(part, rig.rest[index], own)
-            attributes |= add_weights(self.builder, rig, index)
+            attributes = self._new_attributes(part, played.rest[index], own)
+            attributes |= add_weights(self.builder, played, index)
             for place, old in part.primitives.items():
                 primitive = meshes[nodes[part.node]["mesh"]]["primitives"][place]
                 primitive["attributes"] = dict(attributes)
@@ -175,16 +175,16 @@ class Template:
         if isinstance(extras, dict) and extras.pop("targetNames", None) and not extras:
             del mesh["extras"]
 
-    def _put_skeleton(self, rig: Rig, title: str) -> int:
+    def _put_skeleton(self, played: PlayedModel, title: str) -> int:
         """Add the skin and the nodes of its skeleton, and return the index of the skeleton's root.
 
         The root is put at the top of every scene with a replaced mesh. The nodes of the joints
         follow the root in the file.
         """
         nodes, first = self.json["nodes"], len(self.json["nodes"])
-        nodes.extend(skeleton_nodes(rig, title, first))
+        nodes.extend(skeleton_nodes(played, title, first))
         skins = self.json.setdefault("skins", [])
-        skins.append(add_skin(self.builder, rig, title, first))
+        skins.append(add_skin(self.builder, played, title, first))
         for scene in self.json.get("scenes", []):
             if self.replaced.intersection(descendants(nodes, scene.get("nodes", []))):
                 scene["nodes"].append(first)
@@ -215,20 +215,20 @@ class Template:
         del holder["mesh"], holder["skin"]
         self.left.add(node)
 
-    def _put_clips(self, rig: Rig, title: str, first: int) -> None:
+    def _put_clips(self, played: PlayedModel, title: str, first: int) -> None:
         """Add the keys of each clip to the file's animation of its name, or to a new animation.
 
         A clip begins at 0 s or, if other tracks of its animation remain, where it began before.
         """
         animations = self.json.setdefault("animations", [])
-        for clip in rig.clips:
+        for clip in played.clips:
             number, start = self.clips.get(clip.name, (None, 0.0))
             old = {"channels": []} if number is None else animations[number]
             start = start if old["channels"] else 0.0
             if start:
                 said = f"the clip {clip.name} begins at {start:g} s, as its other tracks do"
                 self.builder.notes.append(said)
-            made = add_animation(self.builder, rig, clip, clip.name or title, first, start)
+            made = add_animation(self.builder, played, clip, clip.name or title, first, start)
             if number is None:
                 animations.append(made)
                 continue

@@ -16,7 +16,7 @@ from ...mesh.surface import Material, Surface
 from ...model.shaped_normals import shaped_normals
 from ...model.shapes import ShapedSkinning, Skinned, skinning_and_shapes, without_shapes
 from ..corners import Corners, rest_normals, split_corners
-from ..rig import Rig, build_rig
+from ..played_model import PlayedModel, as_played
 from ..save_report import SaveReport
 from ..weight_storage import WeightStorage
 from .builder import (
@@ -77,57 +77,58 @@ def write_skinning(
     Raises
     ------
     InputError
-        If the model does not fit the format (see :func:`ssdr.io.rig.build_rig`) or the template.
+        If the model does not fit the format (see :func:`ssdr.io.played_model.as_played`) or the
+        template.
 
     References
     ----------
     Khronos, "glTF 2.0 specification", sections 3.7.3 (skins) and 3.11 (animations).
     """
     title = skinning.name or path.stem
-    rig = build_rig(skinning, most=8, storage=weights, stretch=True)
-    if rig.n_bones > 65535:
-        raise InputError("thing", "at most 65535 bones", rig.n_bones)
+    played = as_played(skinning, most=8, storage=weights, stretch=True)
+    if played.n_bones > 65535:
+        raise InputError("thing", "at most 65535 bones", played.n_bones)
     if template is None:
-        return write_rig(skinning, rig, path, title)
+        return write_played(skinning, played, path, title)
     plain = without_shapes(skinning, "a file with a template")
     old = Template(Path(template), plain, meshes, clip_names or {})
-    old.put(rig, title)
-    return _report(skinning, rig, path, old.builder)
+    old.put(played, title)
+    return _report(skinning, played, path, old.builder)
 
 
-def write_rig(skinning: Skinned, rig: Rig, path: Path, title: str) -> SaveReport:
-    """Write a model that :func:`ssdr.io.rig.build_rig` has made a rig of, without a template."""
-    return _report(skinning, rig, path, _document(skinning, rig, title))
+def write_played(skinning: Skinned, played: PlayedModel, path: Path, title: str) -> SaveReport:
+    """Write a model without a template, given how it is played."""
+    return _report(skinning, played, path, _document(skinning, played, title))
 
 
-def _document(model: Skinned, rig: Rig, title: str) -> Builder:
+def _document(model: Skinned, played: PlayedModel, title: str) -> Builder:
     """A new document with the model."""
     builder = Builder()
     json = builder.json
-    json["meshes"] = [{"name": title, "primitives": _mesh(builder, model, rig)}]
+    json["meshes"] = [{"name": title, "primitives": _mesh(builder, model, played)}]
     # The mesh stands at the top of the scene: glTF ignores the transform of a
     # skinned mesh's node, and importers disagree about its parents.
-    nodes = [{"name": title, "mesh": 0, "skin": 0}, *skeleton_nodes(rig, title, 1)]
+    nodes = [{"name": title, "mesh": 0, "skin": 0}, *skeleton_nodes(played, title, 1)]
     json |= {"nodes": nodes, "scenes": [{"name": title, "nodes": [0, 1]}]}
-    json["skins"] = [add_skin(builder, rig, title, 1)]
-    unnamed = ("", model.name) if len(rig.clips) == 1 else ()
+    json["skins"] = [add_skin(builder, played, title, 1)]
+    unnamed = ("", model.name) if len(played.clips) == 1 else ()
     json["animations"] = [
-        add_animation(builder, rig, clip, title if clip.name in unnamed else clip.name, 1)
-        for clip in rig.clips
+        add_animation(builder, played, clip, title if clip.name in unnamed else clip.name, 1)
+        for clip in played.clips
     ]
     if isinstance(model, ShapedSkinning) and model.driven:
         json["meshes"][0]["extras"] = {"ssdr": {"driven": True}}
-    if rig.shapes is not None:
-        state_targets(json["meshes"][0], rig.shapes)
-        for clip, animation in zip(rig.clips, json["animations"], strict=True):
-            add_channel(builder, animation, rig.shapes, clip)
+    if played.shapes is not None:
+        state_targets(json["meshes"][0], played.shapes)
+        for clip, animation in zip(played.clips, json["animations"], strict=True):
+            add_channel(builder, animation, played.shapes, clip)
     return builder
 
 
-def _mesh(builder: Builder, model: Skinned, rig: Rig) -> list[dict[str, Any]]:
+def _mesh(builder: Builder, model: Skinned, played: PlayedModel) -> list[dict[str, Any]]:
     """Add a mesh and return the JSON of its primitives."""
     surface, (skinning, shapes), fitted = model.surface, skinning_and_shapes(model), None
-    normals = rest_normals(skinning, rig.rest)
+    normals = rest_normals(skinning, played.rest)
     if shapes is not None and normals is not None:
         fitted = shaped_normals(ShapedSkinning(skinning, shapes))
         normals = fitted.rest[fitted.corner].astype(np.float32)
@@ -140,39 +141,39 @@ def _mesh(builder: Builder, model: Skinned, rig: Rig) -> list[dict[str, Any]]:
     index = np.zeros(len(corners.faces), dtype=np.int32)
     if surface is not None and surface.material_index is not None:
         index = surface.material_index
-    attributes = _attributes(builder, rig, corners)
+    attributes = _attributes(builder, played, corners)
     primitives: list[dict[str, Any]] = [{"attributes": attributes, "mode": 0}]
     if len(corners.faces):
         primitives = _primitives(builder, surface or Surface(), corners, index, attributes)
-    if rig.shapes is not None:
-        targets = add_targets(builder, rig.shapes, corners, fitted)
+    if played.shapes is not None:
+        targets = add_targets(builder, played.shapes, corners, fitted)
         primitives = [{**primitive, "targets": targets} for primitive in primitives]
     return primitives
 
 
-def _report(model: Skinned, rig: Rig, path: Path, builder: Builder) -> SaveReport:
+def _report(model: Skinned, played: PlayedModel, path: Path, builder: Builder) -> SaveReport:
     """Write the file and return a report of its size, storage error, notes and losses."""
     size, notes = builder.save(path), builder.notes
-    if rig.indices.shape[1] > 4:
+    if played.indices.shape[1] > 4:
         notes.append("engines that read 4 influences alone will drop the smaller ones")
-    return rig.report(model, path=path, bytes=size, notes=tuple(notes), lost=tuple(builder.lost))
+    return played.report(model, path=path, bytes=size, notes=tuple(notes), lost=tuple(builder.lost))
 
 
-def _attributes(builder: Builder, rig: Rig, corners: Corners) -> dict[str, int]:
+def _attributes(builder: Builder, played: PlayedModel, corners: Corners) -> dict[str, int]:
     def put(array: NDArray[Any], kind: str, **fields: Any) -> int:
         return builder.accessor(array, kind, target=ARRAY, **fields)
 
     vertex = corners.vertex
-    attributes = {"POSITION": put(rig.rest[vertex], "VEC3", bounds=True)}
+    attributes = {"POSITION": put(played.rest[vertex], "VEC3", bounds=True)}
     if corners.normals is not None:
         attributes["NORMAL"] = put(corners.normals, "VEC3")
     if corners.uv is not None:
         flipped = np.stack([corners.uv[:, 0], 1 - corners.uv[:, 1]], axis=1)
         attributes["TEXCOORD_0"] = put(flipped.astype(np.float32), "VEC2")
-    attributes |= add_weights(builder, rig, vertex)
+    attributes |= add_weights(builder, played, vertex)
     # The model's vertex at each vertex of the file, so that reading can close the seams. Attributes
     # cannot be uint32, and float32 holds integers exactly up to 2^24.
-    if len(rig.rest) <= 1 << 24:
+    if len(played.rest) <= 1 << 24:
         attributes["_VERTEX"] = put(vertex.astype(np.float32), "SCALAR")
     return attributes
 

@@ -19,8 +19,8 @@ from ...model.shapes import Shapes, Skinned
 from ...model.transforms import parents_first
 from ..atomic import atomic_path
 from ..corners import rest_normals
-from ..rig import Rig, build_rig
-from ..save_report import SaveReport, StorageError
+from ..played_model import PlayedModel, as_played
+from ..save_report import Rounding, SaveReport
 from .stage import identifier, system_errors
 from .usd_materials import write_materials
 
@@ -56,40 +56,42 @@ def write_skinning(skinning: Skinned, path: Path) -> SaveReport:
     ----------
     Pixar, "UsdSkel schemas", https://openusd.org/release/api/usd_skel_page_front.html
     """
-    rig = build_rig(skinning, stretch=True)
+    played = as_played(skinning, stretch=True)
     # A SkelAnimation stores all joints at each time code, so a key of one joint is a key of all.
-    together = np.broadcast_to(rig.keys.any(axis=1, keepdims=True), rig.keys.shape)
-    rig = dataclasses.replace(
-        rig,
+    together = np.broadcast_to(played.keys.any(axis=1, keepdims=True), played.keys.shape)
+    played = dataclasses.replace(
+        played,
         keys=together,
-        scales=None if rig.scales is None else rig.scales.astype(np.float16).astype(np.float32),
+        scales=None
+        if played.scales is None
+        else played.scales.astype(np.float16).astype(np.float32),
     )
-    first = rig.clips[0]
+    first = played.clips[0]
     notes: list[str] = []
-    if rig.scales is not None:
+    if played.scales is not None:
         notes.append("UsdSkel holds scales in half precision")
     with _new_stage(path, first.fps, first.n_frames, skinning.space, notes) as stage:
         top = Sdf.Path("/" + identifier(skinning.name or path.stem))
         stage.SetDefaultPrim(UsdSkel.Root.Define(stage, top).GetPrim())
         skeleton = top.AppendChild("Skeleton")
-        tokens = _put_skeleton(stage, skeleton, rig, skinning.name)
+        tokens = _put_skeleton(stage, skeleton, played, skinning.name)
         mesh = _define_mesh(stage, top, skinning, notes)
-        mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(rig.rest))
-        mesh.CreateExtentAttr(_extent(rig.rest))
-        normals = rest_normals(skinning.skinning, rig.rest)
+        mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(played.rest))
+        mesh.CreateExtentAttr(_extent(played.rest))
+        normals = rest_normals(skinning.skinning, played.rest)
         if normals is not None:
             _put_primvar(mesh, "normals", Sdf.ValueTypeNames.Normal3fArray, normals)
-        _bind(mesh.GetPrim(), rig, skeleton, tokens)
-        if rig.shapes is not None:
-            _bind_shapes(stage, mesh.GetPrim(), rig.shapes)
+        _bind(mesh.GetPrim(), played, skeleton, tokens)
+        if played.shapes is not None:
+            _bind_shapes(stage, mesh.GetPrim(), played.shapes)
     size = path.stat().st_size
-    return rig.report(skinning, path=path, bytes=size, notes=tuple(notes))
+    return played.report(skinning, path=path, bytes=size, notes=tuple(notes))
 
 
 def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:
     """Write a point cache: one mesh with a float32 sample of its points per frame."""
     notes: list[str] = []
-    error = StorageError()
+    error = Rounding()
     with _new_stage(path, sequence.fps, sequence.n_frames, sequence.space, notes) as stage:
         top = Sdf.Path("/" + identifier(sequence.name or path.stem))
         stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, top).GetPrim())
@@ -151,7 +153,7 @@ def _put_primvar(mesh: Any, name: str, kind: Any, values: NDArray[Any]) -> None:
     primvar.SetIndices(Vt.IntArray.FromNumpy(index.reshape(-1).astype(np.int32)))
 
 
-def _put_skeleton(stage: Any, place: Any, rig: Rig, title: str) -> list[str] | None:
+def _put_skeleton(stage: Any, place: Any, played: PlayedModel, title: str) -> list[str] | None:
     """Define a skeleton with an animation for each clip at a path, and bind the first animation.
 
     Parameters
@@ -159,7 +161,7 @@ def _put_skeleton(stage: Any, place: Any, rig: Rig, title: str) -> list[str] | N
     stage : Usd.Stage
     place : Sdf.Path
         Path of the skeleton.
-    rig : Rig
+    played : PlayedModel
     title : str
         Name of the model. If a single clip has the same name, its name is not stored.
 
@@ -170,69 +172,71 @@ def _put_skeleton(stage: Any, place: Any, rig: Rig, title: str) -> list[str] | N
         all joints, in the skeleton's order. The order differs if a bone of the model comes before
         its parent, which USD forbids.
     """
-    plain = unique_names([identifier(bone) for bone in rig.names])
-    order = np.arange(rig.n_bones)
+    plain = unique_names([identifier(bone) for bone in played.names])
+    order = np.arange(played.n_bones)
     paths = list(plain)
-    if rig.parents is not None:
-        if (rig.parents >= order).any():
-            order = parents_first(rig.parents)
+    if played.parents is not None:
+        if (played.parents >= order).any():
+            order = parents_first(played.parents)
         for bone in order:
-            if rig.parents[bone] >= 0:
-                paths[bone] = f"{paths[rig.parents[bone]]}/{plain[bone]}"
+            if played.parents[bone] >= 0:
+                paths[bone] = f"{paths[played.parents[bone]]}/{plain[bone]}"
     tokens = [paths[bone] for bone in order]
     skeleton = UsdSkel.Skeleton.Define(stage, place)
     skeleton.CreateJointsAttr(tokens)
-    if plain != rig.names:
-        skeleton.CreateJointNamesAttr([readable(rig.names[bone]) for bone in order])
+    if plain != played.names:
+        skeleton.CreateJointNamesAttr([readable(played.names[bone]) for bone in order])
 
     def translations(points: NDArray[np.float32]) -> Any:
         moves = [Gf.Vec3d(*map(float, point)) for point in points[order]]
         return Vt.Matrix4dArray([Gf.Matrix4d(1.0).SetTranslate(move) for move in moves])
 
-    skeleton.CreateBindTransformsAttr(translations(rig.centers))
-    skeleton.CreateRestTransformsAttr(translations(rig.offsets))
-    alone = len(rig.clips) == 1 and rig.clips[0].name in ("", title)
-    names = unique_names(["Animation" if alone else identifier(c.name) for c in rig.clips])
+    skeleton.CreateBindTransformsAttr(translations(played.centers))
+    skeleton.CreateRestTransformsAttr(translations(played.offsets))
+    alone = len(played.clips) == 1 and played.clips[0].name in ("", title)
+    names = unique_names(["Animation" if alone else identifier(c.name) for c in played.clips])
     places = [skeleton.GetPath().AppendChild(name) for name in names]
-    for where, clip in zip(places, rig.clips, strict=True):
+    for where, clip in zip(places, played.clips, strict=True):
         animation = UsdSkel.Animation.Define(stage, where)
         animation.CreateJointsAttr(tokens)
-        _put_keys(animation, rig, order, clip)
+        _put_keys(animation, played, order, clip)
         stated: dict[str, Any] = {"fps": clip.fps, "frames": clip.n_frames}
         if not alone:
             stated["name"] = clip.name
         animation.GetPrim().SetCustomDataByKey("ssdr", stated)
     binding = UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
     binding.CreateAnimationSourceRel().SetTargets([places[0]])
-    if rig.moving is not None:
-        return [paths[bone] for bone in rig.moving]
-    return paths if (order != np.arange(rig.n_bones)).any() else None
+    if played.moving is not None:
+        return [paths[bone] for bone in played.moving]
+    return paths if (order != np.arange(played.n_bones)).any() else None
 
 
-def _put_keys(animation: Any, rig: Rig, order: NDArray[np.int64], clip: Clip) -> None:
+def _put_keys(animation: Any, played: PlayedModel, order: NDArray[np.int64], clip: Clip) -> None:
     """Add the keys of a clip to a SkelAnimation, with the first frame at the time code 0.
 
     `order` (B,) holds the bone indices in the order of the skeleton's joints. The stage has as many
     time codes per second as the first clip has frames.
     """
-    tempo = rig.clips[0].fps
+    tempo = played.clips[0].fps
     translations, rotations = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
     scales = animation.CreateScalesAttr()
-    ones = np.ones((rig.n_bones, 3), dtype=np.float16)
-    if rig.scales is None:
+    ones = np.ones((played.n_bones, 3), dtype=np.float16)
+    if played.scales is None:
         scales.Set(Vt.Vec3hArray.FromNumpy(ones))
-    for frame in clip.start + np.flatnonzero(rig.keys[clip.frames, 0]):
+    for frame in clip.start + np.flatnonzero(played.keys[clip.frames, 0]):
         code = float(frame - clip.start) * (tempo / clip.fps)
-        translations.Set(Vt.Vec3fArray.FromNumpy(rig.translations[frame, order]), code)
-        rotations.Set(Vt.QuatfArray.FromNumpy(rig.rotations[frame, order]), code)
-        if rig.scales is not None:
-            scales.Set(Vt.Vec3hArray.FromNumpy(rig.scales[frame, order].astype(np.float16)), code)
-    if rig.shapes is not None:
-        animation.CreateBlendShapesAttr(_shape_tokens(rig.shapes))
+        translations.Set(Vt.Vec3fArray.FromNumpy(played.translations[frame, order]), code)
+        rotations.Set(Vt.QuatfArray.FromNumpy(played.rotations[frame, order]), code)
+        if played.scales is not None:
+            scales.Set(
+                Vt.Vec3hArray.FromNumpy(played.scales[frame, order].astype(np.float16)), code
+            )
+    if played.shapes is not None:
+        animation.CreateBlendShapesAttr(_shape_tokens(played.shapes))
         weights = animation.CreateBlendShapeWeightsAttr()
         for frame in np.arange(clip.start, clip.stop):
             code = float(frame - clip.start) * (tempo / clip.fps)
-            weights.Set(Vt.FloatArray.FromNumpy(rig.shapes.amounts[frame]), code)
+            weights.Set(Vt.FloatArray.FromNumpy(played.shapes.amounts[frame]), code)
 
 
 def _bind_shapes(stage: Any, prim: Any, shapes: Shapes) -> None:
@@ -255,14 +259,14 @@ def _shape_tokens(shapes: Shapes) -> list[str]:
     return list(unique_names([identifier(name) for name in shapes.names], "shape"))
 
 
-def _bind(prim: Any, rig: Rig, skeleton: Any, tokens: Sequence[str] | None) -> None:
+def _bind(prim: Any, played: PlayedModel, skeleton: Any, tokens: Sequence[str] | None) -> None:
     """Bind a mesh to the skeleton at the path `skeleton`.
 
     `tokens` are the joints in the order of the bones; None if the skeleton has them in that order.
     """
-    joints, weights = rig.indices.reshape(-1), rig.weights.reshape(-1)
+    joints, weights = played.indices.reshape(-1), played.weights.reshape(-1)
     binding = UsdSkel.BindingAPI.Apply(prim)
-    width = rig.indices.shape[1]
+    width = played.indices.shape[1]
     binding.CreateJointIndicesPrimvar(False, width).Set(Vt.IntArray.FromNumpy(joints))
     binding.CreateJointWeightsPrimvar(False, width).Set(Vt.FloatArray.FromNumpy(weights))
     binding.CreateSkeletonRel().SetTargets([skeleton])

@@ -11,8 +11,8 @@ import pytest
 
 import ssdr
 from helpers import motions
-from ssdr.fit.bones import BoneFit
 from ssdr.fit.fit import Fit
+from ssdr.fit.fit_bones import BoneFit
 from ssdr.search.progress import Progress, Record
 from ssdr.show.page.page import Page
 

@@ -65,7 +65,7 @@ def there_and_back(sequence, path):
 
 
 def test_every_format_of_sequences_is_in_the_table():
-    able = {suffix for suffix, row in FORMATS.items() if row.sequences}
+    able = {suffix for suffix, row in FORMATS.items() if row.writes_sequences}
     assert able == {name[name.index(".") :] for name in HOLDS} | {".usd"}
 
 
@@ -113,7 +113,7 @@ def test_points_and_names_of_any_kind(path):
 def test_a_model_is_baked(path, skinned):
     clips = (Clip("walk", 0, 4, 30.0), Clip("jump", 4, 6, 30.0))
     report = ssdr.save(dataclasses.replace(skinned, clips=clips), path)
-    if FORMATS[path.suffix].skinnings:
+    if FORMATS[path.suffix].writes_skinnings:
         assert "clips" not in str(report.notes)
         return
     assert "clips are not kept apart: walk from frame 0, jump from frame 4" in str(report.notes)

@@ -19,10 +19,10 @@ def test_every_row_of_the_table_says_what_it_can():
         assert suffix == suffix.lower()
         with contextlib.suppress(ssdr.MissingDependencyError):
             functions = row.functions()
-            assert (functions.write_sequence is not None) == row.sequences
-            assert (functions.write_skinning is not None) == row.skinnings
-            assert (functions.read_skinning is not None) == row.skinnings
-            assert (functions.list_clips is not None) == (row.skinnings or suffix == ".abc")
+            assert (functions.write_sequence is not None) == row.writes_sequences
+            assert (functions.write_skinning is not None) == row.writes_skinnings
+            assert (functions.read_skinning is not None) == row.reads_skinnings
+            assert (functions.list_clips is not None) == (row.reads_skinnings or suffix == ".abc")
 
 
 def test_the_page_on_formats_names_them_all():
@@ -31,7 +31,7 @@ def test_the_page_on_formats_names_them_all():
     for suffix, row in FORMATS.items():
         line = next(line for line in table.splitlines() if f"`{suffix}`" in line)
         cells = [cell.strip() for cell in line.strip("|").split("|")]
-        able = [True, row.skinnings, row.sequences]
+        able = [True, row.reads_skinnings, row.writes_sequences]
         assert [cell == "yes" for cell in cells[2:5]] == able
         assert cells[5]
         needs = {None: "", "blender": "[Blender](#blender)"}

@@ -12,7 +12,7 @@ import ssdr
 from helpers import drawn
 from helpers.rig_model import largest_distance, tube
 from helpers.rig_tree import creature
-from ssdr.io.rig import build_rig
+from ssdr.io.played_model import as_played
 from ssdr.model.keyframes import Tracks
 from ssdr.model.stretch import steady_axes
 
@@ -57,7 +57,7 @@ def test_a_bone_that_turns_and_stretches_is_right_between_frames():
     moves = np.concatenate([matrices, np.zeros((11, 3, 1))], axis=2)[:, None]
     rest = np.random.default_rng(0).normal(size=(9, 3))
     model = ssdr.Skinning.from_dense(rest, np.ones((9, 1)), moves, bone_model="affine")
-    rig = build_rig(model, stretch=True)
+    rig = as_played(model, stretch=True)
     half = rig.matrices(np.array([4.5]))[0, rig.moving[0], :, :3]
     middle = Rotation.from_rotvec([0, 0, 0.225]).as_matrix()
     expected = middle @ (axis * np.array([1.45, 1, 1])) @ axis.T

@@ -87,5 +87,10 @@ def test_what_was_welded_is_compared_at_the_vertices_that_are_left(seam):
     model = ssdr.Skinning(welded.vertices[0], *bone, **kept)
     here, there = (ssdr.metrics.normals(truth, model).per_vertex for truth in (welded, seam))
     np.testing.assert_allclose(there, here, atol=1e-9)
+    rows = welded.vertex_map
+    whole = {"faces": seam.faces, "surface": seam.surface}
+    before = ssdr.Skinning(model.rest[rows], bone[0][rows], bone[1][rows], still, **whole)
+    errors = distances(welded, before)  # at the vertices before the welding of the reference
+    np.testing.assert_array_equal(errors.per_vertex, distances(seam, before).per_vertex)
     with pytest.raises(ssdr.InputError, match="of 7 vertices, as the reference has"):
         distances(ssdr.MeshSequence(seam.vertices[:, :7]), moved)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation, Slerp
 import ssdr
 from helpers import motions
 from helpers.measures import wavy
-from ssdr.io.rig import build_rig
+from ssdr.io.played_model import as_played
 from ssdr.model.keyframes import Tracks
 
 
@@ -65,7 +65,7 @@ def test_between_keys_bones_move_as_engines_move_them() -> None:
         moved = played.transforms[:, b, :, :3] @ centre[b] + played.transforms[:, b, :, 3]
         assert np.abs(moved - path).max() < 1e-9
     # and so does what is exported
-    rig = build_rig(played)
+    rig = as_played(played)
     assert (rig.keys == keys).all()
     assert np.abs(rig.matrices(np.arange(15.0)) - played.transforms).max() < 1e-5
 

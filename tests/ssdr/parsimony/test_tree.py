@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 import ssdr
 from helpers.rig_tree import NAMES, PARENTS, POSITIONS, creature, flat
-from ssdr.io.rig import build_rig
+from ssdr.io.played_model import as_played
 from ssdr.model.keyframes import Tracks
 from ssdr.model.transforms import from_local
 
@@ -79,7 +79,7 @@ def test_between_keys_joints_move_as_engines_move_them(kind):
         np.testing.assert_allclose(local[:, b, :, 3], np.stack(place, axis=1), atol=1e-9)
     if not kind:
         assert played.joint_gaps().max() < 1e-12
-    rig = build_rig(played)
+    rig = as_played(played)
     np.testing.assert_array_equal(rig.keys, keys)
     np.testing.assert_allclose(rig.matrices(np.arange(10.0)), played.transforms, atol=1e-5)
     # where nothing above is between keys, to the last bit

@@ -152,7 +152,7 @@ def test_the_solver_answers_with_a_file_and_the_skin(
     }
     (tmp_path / "asked.json").write_text(json.dumps(asked))
     np.savez(tmp_path / "frames.npz", vertices=wave.vertices, faces=wave.faces)
-    words = [sys.executable, str(ADDONS / "blender" / "solve.py"), str(tmp_path)]
+    words = [sys.executable, str(ADDONS / "blender" / "run_solver.py"), str(tmp_path)]
     done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     assert float(done.stderr.splitlines()[0].split()[0]) <= 1

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 import ssdr
 from helpers.blender_scene import as_blender_shows, export, needs_blender
 from helpers.rig_model import checker, largest_distance, tube
-from ssdr.io.rig import build_rig
+from ssdr.io.played_model import as_played
 
 pytestmark = [pytest.mark.slow, needs_blender]
 
@@ -38,7 +38,7 @@ def test_our_own_fbx_comes_back(tmp_path, options, centimetres):
     assert back.bone_model == model.bone_model
     assert (back.n_vertices, back.n_influences) == (model.n_vertices, model.n_influences)
     assert back.weights.dtype == np.float32
-    rig = build_rig(model)
+    rig = as_played(model)
     as_stored = dataclasses.replace(model, indices=rig.indices, weights=rig.weights)
     np.testing.assert_array_equal(back.dense_weights(), as_stored.dense_weights())
     diagonal = np.linalg.norm(np.ptp(model.skin().reshape(-1, 3), axis=0))

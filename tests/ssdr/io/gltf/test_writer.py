@@ -12,7 +12,7 @@ from pygltflib import GLTF2
 import ssdr
 from helpers.rig_model import largest_distance, tube
 from ssdr.io.gltf.document import Document
-from ssdr.io.rig import build_rig
+from ssdr.io.played_model import as_played
 
 
 def test_other_readers_agree(tmp_path):
@@ -38,7 +38,7 @@ def test_other_readers_agree(tmp_path):
 def test_quantised_weights_cost_what_is_told(tmp_path, storage, steps):
     model = tube(influences=5)
     report = ssdr.save(model, tmp_path / "a.glb", weights=storage)
-    exact, rig = build_rig(model), build_rig(model, storage=storage)
+    exact, rig = as_played(model), as_played(model, storage=storage)
     assert np.abs(rig.weights / steps - exact.weights).max() < 1 / steps
     back = ssdr.load_skinning(tmp_path / "a.glb")
     gap = back.skin(dtype=np.float64) - model.skin()

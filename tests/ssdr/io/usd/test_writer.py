@@ -7,7 +7,7 @@ import pytest
 
 import ssdr
 from helpers.rig_model import baked_by_usd, largest_distance, tube
-from ssdr.io.rig import build_rig
+from ssdr.io.played_model import as_played
 
 pytest.importorskip("pxr.UsdSkel", reason="usd-core is not installed")
 from pxr import Usd, UsdGeom, UsdSkel
@@ -32,7 +32,7 @@ def test_between_frames_is_what_usd_shows(tmp_path):
     (binding,) = cache.ComputeSkelBindings(root, Usd.PrimDefaultPredicate)
     query = cache.GetSkelQuery(binding.GetSkeleton())
     times = np.arange(19) + 0.5
-    ours = build_rig(model).matrices(times)
+    ours = as_played(model).matrices(times)
     theirs = np.array([np.array(query.ComputeSkinningTransforms(t)) for t in times])
     np.testing.assert_allclose(np.swapaxes(theirs, 2, 3)[:, :, :3], ours, atol=2e-6)
     shown = ssdr.skin(model.rest, model.indices, model.weights, ours)

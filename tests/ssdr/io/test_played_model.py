@@ -13,7 +13,7 @@ from helpers.glb import rebuild
 from helpers.rig_model import tube
 from helpers.rig_tree import PARENTS, creature, flat, tree_of
 from ssdr.io.frame_rates import frame_rate, off_frames
-from ssdr.io.rig import build_rig
+from ssdr.io.played_model import as_played
 from ssdr.io.weight_storage import quantise, weight_values
 from ssdr.mesh.clips import unique_names
 from ssdr.model.transforms import joint_gaps
@@ -32,7 +32,7 @@ def test_quantise_keeps_the_sum(seed, storage):
 
 def test_between_frames_against_scipy():
     model = tube(frames=12)
-    rig = build_rig(model)
+    rig = as_played(model)
     total = 0.0
     for frame in range(11):
         moved = np.empty((model.n_bones, 3, 4))
@@ -47,11 +47,11 @@ def test_between_frames_against_scipy():
         shown = ssdr.skin(model.rest, model.indices, model.weights, moved)
         total += ((shown - model.skin([frame, frame + 1]).mean(axis=0)) ** 2).sum(axis=1).mean()
     assert rig.error(model, between=True)[0] == pytest.approx(np.sqrt(total / 11), rel=1e-4)
-    assert build_rig(tube(frames=1)).error(model, between=True)[0] == 0
+    assert as_played(tube(frames=1)).error(model, between=True)[0] == 0
 
 
 def test_quaternions_do_not_flip():
-    rig = build_rig(tube(frames=60, bones=3))
+    rig = as_played(tube(frames=60, bones=3))
     assert (np.sum(rig.rotations[1:] * rig.rotations[:-1], axis=-1) > 0).all()
     assert np.sum(rig.rotations[0] * rig.rotations[-1], axis=-1).min() < 0  # a flip was there
 
@@ -87,19 +87,19 @@ def test_names_that_are_all_alike_are_each_made_once():
 
 
 def test_a_rigid_joint_stores_a_rotation_alone():
-    rig = build_rig(creature())
+    rig = as_played(creature())
     roots = [a < 0 for a in PARENTS]
     assert rig.translating.tolist() == roots
-    assert build_rig(creature(loose=True)).translating.all()
+    assert as_played(creature(loose=True)).translating.all()
     np.testing.assert_allclose(rig.centers, creature().joint_positions, atol=1e-7)
     still = creature().pose(np.tile(np.eye(3), (4, len(PARENTS), 1, 1)))
-    assert not build_rig(still).translating.any()  # roots that stay have no keys either
+    assert not as_played(still).translating.any()  # roots that stay have no keys either
 
 
 def test_between_frames_joints_stay_together():
     """Local interpolation, frame by frame and bone by bone, as an engine does it."""
     model = creature()
-    rig = build_rig(model)
+    rig = as_played(model)
     local = model.local_transforms()
     got = rig.matrices(np.array([3.5]))[0]
     frames = {}
@@ -113,7 +113,7 @@ def test_between_frames_joints_stay_together():
         np.testing.assert_allclose(got[b], (frames[b] @ bind)[:3], atol=1e-6)
     tree = model.parents, model.joint_positions
     assert joint_gaps(got, *tree).max() < 1e-6
-    assert joint_gaps(build_rig(flat(model)).matrices(np.array([3.5])), *tree).max() > 1e-3
+    assert joint_gaps(as_played(flat(model)).matrices(np.array([3.5])), *tree).max() > 1e-3
 
 
 def without_gltf_mesh(source, target):

@@ -31,12 +31,12 @@ from ..model.transforms import (
     to_world,
     translating,
 )
-from .save_report import SaveReport, StorageError, frame_blocks
+from .save_report import Rounding, SaveReport, frame_blocks
 from .weight_storage import WeightStorage, quantise, weight_values
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Rig:
+class PlayedModel:
     """A skinning as a skeleton of joints, rounded as a file stores it.
 
     Rotations, translations and scales of a joint are relative to its parent; those of a root, and
@@ -140,7 +140,7 @@ class Rig:
         return skin_each(rest + (1 - share) * before + share * after, *skinned, moves)
 
     def error(self, model: Skinned, *, between: bool = False) -> tuple[float, float]:
-        """Root mean square and largest distance between the vertices of this rig and of `model`.
+        """Root mean square and largest distance between the vertices of this model and of `model`.
 
         The stored arrays are skinned in float64. Both numbers are 0 if there are no frames to
         compare.
@@ -151,10 +151,10 @@ class Rig:
         between : bool
             Compare halfway between consecutive frames, where engines interpolate, with the mean of
             the model's vertices in the two frames. A rotating vertex moves on an arc, but this mean
-            lies on its chord, so a part of the distance is no error of the rig; this part falls
+            lies on its chord, so a part of the distance is no error of the file; this part falls
             with the square of the frame time.
         """
-        error = StorageError()
+        error = Rounding()
         for clip in self.clips:
             # nothing is between two clips
             for block in frame_blocks(clip.start, clip.stop - between, len(self.rest)):
@@ -165,7 +165,7 @@ class Rig:
         return error.rmse, error.largest
 
     def report(self, model: Skinned, **fields: Any) -> SaveReport:
-        """Report on saving `model` as this rig: its errors, and further `fields`."""
+        """Report on saving `model` as this one: its errors, and further `fields`."""
         rmse, largest = self.error(model)
         return SaveReport(
             error=rmse,
@@ -175,14 +175,14 @@ class Rig:
         )
 
 
-def build_rig(
+def as_played(
     model: Skinned,
     *,
     most: int | None = None,
     storage: WeightStorage = "float32",
     stretch: bool = False,
-) -> Rig:
-    """Rig whose joints are those of the skinning's hierarchy or, without one, bone centroids.
+) -> PlayedModel:
+    """Model whose joints are those of the skinning's hierarchy or, without one, bone centroids.
 
     A bone M = U S Vᵀ that stretches becomes two joints: one that rotates by U and scales by S, with
     "_stretch" after the bone's name, and below it one with the bone's name, which rotates by Vᵀ.
@@ -245,7 +245,7 @@ def build_rig(
         sizes = np.repeat(np.cbrt(np.linalg.det(linear))[..., None], 3, axis=2)
         linear = linear / sizes[..., None]
     rotations = quaternion_from_matrix(linear)
-    rig = Rig(
+    played = PlayedModel(
         rest=skinning.rest.astype(np.float32),
         indices=indices,
         weights=weights,
@@ -261,34 +261,34 @@ def build_rig(
         clips=skinning.clips,
         shapes=None if shapes is None else _in_float32(shapes),
     )
-    return rig if within is None else _with_inner(rig, within)
+    return played if within is None else _with_inner(played, within)
 
 
-def _with_inner(rig: Rig, within: NDArray[np.float64]) -> Rig:
-    """Rig in which each joint has a second joint below it, which rotates by `within` (F, B, 3, 3).
+def _with_inner(played: PlayedModel, within: NDArray[np.float64]) -> PlayedModel:
+    """Model in which each joint has a second one below it, turned by `within` (F, B, 3, 3).
 
     The second joint moves the vertices.  The first joint of a bone is a child of the second joint
     of its parent bone.
     """
-    count, above = rig.n_bones, -1 if rig.parents is None else rig.parents
+    count, above = played.n_bones, -1 if played.parents is None else played.parents
     own = np.arange(count, dtype=np.int32)
     turns = unflip_quaternions(quaternion_from_matrix(within)).astype(np.float32)
 
     def both(first: NDArray[Any], second: Any, axis: int = 1) -> NDArray[Any]:
         return np.concatenate([first, np.broadcast_to(second, first.shape)], axis=axis)
 
-    assert rig.scales is not None
+    assert played.scales is not None
     return dataclasses.replace(
-        rig,
-        centers=both(rig.centers, rig.centers, 0),
-        rotations=both(rig.rotations, turns),
-        translations=both(rig.translations, np.float32(0)),
-        scales=both(rig.scales, np.float32(1)),
+        played,
+        centers=both(played.centers, played.centers, 0),
+        rotations=both(played.rotations, turns),
+        translations=both(played.translations, np.float32(0)),
+        scales=both(played.scales, np.float32(1)),
         parents=np.concatenate([np.where(above + 0 * own >= 0, above + count, -1), own]),
-        offsets=both(rig.offsets, np.float32(0), 0),
-        translating=both(rig.translating, False, 0),
-        keys=both(rig.keys, rig.keys),
-        names=unique_names([*(f"{name}_stretch" for name in rig.names), *rig.names]),
+        offsets=both(played.offsets, np.float32(0), 0),
+        translating=both(played.translating, False, 0),
+        keys=both(played.keys, played.keys),
+        names=unique_names([*(f"{name}_stretch" for name in played.names), *played.names]),
         moving=own.astype(np.int64) + count,
     )
 
