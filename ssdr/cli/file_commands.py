@@ -172,8 +172,8 @@ def compare(reference: Path, other: Path, *, scale: float = 1.0, **options: Any)
     reading, _ = files_of(options)
     thing, truth = pair(other, reference, reading, scale=scale)
     _hint_at_units(truth, thing, scale)
-    unlike = isinstance(thing, Skinned) and not np.array_equal(thing.faces, truth.faces)
-    if unlike and thing.vertex_map is None:  # of other triangles, the vertices are compared
+    whole = thing.vertex_map is None and not np.array_equal(thing.faces, truth.faces)
+    if isinstance(thing, Skinned) and whole:  # of other triangles, the vertices are compared
         thing = MeshSequence(thing.skin(), thing.faces, thing.fps, validate=False)
     with Output.current.waiting("measuring"):
         result = ssdr.metrics.compare(truth, thing, **options)

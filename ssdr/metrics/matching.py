@@ -80,8 +80,8 @@ def matched(
     found, welded = _at_vertices_of(model, reference), reference.vertex_map
     if welded is not None and len(welded) == model.n_vertices != found.n_vertices:
         found = found.with_vertices(welded, np.arange(found.n_vertices))
-        same = {"faces": model.faces, "surface": model.surface}
-        found = dataclasses.replace(found, **same, validate=False)
+        surface = model.surface
+        found = dataclasses.replace(found, faces=model.faces, surface=surface, validate=False)
     if (found.n_frames, found.n_vertices) != (model.n_frames, model.n_vertices):
         raise InputError(
             argument,
