@@ -1,13 +1,9 @@
-"""Where two glTF files differ: their trees with every number of an accessor, node, ... looked up.
-
-python -m helpers.gltf_difference BEFORE AFTER
-"""
+"""Where two glTF files differ: their trees with every number of an accessor, node, ... looked up."""
 
 from __future__ import annotations
 
 import hashlib
 import re
-import sys
 from pathlib import Path
 
 from ssdr.io.gltf.document import COMPONENTS, Document
@@ -20,7 +16,6 @@ NEW_SKIN = re.compile(
     r"|.*/mesh/primitives/\d+/attributes/[+-]?(POSITION|NORMAL|TANGENT|(JOINTS|WEIGHTS)_\d)(/.*)?$"
     r"|.*/mesh/extras/-targetNames$"
     r"|drawn/[^/]+/-(translation|rotation|scale|matrix)$"  # a skin stands at the top of its scene
-    r"|[+-]?skins$"
 )
 
 
@@ -82,6 +77,7 @@ def tree(path):
 
     result = {k: v for k, v in json.items() if k not in ("accessors", "bufferViews", "nodes")}
     result.pop("buffers", None)
+    result.pop("skins", None)
     result["scenes"] = {
         str(k): {**s, "nodes": nodes(s.get("nodes", []), "")}
         for k, s in enumerate(json.get("scenes", []))
@@ -89,16 +85,6 @@ def tree(path):
     # By their nodes, wherever these stand; a mesh may have become two.
     result.pop("meshes", None)
     result["drawn"] = {n: {**one, "mesh": mesh(one["mesh"])} for n, one in drawn.items()}
-    skins = [
-        {
-            **s,
-            "inverseBindMatrices": accessor(s["inverseBindMatrices"]),
-            "joints": [places.get(k) for k in s["joints"]],
-            "skeleton": places.get(s.get("skeleton")),
-        }
-        for s in json.get("skins", [])
-    ]
-    result["skins"] = skins
     result["images"] = [
         {k: v for k, v in image.items() if k not in ("uri", "bufferView", "mimeType")}
         | {"sha256": hashlib.sha256(document.picture(image)).hexdigest()}
@@ -139,8 +125,3 @@ def difference(before, after):
 
     walk(tree(before), tree(after), "")
     return [place.lstrip("/") for place in found]
-
-
-if __name__ == "__main__":
-    for line in difference(*sys.argv[1:]):
-        print(line)
