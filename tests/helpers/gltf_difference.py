@@ -1,4 +1,4 @@
-"""Where two glTF files differ: their trees with every number of an accessor, node, ... looked up."""
+"""Where two glTF files differ: their trees, with what numbers refer to in their place."""
 
 from __future__ import annotations
 

@@ -171,41 +171,33 @@ def zstd(*frames):
     return data
 
 
-def zarr_chunk(path, chunk):
-    """A store of the shape (2, 3, 3), whose chunk took 3 GB."""
-    zarr = pytest.importorskip("zarr")
-    zarr.create_array(path, shape=(2, 3, 3), chunks=(2, 3, 3), dtype="f4")
-    (path / "c" / "0" / "0").mkdir(parents=True)
-    (path / "c" / "0" / "0" / "0").write_bytes(chunk)
-
-
-G3 = 3_000_000_000
-CHUNKS = {
-    "cut": (zstd((72, 72))[:-2], "bad"),
-    "bomb": (zstd((G3, G3)), "3000000000 bytes, inflated 32761-fold"),
-    "second": (zstd((72, 72), (G3, G3)), "3000000072 bytes, inflated"),
-    "more": (zstd((G3, 72)), "bad"),
-    "less": (zstd((72, G3)), "3000000000 bytes, inflated"),
-    "text": (b"nonsense", "no zstd frame"),
-    "empty": (b"", "bad"),
-}
-TABLE.add("zarr", zarr_chunk, CHUNKS)
-
-
-def zarr_shape(path, made):
-    step, chunk = made
-    zarr = pytest.importorskip("zarr")
-    shape = {"shape": (10**9, 2, 3), "chunks": (step, 2, 3)}
-    zarr.create_array(path, dtype="f4", compressors=None, **shape)
-    if chunk:
+def zarr_array(path, given):
+    """A store of one array whose first chunk, if there is one, took all memory."""
+    options, chunk = given
+    pytest.importorskip("zarr").create_array(path, dtype="f4", **options)
+    if chunk is not None:
         (path / "c" / "0" / "0").mkdir(parents=True)
         (path / "c" / "0" / "0" / "0").write_bytes(chunk)
 
 
+G3 = 3_000_000_000
+SMALL = {"shape": (2, 3, 3), "chunks": (2, 3, 3)}
+LONG = {"shape": (10**9, 2, 3), "compressors": None}
 MISSING = r"holds 0 of \d+ chunks of the shape \(1000000000,"
 LARGE = "a chunk needs 24000000000 bytes, above the limit of"
-LARGEST = {"a": ((1, b""), MISSING), "b": ((10**9, b""), MISSING), "c": ((10**9, b"few"), LARGE)}
-TABLE.add("zarr", zarr_shape, LARGEST)
+ARRAYS = {
+    "cut": ((SMALL, zstd((72, 72))[:-2]), "bad"),
+    "bomb": ((SMALL, zstd((G3, G3))), "3000000000 bytes, inflated 32761-fold"),
+    "second": ((SMALL, zstd((72, 72), (G3, G3))), "3000000072 bytes, inflated"),
+    "more": ((SMALL, zstd((G3, 72))), "bad"),
+    "less": ((SMALL, zstd((72, G3))), "3000000000 bytes, inflated"),
+    "text": ((SMALL, b"nonsense"), "no zstd frame"),
+    "empty": ((SMALL, b""), "bad"),
+    "no chunks": (({"chunks": (1, 2, 3), **LONG}, None), MISSING),
+    "no chunk": (({"chunks": (10**9, 2, 3), **LONG}, None), MISSING),
+    "a large chunk": (({"chunks": (10**9, 2, 3), **LONG}, b"few"), LARGE),
+}
+TABLE.add("zarr", zarr_array, ARRAYS)
 
 
 def zarr_codec(path, kind):
