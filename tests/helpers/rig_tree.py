@@ -51,6 +51,24 @@ def creature(*, frames=10, loose=False, scaled=False, clips=None):
     )
 
 
+def stretched(model, seed=0):
+    """A model whose bones stretch along axes that turn slowly."""
+    rng = np.random.default_rng(seed)
+    axes = Rotation.from_rotvec(rng.normal(size=(model.n_bones, 3)))
+    matrices = np.empty((model.n_frames, model.n_bones, 3, 3))
+    for t in range(model.n_frames):
+        slow = Rotation.from_rotvec(0.02 * t * np.ones((model.n_bones, 3)))
+        v = (slow * axes).as_matrix()
+        size = 1 + 0.3 * np.sin(0.2 * t + np.arange(3))
+        matrices[t] = (v * size) @ v.swapaxes(1, 2)
+    moves = model.transforms.copy()
+    centers = model.centroids() if model.parents is None else model.joint_positions
+    local = np.einsum("fbij,bj->fbi", moves[..., :3], centers) + moves[..., 3]
+    moves[..., :3] = moves[..., :3] @ matrices
+    moves[..., 3] = local - np.einsum("fbij,bj->fbi", moves[..., :3], centers)
+    return dataclasses.replace(model, transforms=moves, bone_model="affine")
+
+
 def flat(model):
     """The same bones without the hierarchy."""
     return dataclasses.replace(model, parents=None, joint_positions=None)
