@@ -41,7 +41,7 @@ SUFFIXES = [".npz", ".glb", ".gltf", ".usda", ".usdc", ".usd"]
 
 
 def test_every_format_of_models_is_in_the_table():
-    able = {suffix for suffix, row in FORMATS.items() if row.skinnings}
+    able = {suffix for suffix, row in FORMATS.items() if row.writes_skinnings}
     assert able - {".fbx"} == set(SUFFIXES)
 
 
