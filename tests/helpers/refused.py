@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 
 import pytest
@@ -22,6 +23,22 @@ def raw(path, data):
 
 def mapped(path, **options):
     return ssdr.load(path, mmap=True, **options)
+
+
+MISLABELLED = {
+    "a zip archive": b"PK\x03\x04" * 20,
+    "a NumPy .npy array": b"\x93NUMPY\x01\x00" + bytes(100),
+    "a Python pickle": pickle.dumps({"vertices": [1.0] * 30}),
+    "a PNG picture": b"\x89PNG\r\n\x1a\n" + bytes(100),
+    "text": b"dear diary, today I was renamed\n" * 4,
+    "the file is empty": b"",
+}
+"""Contents that files of another suffix have, by what is said of them."""
+
+
+def looks(*known):
+    """Cases of all that is mislabelled, but for what a format is itself."""
+    return {what: (data, what) for what, data in MISLABELLED.items() if what not in known}
 
 
 class Refused(dict):

@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 
 import ssdr
-from helpers.refused import Refused, mapped, raw
+from helpers.refused import Refused, looks, mapped, raw
 from helpers.rig_tree import creature
 from ssdr import FormatError
 from ssdr.io.file_errors import MOST_BYTES, afford
 
 TABLE = Refused()
+TABLE.add("npz", raw, looks("a zip archive"))
+TABLE.add("npy", raw, looks("a NumPy .npy array"))
 
 
 class Bang:

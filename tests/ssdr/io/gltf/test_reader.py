@@ -176,20 +176,6 @@ def test_strips_fans_points(tmp_path, mode, faces):
     )
 
 
-def test_keys_with_one_odd_gap_are_sampled_at_their_own_rate(tmp_path):
-    """Not five times as often, which would make the clip the greater part of a fit."""
-    times = np.r_[np.arange(17), 20.8 + np.arange(8)] / 24
-    x = np.sin(9 * times)
-    path = channel_file(tmp_path, "LINEAR", np.stack([x, 0 * x, 0 * x], axis=1), times=times)
-    said = r"8 keys of the clip .* lie between .*, which are 24 a second: .*fps= samples"
-    with pytest.warns(ssdr.SsdrWarning, match=said):
-        found = ssdr.load(path)
-    assert (found.fps, len(found)) == (24, 29)
-    np.testing.assert_allclose(found.vertices[:17, 0, 0], x[:17], atol=1e-5)
-    assert found.vertices[-1, 0, 0] == pytest.approx(x[-1], abs=1e-5)  # its end is not cut off
-    assert len(ssdr.load(path, fps=120)) == 140
-
-
 def test_a_mirrored_node_that_grows_from_a_point_shows_its_outside(tmp_path):
     """Its first frame has no side; judged by it alone, every triangle was inside out."""
     sizes = np.arange(3)[:, None] * [-1, 1, 1]

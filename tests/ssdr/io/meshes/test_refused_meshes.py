@@ -8,9 +8,13 @@ import numpy as np
 import pytest
 
 import ssdr
-from helpers.refused import Refused, mapped, raw
+from helpers.refused import Refused, looks, mapped, raw
 
 TABLE = Refused()
+for _suffix in ("obj", "ply", "pc2"):
+    TABLE.add(_suffix, raw, looks())
+# MDD has no magic number: any bytes are counts that do not fit
+TABLE.add("mdd", raw, {what: (data, "bad") for what, (data, _) in looks().items()})
 
 OBJ = [
     *("f 1 2 4", "f 0 1 2", "f 1 2 -4", "f 1 2", "f 1 2 x", "f 1/1 2 3"),
