@@ -78,7 +78,9 @@ SKINNED = {
         ("parents", [2, 0, 0, 0, 2, -1, 4], "parents"),
         ("parents", [0, 0, 0], "parents"),
         ("parents", None, "parents"),
-        ("rest", None, "no array rest"),
+        ("rest", None, "no array rest; it holds"),
+        ("format_version", 1, "format_version 1; this release reads 2 to 3"),
+        ("format_version", 4, "format_version 4; this release reads 2 to 3"),
     ])
 }  # fmt: skip
 TABLE.add("npz", skinned_npz, SKINNED, ssdr.load_skinning)
