@@ -150,6 +150,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
         "error of positions: Dem Bones": "100%", "SSDR 2012": "{2012 ratio:.0%}",
         "ssdr": "{balanced ratio:.0%}", "ssdr, `--effort best`": "{best ratio:.0%}",
         "error of normals: Dem Bones": "{best peer normals}", "ssdr ": "{ssdr balanced normals}",
+        "revision": "{machine[revision]}",
     }),
     "race": Table(lambda: tables.best_known_rows(rows("race")), {
         "sequence, bones": SEQUENCE,

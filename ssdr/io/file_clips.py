@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..common.errors import InputError
 from ..mesh.clips import Clip, one_rate, pick
@@ -68,18 +67,3 @@ def bake(skinning: Skinned) -> MeshSequence:
         vertex_map=skinning.vertex_map,
         space=skinning.space,
     )
-
-
-def seconds(frames: NDArray[np.integer], fps: float) -> NDArray[np.float64]:
-    """Convert frame indices to seconds, and check that float32 can hold the times.
-
-    Raises
-    ------
-    InputError
-        If `fps` is so low that a time exceeds the range of float32.
-    """
-    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        times = np.asarray(frames / np.float64(fps), dtype=np.float64)
-    if times.size and not times.max() <= np.finfo(np.float32).max:
-        raise InputError("fps", "a rate whose times float32 can hold", f"{fps:g}")
-    return times

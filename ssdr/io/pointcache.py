@@ -21,7 +21,6 @@ from ..common.errors import SsdrWarning
 from ..mesh.sequence import MeshSequence
 from .arrays.npy import over_mesh
 from .atomic import atomic_path
-from .file_clips import seconds
 from .file_errors import check, reading
 from .save_report import Rounding, SaveReport
 from .signatures import describe
@@ -101,7 +100,7 @@ def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:
         header, kind = _PC2.pack(b"POINTCACHE2\0", 1, points, 0.0, 1.0, count), "<f4"
     else:
         header, kind = _MDD.pack(count, points), ">f4"
-        header += seconds(np.arange(count), sequence.fps).astype(kind).tobytes()
+        header += (np.arange(count) / sequence.fps).astype(kind).tobytes()
     error = Rounding()
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
         stream.write(header)

@@ -209,11 +209,6 @@ class FrequencySplit:
 
     __repr__ = short_repr
 
-    @property
-    def backend(self) -> Backend:
-        """Library that solved the systems, "cholmod" or "scipy"."""
-        return self.smoother.backend
-
 
 def split_frequencies(
     frames: MeshSequence | ArrayLike,

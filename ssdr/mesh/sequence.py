@@ -247,23 +247,6 @@ class MeshSequence:
             self, vertices=vertices, faces=faces, vertex_map=None, validate=False
         )
 
-    def unweld(self, values: ArrayLike, *, axis: int = 0) -> NDArray[Any]:
-        """Copy values per welded vertex to the vertices of the original mesh.
-
-        Parameters
-        ----------
-        values : array with V entries along `axis`
-        axis : int
-
-        Returns
-        -------
-        array with V0 entries along `axis`; `values` itself if nothing was welded.
-        """
-        array = np.asarray(values)
-        if array.shape[axis] != self.n_vertices:
-            raise InputError("values", f"{self.n_vertices} entries along axis {axis}", array.shape)
-        return array if self.vertex_map is None else np.take(array, self.vertex_map, axis=axis)
-
 
 def labels_of(sequences: Sequence[MeshSequence]) -> NDArray[np.intp]:
     """Labels (V,), equal for vertices whose positions are equal in every frame of all shots."""

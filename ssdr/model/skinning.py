@@ -234,13 +234,8 @@ class Skinning(Articulated):
     _repr_html_ = notebook_html
 
     def names(self) -> tuple[str, ...]:
-        """Names of the bones."""
+        """Names of the bones, and of the joint at which each is attached."""
         return self.bone_names or tuple(f"bone_{j}" for j in range(self.n_bones))
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Names of the joints, each that of the bone attached at the joint."""
-        return self.names()
 
     def skin(self, frames: Any = None, *, dtype: Any = None) -> NDArray[np.floating]:
         """Vertex positions ``(f, V, 3)`` in the given frames, by default in all."""

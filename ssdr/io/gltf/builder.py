@@ -18,7 +18,6 @@ from ...model.shaped_normals import ShapedNormals
 from ...model.shapes import Shapes
 from ..atomic import write_bytes
 from ..corners import Corners
-from ..file_clips import seconds
 from ..file_errors import check, reading
 from ..played_model import PlayedModel
 from ..signatures import picture_type
@@ -290,7 +289,7 @@ def add_animation(
     for bone in _moved(played, clip):
         keys = clip.start + np.flatnonzero(played.keys[clip.frames, bone])
         if keys.tobytes() not in inputs:
-            times = (start + seconds(keys - clip.start, clip.fps)).astype(np.float32)
+            times = (start + (keys - clip.start) / clip.fps).astype(np.float32)
             inputs[keys.tobytes()] = builder.accessor(times, "SCALAR", bounds=True)
         tracks = [("rotation", played.rotations[keys, bone], "VEC4")]
         if played.translating[bone]:
@@ -331,7 +330,7 @@ def state_targets(mesh: dict[str, Any], shapes: Shapes) -> None:
 
 def add_channel(builder: Builder, animation: dict[str, Any], shapes: Shapes, clip: Clip) -> None:
     """Add a channel with the amounts in the frames of a clip to an animation of node 0."""
-    times = seconds(np.arange(clip.n_frames), clip.fps).astype(np.float32)
+    times = (np.arange(clip.n_frames) / clip.fps).astype(np.float32)
     amounts = shapes.amounts[clip.frames].reshape(-1).astype(np.float32)
     target = {"node": 0, "path": "weights"}
     animation["channels"].append({"sampler": len(animation["samplers"]), "target": target})

@@ -108,7 +108,7 @@ def test_a_rig_is_kept_and_gets_bones(done, tmp_path):
     line = ("decompose", tmp_path / "walk.npz", "-o", out, "-e", "fast", "-k", 2, "--rig")
     done(*line, tmp_path / "rig.npz", "--extra-bones", 2)
     model = ssdr.load_skinning(out)
-    assert model.joint_names[:4] == names
+    assert model.names()[:4] == names
     assert model.n_bones == 6
     done(*line, tmp_path / "rig.npz", "--keep-weights")
     model = ssdr.load_skinning(out)

@@ -30,7 +30,7 @@ def _check(result: ssdr.Decomposition, bones: int = 6) -> ssdr.Skinning:
     model = result.skinning
     check(result, trees.six_bones().frames, bones, 2)
     assert np.array_equal(model.parents[:6], trees.six_bones().parents)
-    assert model.joint_names[:6] == NAMES
+    assert model.names()[:6] == NAMES
     assert model.joint_gaps().max() < 1e-6 * diagonal(trees.six_bones().frames)
     return model
 
@@ -58,7 +58,7 @@ def test_loose_joints_keep_the_parents_and_may_come_apart(effort) -> None:
     result = _solve(pulled, joints="loose", effort=effort)
     model = result.skinning
     assert np.array_equal(model.parents, made.parents)
-    assert model.joint_names == NAMES
+    assert model.names() == NAMES
     rigid = _solve(pulled, effort=effort)
     assert result.rmse < (0.8 if effort == "fast" else 0.5) * rigid.rmse
     assert model.joint_gaps()[:, 5].max() > 0.05
@@ -73,8 +73,8 @@ def test_extra_bones_lower_the_error_each_time() -> None:
         assert model.n_bones == 6 + extra
         assert np.array_equal(model.parents[:6], trees.six_bones().parents)
         assert (model.parents[6:] >= 0).all()
-        assert model.joint_names[:6] == NAMES
-        assert len(set(model.joint_names)) == 6 + extra
+        assert model.names()[:6] == NAMES
+        assert len(set(model.names())) == 6 + extra
         errors.append(result.rmse)
     assert errors == sorted(errors, reverse=True)
     assert errors[-1] < 0.75 * errors[0]
@@ -120,7 +120,7 @@ def test_odd_skeletons_are_kept(name: str) -> None:
     result = _solve(skeleton=given)
     model = check(result, MADE.frames, 6, 2).skinning
     assert np.array_equal(model.parents, given.parents)
-    assert (model.joint_names, model.bone_model) == (given.joint_names, "rigid")
+    assert (model.names(), model.bone_model) == (given.names(), "rigid")
     assert model.joint_gaps().max() < 1e-6 * diagonal(MADE.frames)
     bound = {"two roots": 1e-4, "scaled unevenly": 1e-5}.get(name, np.inf)
     assert result.rmse < bound * diagonal(MADE.frames)

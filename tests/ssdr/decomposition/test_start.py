@@ -94,7 +94,7 @@ def test_a_model_is_never_left_for_a_worse_one(
             assert model.joint_gaps().max() < 1e-9 * diagonal(array)
         if kind == "skeleton":
             assert np.array_equal(model.parents, start.parents)
-            assert model.joint_names[:6] == skeleton().joint_names
+            assert model.names()[:6] == skeleton().names()
 
 
 @pytest.fixture

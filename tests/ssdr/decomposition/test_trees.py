@@ -40,7 +40,7 @@ def _check(result: ssdr.Decomposition, frames: np.ndarray, bones: int, influence
 def test_a_made_skeleton_is_found() -> None:
     made, result = trees.six_bones(), _solved()
     model = _check(result, made.frames, 6, 2)
-    assert model.joint_names == tuple(f"joint_{k}" for k in range(6))
+    assert model.names() == tuple(f"joint_{k}" for k in range(6))
     assert result.rmse < 2e-3 * diagonal(made.frames)
     place = trees.matched(model, made)
     theirs = {frozenset(int(place[k]) for k in edge) for edge in trees.edges(made.parents)}

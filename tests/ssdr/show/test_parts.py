@@ -121,7 +121,7 @@ def test_a_film_has_its_frames_and_its_panels_differ(pair, tmp_path, suffix):
     # The right ball is raised; in the error panel both have other colours.
     assert (np.abs(panels[0] - panels[1]).sum(2) > 60).mean() > 0.004
     assert (np.abs(panels[1] - panels[2]).sum(2) > 60).mean() > 0.1
-    with pytest.raises(ssdr.FormatError, match=r"film\.mp4"):
+    with pytest.raises(ssdr.InputError, match=r"film\.mp4"):
         Film.of(answer).write(tmp_path / "film.mp4")
 
 

@@ -108,7 +108,7 @@ def test_points_in_one_place_and_a_single_vertex():
 def test_a_vertex_alone_is_decomposed_all_the_same(rig):
     frames = np.random.default_rng(0).normal(size=(5, 1, 3))
     found = ssdr.decompose(frames, bones=1, rig=rig, effort="fast").skinning
-    assert found.joint_names == ("joint_0",)
+    assert found.names() == ("joint_0",)
 
 
 def test_a_bone_without_vertices_has_no_partner():
