@@ -11,7 +11,7 @@ import ssdr
 from helpers.refused import Refused, looks, mapped, raw
 
 TABLE = Refused()
-for _suffix in ("obj", "ply", "pc2"):
+for _suffix in ("obj", "ply", "pc2", "abc"):
     TABLE.add(_suffix, raw, looks())
 # MDD has no magic number: any bytes are counts that do not fit
 TABLE.add("mdd", raw, {what: (data, "bad") for what, (data, _) in looks().items()})
