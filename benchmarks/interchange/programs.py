@@ -31,11 +31,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import ssdr
 from benchmarks import common
 from benchmarks.common import Row
+from helpers.blender_scene import blender_shows
 from helpers.rig_model import tube
 from helpers.rig_tree import creature, tree_of
 from ssdr.common.errors import MissingDependencyError
-from ssdr.io.blender.fbx_reading import SCRIPT
-from ssdr.io.blender.finder import run
 from ssdr.model.transforms import to_local
 
 FORMATS: dict[str, tuple[str, Row]] = {
@@ -184,23 +183,17 @@ def in_blender(path: Path, model: ssdr.Skinning) -> Seen:
     """
     seen, turn = Seen({}), np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # from z up to y up
     for clip in model.clips[:1] if path.suffix == ".usdc" else model.clips:
-        job: Row = {"path": str(path.resolve()), "fps": clip.fps, "resample": False}
-        job["max_bytes"] = 16 << 30
-        take = clip.name if len(model.clips) > 1 else None
-        shown = run(SCRIPT, {**job, "action": "read", "take": take}, time_limit=600)
-        seen.points[clip.name] = shown["vertices"] @ turn.T
-        seen.index = shown.get("vertex")
+        shown = blender_shows(path, clip.n_frames, clip.fps, clip.name)
+        seen.points[clip.name], arrays = shown
+        seen.index = arrays.get("vertex")
         if path.suffix == ".usdc" or not has_tree(model):
             continue
-        arrays = run(SCRIPT, {**job, "action": "read skinning"}, time_limit=600)
         names, parents = json.loads(str(arrays["bones"])), arrays["parents"]
         seen.tree = {n: names[p] if p >= 0 else None for n, p in zip(names, parents, strict=True)}
-        seen.joints = arrays["joint_positions"] @ turn.T
+        seen.joints = arrays["joints"] @ turn.T
         m = arrays["transforms"]
         m = np.concatenate([turn @ m[..., :3] @ turn.T, turn @ m[..., 3:]], axis=-1)
-        takes = json.loads(str(arrays["names"])) or [clip.name]
-        local = np.split(to_local(m, parents, seen.joints), np.cumsum(arrays["frames"])[:-1])
-        seen.local[clip.name] = local[takes.index(clip.name)]
+        seen.local[clip.name] = to_local(m, parents, seen.joints)
     return seen
 
 

@@ -61,8 +61,7 @@ class Format:
     beside : str or None
         Ending, in place of the suffix, of a file that is written beside one of this format.
     extra : str or None
-        Optional dependencies of ssdr that the format needs ("blender" is a program); None if it
-        needs none.
+        Optional dependencies of ssdr that the format needs; None if it needs none.
     space : Space or None
         Space that its files must have.  If its unit or up axis is unknown, a file may choose that;
         None if files cannot state a space.
@@ -140,9 +139,10 @@ def _alembic() -> Functions:
 
 
 def _fbx() -> Functions:
-    from .blender import fbx_reading, fbx_writing
+    from .blender.fbx_writing import write_skinning
+    from .fbx.fbx_reading import FbxFile
 
-    return _scenes(fbx_reading, write_skinning=fbx_writing.write_skinning)
+    return _scenes(FbxFile, write_skinning=write_skinning)
 
 
 _NUMBERED = Format(
@@ -197,7 +197,7 @@ FORMATS: Mapping[str, Format] = {
         writes_sequences=False,
         writes_skinnings=True,
         shown=True,
-        extra="blender",
+        extra="fbx",
         space=METRES_Y_UP,
     ),
 }

@@ -13,6 +13,7 @@ from ..common.signals import interrupted_after
 PACKAGES = {
     "alembic": ("alembic3d", "alembic3d>=1.8.12"),
     "draco": ("DracoPy", "DracoPy>=2.0"),
+    "fbx": ("ufbx", "ufbx>=0.0.5"),
     "meshopt": ("meshoptimizer", "meshoptimizer>=0.2.30a0"),
     "usd": ("pxr.UsdSkel", "usd-core>=24.8"),
     "zarr": ("zarr", "zarr>=3.0"),

@@ -55,7 +55,7 @@ def check_outputs(
             format_ = format_of(path)
         except FormatError as error:
             raise InputError("output", "a known suffix", str(error)) from error
-        if format_.extra == "blender":
+        if format_ is FORMATS[".fbx"]:
             from .blender import finder
 
             try:

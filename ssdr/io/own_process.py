@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import subprocess
+import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,6 +19,22 @@ from ..common.errors import FormatError, InputError, MissingDependencyError, Ssd
 from ..mesh.clips import readable
 
 _log = logging.getLogger(__name__)
+_TIME_LIMIT = 600.0  # seconds after which reading is stopped
+
+
+def run_reader(
+    script: Path, job: Mapping[str, Any], who: str, path: Path
+) -> dict[str, NDArray[Any]]:
+    """Run a script in this Python that reads the file `path`, as :func:`run_script` does."""
+    return run_script(
+        [sys.executable, "-P", str(script)],
+        {"path": str(path.resolve()), **job},
+        who=who,
+        # what can be imported here can be imported there
+        environment={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        time_limit=_TIME_LIMIT,
+        path=path,
+    )
 
 
 def run_script(

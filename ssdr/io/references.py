@@ -54,6 +54,11 @@ def is_inside(file: Path, folder: Path) -> bool:
     return any(place.is_relative_to(one.resolve()) for one in (folder, *_trusted.get()))
 
 
+def folders_of(path: Path) -> list[str]:
+    """Folders in or below which a file may refer to others: its own, and the trusted ones."""
+    return [str(folder.resolve()) for folder in (path.parent, *_trusted.get())]
+
+
 def locate(path: Path, name: str) -> tuple[Path, str]:
     """File that `path` refers to as `name`, and the reason not to read it ("" if there is none).
 

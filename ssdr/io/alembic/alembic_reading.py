@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import os
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -20,7 +18,7 @@ from ..file_errors import SceneBudget, check
 from ..frame_rates import sample_frames
 from ..mesh_names import choose, mesh_names
 from ..optional import check_installed
-from ..own_process import run_script
+from ..own_process import run_reader
 from ..sampling import Sample
 from ..scene_file import SceneFile
 from ..signatures import describe
@@ -28,7 +26,6 @@ from .cache_mesh import CacheMesh, Transforms, object_name
 
 _log = logging.getLogger(__name__)
 _SCRIPT = Path(__file__).with_name("alembic_script.py")
-_TIME_LIMIT = 600.0  # seconds after which reading is stopped
 
 
 class AlembicFile(SceneFile):
@@ -83,16 +80,8 @@ class AlembicFile(SceneFile):
 
     def _read(self, wanted: list[str] | None) -> tuple[dict[str, Any], dict[str, Any]]:
         """Run ``alembic_script.py``; return records and arrays of the meshes `wanted`, or all."""
-        path = self.budget.path
-        arrays = run_script(
-            [sys.executable, "-P", str(_SCRIPT)],
-            {"path": str(path.resolve()), "meshes": wanted, "max_bytes": self.budget.most},
-            who="alembic3d",
-            # what can be imported here can be imported there
-            environment={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-            time_limit=_TIME_LIMIT,
-            path=path,
-        )
+        job = {"meshes": wanted, "max_bytes": self.budget.most}
+        arrays = run_reader(_SCRIPT, job, "alembic3d", self.budget.path)
         found = json.loads(str(arrays.pop("found")))
         check(found["names"], "no mesh that is shown")
         found["names"] = [[readable(name) for name in one] for one in found["names"]]

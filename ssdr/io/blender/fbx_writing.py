@@ -11,12 +11,12 @@ import numpy as np
 from ...common.errors import InputError, SsdrError
 from ...model.shapes import Skinned, without_shapes
 from ..atomic import atomic_path
+from ..fbx.fbx_reading import FbxFile
 from ..file_clips import check_one_rate
 from ..gltf.gltf_writing import write_played
 from ..played_model import as_played
 from ..save_report import Rounding, SaveReport, frame_blocks
 from ..spaces import transformed
-from .fbx_reading import read_skinning
 from .finder import command, run
 
 _SCRIPT = Path(__file__).with_name("write_script.py")
@@ -97,7 +97,7 @@ def write_skinning(
         written = run(_SCRIPT, job, time_limit=_TIME_LIMIT)
         if not temporary.is_file():
             raise SsdrError("Blender wrote no FBX file")
-    back = read_skinning(path)
+    back = FbxFile.read_skinning(path)
     vertex = written["vertex"]
     if (back.n_frames, back.n_vertices) != (skinning.n_frames, len(vertex)):
         raise SsdrError(

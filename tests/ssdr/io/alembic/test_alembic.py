@@ -12,6 +12,7 @@ import pytest
 
 import ssdr
 from helpers.alembic_cache import OUTWARD, TETRAHEDRON, Cache, moving, one_mesh, uniform
+from ssdr.io import own_process
 from ssdr.io.alembic import alembic_reading
 
 TELEVISION = 24000 / 1001
@@ -205,7 +206,7 @@ def test_a_crash_or_an_endless_loop_is_blamed_on_the_file(tmp_path, monkeypatch,
     path = one_mesh(tmp_path / "a.abc", moving(2), uniform(24))
     (tmp_path / "script.py").write_text(code)
     monkeypatch.setattr(alembic_reading, "_SCRIPT", tmp_path / "script.py")
-    monkeypatch.setattr(alembic_reading, "_TIME_LIMIT", limit)
+    monkeypatch.setattr(own_process, "_TIME_LIMIT", limit)
     with pytest.raises(ssdr.FormatError, match=rf"a\.abc: {text}"):
         ssdr.load(path)
 

@@ -11,6 +11,7 @@ import ssdr
 from helpers.blender_scene import export, needs_blender, run_blender
 from helpers.rig_tree import NAMES, creature, tree_of
 
+pytest.importorskip("ufbx", reason="ufbx is not installed")
 pytestmark = [pytest.mark.slow, needs_blender]
 
 _OPEN = """

@@ -1,0 +1,1 @@
+"""FBX: read by ufbx; written through Blender, see the package ``blender``."""
