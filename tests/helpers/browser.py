@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import io
 import itertools
 import json
 import os
@@ -10,6 +11,9 @@ import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from PIL import Image
 
 _FLAGS = (
     "--headless=new --no-sandbox --disable-gpu-sandbox --use-angle=swiftshader "
@@ -144,3 +148,17 @@ class Browser:
         text = {"text": key} if len(key) == 1 else {}
         self.send("Input.dispatchKeyEvent", type="keyDown", key=key, **text, **more)
         self.send("Input.dispatchKeyEvent", type="keyUp", key=key, **more)
+
+
+def points(browser: Browser, script: str) -> np.ndarray:
+    """Positions (V, 3) that a script gives."""
+    return np.reshape(browser.value(f"Promise.resolve({script}).then(Array.from)"), (-1, 3))
+
+
+def drawn(browser: Browser, canvas: str = "view") -> np.ndarray:
+    """Pixels of the mesh, or of the marks over it (height, width, RGBA)."""
+    script = f"document.getElementById('{canvas}').toDataURL()"
+    # read in the frame in which it is drawn, before the browser clears it
+    draw = f"new Promise(r => {{ ssdr.set({{}}); requestAnimationFrame(() => r({script})); }})"
+    data = base64.b64decode(browser.value(draw).partition(",")[2])
+    return np.asarray(Image.open(io.BytesIO(data)).convert("RGBA")).copy()

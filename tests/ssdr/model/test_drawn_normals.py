@@ -92,22 +92,6 @@ def test_long_sequences_are_measured_in_part(rng):
     np.testing.assert_allclose(drawn.frame_sum, every.frame_sum[frames], rtol=1e-12)
 
 
-def test_edges_that_are_hard_stay_hard(rng):
-    model = tube(rings=7, sides=6)
-    result = ssdr.decompose(sequence_of(model, rng), bones=4, effort="fast")
-    normals, old = result.skinning.surface.normals.reshape(-1, 3), model.surface.normals
-    same = [model.faces.reshape(-1, 1), old.reshape(-1, 3)]
-    _, group = np.unique(np.concatenate(same, axis=1), axis=0, return_inverse=True)
-    group, vertex = group.ravel(), model.faces.ravel()
-    for k in range(group.max() + 1):
-        assert np.ptp(normals[group == k], axis=0).max() == 0
-    rim = np.flatnonzero([len(set(group[vertex == i])) == 2 for i in range(model.n_vertices)])
-    for i in rim:
-        one, two = (normals[np.flatnonzero(group == g)[0]] for g in set(group[vertex == i]))
-        assert naive.angles(one, two) > 60
-    assert len(rim) == 12
-
-
 def test_copies_at_a_smooth_seam_get_one_normal(seam):
     smooth = ssdr.Surface(normals=np.tile(np.float32([0, 0, 1]), (len(seam.faces), 3, 1)))
     sequence = dataclasses.replace(seam, surface=smooth)

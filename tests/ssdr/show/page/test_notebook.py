@@ -35,11 +35,6 @@ def elements(thing):
 
 
 @pytest.fixture(scope="module")
-def dancer():
-    return ssdr.samples.load("dancer_small")
-
-
-@pytest.fixture(scope="module")
 def result(dancer):
     return ssdr.decompose(dancer, bones=4, effort="fast")
 

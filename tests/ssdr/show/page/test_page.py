@@ -19,11 +19,6 @@ PNG = bytes.fromhex(
 
 
 @pytest.fixture(scope="module")
-def dancer():
-    return ssdr.samples.load("dancer_small")
-
-
-@pytest.fixture(scope="module")
 def result(dancer):
     return ssdr.decompose(dancer, bones=8, effort="fast", rig="rigid")
 
