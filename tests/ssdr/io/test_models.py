@@ -11,7 +11,7 @@ import ssdr
 from helpers import drawn
 from helpers.rig_model import baked_by_usd, largest_distance, tube
 from helpers.rig_tree import creature, stretched
-from ssdr import Clip
+from ssdr import Clip, Space
 from ssdr.io import FORMATS
 
 CLIPS = (Clip("walk", 0, 9, 24.0), Clip("jump/high", 9, 19, 60.0), Clip("death", 19, 20, 25.0))
@@ -37,6 +37,7 @@ MODELS = {
     "a named clip": lambda: dataclasses.replace(tube(), clips=[Clip("bend", 0, 20, 24.0)]),
     "points in one frame": points,
 }
+NOTHING = "unit not stated, up axis not stated: taken for 1 m a unit, y up"
 SUFFIXES = [".npz", ".glb", ".gltf", ".usda", ".usdc", ".usd"]
 
 
@@ -65,6 +66,9 @@ def test_a_model_comes_back(tmp_path, what, suffix):
     assert report.max_error < 1e-6 or report.max_error == pytest.approx(gap.max(), rel=1e-2)
     if not usd:
         assert report.bytes == sum(f.stat().st_size for f in path.parent.iterdir())
+    # of what is not known, nothing is turned; formats with units and axes of their own state theirs
+    assert (NOTHING in str(report.notes)) == (suffix != ".npz")
+    assert back.space == (Space() if suffix == ".npz" else Space(1.0, "y"))
     for field in ("clips", "fps", "name", "n_influences"):
         assert getattr(back, field) == getattr(model, field)
     assert back.names() == model.names()

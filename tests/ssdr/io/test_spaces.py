@@ -18,7 +18,6 @@ from ssdr.io.gltf.document import Document
 
 METRES = Space(1.0, "y")
 CENTIMETRES = Space(0.01, "z")
-NOTHING = "unit not stated, up axis not stated: taken for 1 m a unit, y up"
 
 
 def lying(points):
@@ -117,18 +116,6 @@ def test_a_flag_in_centimetres_with_z_up_stands_in_gltf(tmp_path):
             ssdr.save(model, tmp_path / "other.glb", **options)
             (frame,) = ssdr.load(tmp_path / "other.glb").vertices
             np.testing.assert_allclose(np.ptp(frame, axis=0), size, rtol=1e-6)
-
-
-@pytest.mark.parametrize("suffix", [".glb", ".usdc", ".npz"])
-def test_what_is_not_known_is_kept_and_said(tmp_path, suffix):
-    if suffix == ".usdc":
-        pytest.importorskip("pxr.UsdSkel")
-    model = tube(frames=3)
-    report = ssdr.save(model, tmp_path / f"a{suffix}")
-    assert (NOTHING in str(report.notes)) == (suffix != ".npz")
-    back = ssdr.load(tmp_path / f"a{suffix}")
-    assert back.space == (Space() if suffix == ".npz" else METRES)
-    assert largest_distance(back.vertices, model.skin()) < 1e-6
 
 
 @pytest.mark.parametrize(
