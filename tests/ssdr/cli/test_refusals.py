@@ -23,6 +23,7 @@ TABLE = [
     (("decompose", "a.npz", "-b", "many", "-o", "b.npz"), 2, "'--bones'"),
     (("decompose", "a.npz", "-b", "1", "-o", "b.npz", "--bone-model", "rubber"), 2, "'affine'"),
     (("info", "clip.npz", "-v"), 2, "No such option: -v"),
+    (("convert", "clip.npz", "b.npz", "--folder", "missing"), 2, "folder: expected a folder"),
     # inputs
     (("info", "none.npz"), 2, "none.npz: no such file"),
     (("info", "9" * 300 + ".npz"), 2, "File name too long"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import stat
@@ -93,6 +94,20 @@ def test_an_error_of_the_system_comes_from_every_library(tmp_path, suffix):
     assert caught.value.errno == errno.EFBIG
     assert str(caught.value.filename).startswith(str(path.with_suffix("")))
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("number", "fatal"), [(errno.ENOSPC, True), (errno.EINVAL, False)])
+def test_a_disk_that_cannot_take_it_is_an_error_and_one_that_cannot_flush_is_none(
+    tmp_path, wave, monkeypatch, number, fatal
+):
+    def fails(*_):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(os, "fsync", fails)
+    expected = pytest.raises(OSError, match="No space left") if fatal else contextlib.nullcontext()
+    with expected:
+        ssdr.save(wave, tmp_path / "a.npz")
+    assert len([*tmp_path.iterdir()]) == 1 - fatal
 
 
 def test_a_name_of_255_bytes_is_written_and_a_longer_one_refused(tmp_path, wave):
