@@ -117,6 +117,7 @@ def test_layers_that_are_no_files_or_too_deep_are_refused(stage, case):
             " double templateEndTime = 9600\n double templateStride = 1"
         ),
         "active = true",
+        "customData = { asset a = @../picture.png@ }",
     ],
 )
 def test_layers_of_the_folder_are_read(stage, metadata):
