@@ -104,8 +104,12 @@ def test_ctrl_c_while_a_package_is_imported_counts_after_it(tmp_path, monkeypatc
     )
     (tmp_path / "swallows.py").write_text(code + "    pass\nwhole = True\n")
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(KeyboardInterrupt):
-        import_optional("swallows", "swallows", "a test")
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            import_optional("swallows", "swallows", "a test")
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert sys.modules["swallows"].whole
     monkeypatch.delitem(sys.modules, "swallows")
 
