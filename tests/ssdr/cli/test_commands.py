@@ -195,6 +195,8 @@ def test_convert_keeps_a_skinning_or_bakes_it(done, run, rigged, tmp_path):
     target = tmp_path / "rounded.glb"
     assert run("convert", rigged, target, "--weights", "uint8", "--template", "none", "-q")[0] == 0
     assert target.stat().st_size < rigged.stat().st_size
+    np.save(tmp_path / "bare.npy", ssdr.load(out).vertices)
+    assert done("convert", tmp_path / "bare.npy", out, "--faces", "none")["kind"] == "sequence"
     done("convert", out, tmp_path / "new" / "a_%02d.ply")
     assert len(ssdr.load(tmp_path / "new")) == 10
 
