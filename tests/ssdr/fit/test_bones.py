@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import ssdr
 from helpers import motions, naive
 from helpers.stretches import KINDS, MODELS, check_kind, rig, stretched
-from ssdr.fit import bones
+from ssdr.fit import fit_bones
 
 
 @settings(max_examples=20)
@@ -106,8 +106,8 @@ def test_widely_overlapping_bones_settle(monkeypatch: pytest.MonkeyPatch) -> Non
     assert fit.converged
     near = ssdr.fit_bones(frames, model, from_transforms=True)
     assert fit.rmse == pytest.approx(near.rmse, rel=1e-4)
-    monkeypatch.setattr(bones.GaussNewton, "run", lambda *_, **options: None)
-    monkeypatch.setattr(bones, "_from_neighbours", lambda *_: False)
+    monkeypatch.setattr(fit_bones.GaussNewton, "run", lambda *_, **options: None)
+    monkeypatch.setattr(fit_bones, "_from_neighbours", lambda *_: False)
     swept = ssdr.fit_bones(frames, model, max_sweeps=fit.sweeps)
     assert not swept.converged
     assert swept.rmse > 1.05 * fit.rmse
