@@ -52,6 +52,8 @@ def test_compare_has_them_all():
             np.testing.assert_array_equal(getattr(found, key), value)
             np.testing.assert_array_equal(table[key], value)
             assert (key in (plain[name] if name else plain)) == (not isinstance(value, np.ndarray))
+    for text in (f"{d.rmse:.6g}", f"{h.surface_max:.6g}", f"{s.value:.4g}", str(result.normals)):
+        assert text in str(result)
 
 
 def test_no_share_of_a_diagonal_of_zero_in_json():
