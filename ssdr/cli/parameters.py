@@ -142,6 +142,6 @@ def _help(functions: Sequence[Callable[..., Any]], name: str) -> str:
         doc = (inspect.getdoc(function) or "") + "\n"
         match = re.search(rf"^(?:\w+, )*{name}(?:, \w+)* :[^\n]*\n((?:    .*\n)+)", doc, re.M)
         text = re.sub(r":\w+:", "", " ".join(match[1].split()) if match else "")
-        if text and not text.startswith("As in"):
+        if text and not re.match(r"(Both |All )?[Aa]s in", text):
             return re.split(r"(?<=[.])\s", text)[0].replace("``", "`")
     return ""

@@ -231,6 +231,20 @@ def format_of(path: Path) -> Format:
     return FORMATS[suffix]
 
 
+def format_to_write(path: Path, argument: str) -> Format:
+    """Format in which a file can be written.
+
+    Raises
+    ------
+    InputError
+        If no format has the suffix, or its files are only read.
+    """
+    able = sorted(s for s, f in FORMATS.items() if f.writes_sequences or f.writes_skinnings)
+    if path.suffix.lower() not in able:
+        raise InputError(argument, f"a suffix of {', '.join(able)}", str(path))
+    return FORMATS[path.suffix.lower()]
+
+
 def _is_numbered(path: Path) -> bool:
     """Whether a path is a folder of numbered files or a pattern of their names."""
     many = path.is_dir() or (not path.exists() and any(c in path.name for c in "%*?["))

@@ -23,8 +23,8 @@ from .formats import (
     check_beside,
     check_options,
     check_readable,
-    format_of,
     format_to_read,
+    format_to_write,
 )
 from .references import trusting
 from .save_report import SaveReport
@@ -338,12 +338,7 @@ def save(
     from ..model.skinning import Skinning, skinning_in
 
     target = as_path(path)
-    try:
-        format_ = format_of(target)
-    except FormatError as error:
-        raise InputError(
-            "path", f"a suffix of {', '.join(sorted(FORMATS))}", str(target)
-        ) from error
+    format_ = format_to_write(target, "path")
     check_beside(target)
     thing = skinning_in(thing)
     if not isinstance(thing, (MeshSequence, Skinning, ShapedSkinning)):

@@ -10,10 +10,10 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..common.errors import FormatError, InputError, MissingDependencyError, SsdrWarning, error_text
+from ..common.errors import InputError, MissingDependencyError, SsdrWarning, error_text
 from ..mesh.sequence import MeshSequence
 from .atomic import check_writable
-from .formats import FORMATS, as_path, check_beside, format_of, option_names
+from .formats import FORMATS, as_path, check_beside, format_of, format_to_write, option_names
 from .load_save import list_clips, save
 from .optional import PACKAGES, require
 from .save_report import SaveReport
@@ -51,10 +51,7 @@ def check_outputs(
     """
     seen, files = [as_path(path) for path in inputs], [as_path(path) for path in paths]
     for path in files:
-        try:
-            format_ = format_of(path)
-        except FormatError as error:
-            raise InputError("output", "a known suffix", str(error)) from error
+        format_ = format_to_write(path, "output")
         if format_ is FORMATS[".fbx"]:
             from .blender import finder
 

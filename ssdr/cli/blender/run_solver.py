@@ -1,4 +1,4 @@
-"""Script that finds the bones, run by a Python in which ssdr is installed: ``run_solver.py FOLDER``.
+"""Script that finds the bones, run by a Python that has ssdr: ``run_solver.py FOLDER``.
 
 It prints a fraction and a text at each step to stderr, and the result as JSON to stdout.
 """

@@ -47,7 +47,7 @@ TABLE = [
     ((*SMALL, "--tolerance", "half"), 2, "such as"),
     ((*SMALL, "--tolerance", "1%", "--rig", "rig.npz"), 2, "'loose'"),
     # outputs
-    ((*D, "a.xyz"), 2, "output: expected a known suffix"),
+    ((*D, "a.xyz"), 2, "output: expected a suffix of"),
     ((*OUT, "-o", "a.png", "-o", "a.png"), 2, "no other output"),
     ((*D, "a.png"), 2, "--output: expected a file for the model, too"),
     ((*OUT, "--checkpoint", "state.txt"), 2, "ending in .npz"),

@@ -115,7 +115,7 @@ INPUT = [
      "triangles"),
     (into(lambda g: ssdr.ShapedSkinning(g.model, g.shapes)), "expected no shapes in a file with"),
     # before the work of a solver
-    (outputs("a.xyz"), "known suffix"),
+    (outputs("a.xyz"), "a suffix of"),
     (outputs("a.npz", "a.npz"), "no other output"),
     (outputs("shot.npz"), "no input"),
     (outputs("no/a.npz"), "folder that exists"),

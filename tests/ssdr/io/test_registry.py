@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import sys
 import tomllib
 from pathlib import Path
@@ -49,3 +50,11 @@ def test_the_packages_to_install_are_those_of_the_extras():
     project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]
     for extra, (_, package) in PACKAGES.items():
         assert project["optional-dependencies"][extra] == [package]
+
+
+def test_a_format_that_is_only_read_is_refused_before_the_work(tmp_path, wave, monkeypatch):
+    only_read = dataclasses.replace(FORMATS[".npy"], writes_sequences=False)
+    monkeypatch.setitem(FORMATS, ".rig", only_read)
+    for act in (lambda p: ssdr.save(wave, p), lambda p: ssdr.io.check_outputs([p])):
+        with pytest.raises(ssdr.InputError, match=r"expected a suffix of \.abc, .*, got .*a\.rig"):
+            act(tmp_path / "a.rig")
