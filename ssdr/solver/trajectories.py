@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from ..common.checks import LARGEST
 from ..common.errors import InputError
@@ -30,6 +32,7 @@ _MOST_COLUMNS = 0.8  # share of all columns above which a basis costs more time 
 _NOISE = 1e-15  # rounding, relative to the sum of squares
 _AT_ONCE = 64  # frames that are aligned together
 _GRAM_LIMIT = 2000  # largest Gram matrix whose eigenvectors are all computed
+_FEWEST_OF_PART = 3  # vertices that determine a rigid motion
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -58,6 +61,8 @@ class Trajectories:
         Sum of the squares of each vertex's normals before compression.
     surface : RestSurface or None
         Surface that the rest pose is to resemble; None if it is free.
+    parts : (V,) int array or None
+        Index of each vertex's connected part of the mesh, as :func:`connected_parts` returns it.
     """
 
     alignment: Alignment
@@ -70,6 +75,7 @@ class Trajectories:
     normals: Array | None = None
     n2: Array | None = None
     surface: RestSurface | None = None
+    parts: NDArray[np.intp] | None = None
 
     @property
     def n_frames(self) -> int:
@@ -145,6 +151,7 @@ class Trajectories:
             normals=None if normals is None else np.ascontiguousarray(normals[chosen]),
             n2=None if n2 is None else n2[chosen],
             surface=None,
+            parts=None if self.parts is None else self.parts[chosen],
         )
 
     @serial_blas()
@@ -264,8 +271,26 @@ def gather(
         importance=importance,
         frame_scale=frame_scale,
         faces=sequences[0].faces,
+        parts=connected_parts(sequences[0].faces, n_vertices),
     )
     return data.compressed(bones) if compress else data
+
+
+def connected_parts(faces: NDArray[np.int32], n: int) -> NDArray[np.intp] | None:
+    """Index (n,) of the part of the mesh to which each of n vertices belongs.
+
+    Triangles that share a vertex belong to the same part.  Parts of one or two vertices, whose
+    motion does not determine that of a bone, count as one part together.  None if no more than one
+    part has three vertices.
+    """
+    ends = faces[:, [0, 1, 1, 2]].reshape(-1, 2)
+    links = coo_array((np.ones(len(ends), dtype=bool), ends.T), shape=(n, n))
+    count, part = connected_components(links, directed=False)
+    small = np.bincount(part, minlength=count) < _FEWEST_OF_PART
+    if count - small.sum() < 2:
+        return None
+    part[small[part]] = np.flatnonzero(small).min(initial=count)
+    return np.unique(part, return_inverse=True)[1].astype(np.intp)
 
 
 def _reduce(x: Array, energy: float, rank: int) -> tuple[Array, Array | None]:
