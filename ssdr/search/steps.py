@@ -8,11 +8,13 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..solver.alternation import free_gauge, repeat_alternation
 from ..solver.gauss_newton import GaussNewton
 from ..solver.initialization import with_rest_normals
 from ..solver.model import Constraints, Lowest, Model
+from ..solver.rest_surface import RestSurface
 from ..solver.trajectories import Trajectories
 from ..solver.vertex_newton import optimise_some
 from .descent import (
@@ -39,8 +41,12 @@ from .moves import (
 _PLATEAU = 1e-5
 # Failures in a row that end the alternations: with fewer, they would end at a pause.
 _PLATEAU_ALTERNATIONS = 3
-_ALONE = 2  # rounds in which only edges of the flipped triangles themselves become stiffer
-_UNFOLD_ROUNDS = 4  # solves of weights and rest pose after the edges have become stiffer
+# Rounds of unfolding in which only edges of the flipped triangles become stiffer, and further ones
+# until those of all triangles around them do; the factor of a round.
+_ALONE, _TO_ALL, _STIFFER = 6, 6, 4.0
+_UNFOLD_ROUNDS = 4  # solves of weights and rest pose in a round of unfolding
+_MOST_LOSS = 1.02  # largest ratio of the error after unfolding to the one before
+_STEPS_AFTER_UNFOLDING = 8  # polish steps if the error is above that
 
 
 # --- all bones -----------------------------------------------------------------------------------
@@ -134,35 +140,68 @@ def last_polish(d: Descent, *, steps: int, gain: float = 0.0) -> None:
     polish(d, steps=steps, gain=gain)
 
 
-@step("unfold", cost=3)
-def unfold(d: Descent, *, steps: int = 12) -> Iterator[None]:
-    """Unfold the flipped triangles of the rest pose, by making their edges ten times stiffer.
+@step("unfold")
+def unfold(d: Descent, *, steps: int = 24) -> Iterator[None]:
+    """Unfold the flipped triangles of the rest pose, by making edges stiffer, fourfold a round.
 
-    From the third round on, the edges of the triangles around them become stiffer, too.
+    The edges are at first those of the flipped triangles alone, as stiffer edges cost error.  What
+    is still flipped after six rounds lies as in the reference, and the triangles around it have
+    turned: then those of them join that have turned by more than an angle, which shrinks from 90°
+    to 0 within six more rounds.
 
-    The result becomes the best model even if its error is higher, as a rest pose with folds is not
-    a surface.
+    Of the models found whose error is at most 2 % above the first one's, that with the fewest
+    flipped triangles becomes the best model, even if its objective is higher than before: a rest
+    pose with folds is not a surface.  If the last model lost more, a few polish steps may give the
+    loss back, since then bones and all other vertices move, too.
     """
     if d.data.surface is None:
         return
     d.model, constraints = d.best.model.with_restarted_support(), d.constraints
     if d.smoothness is not None:  # this solve of weights would ignore the penalty
         constraints = constraints.with_weights(d.data.n_vertices)
+    data, surface, model, faces = d.data, d.data.surface, d.model.copy(), d.data.faces
+    most = _MOST_LOSS**2 * model.weighted_error(data)
+    turned = surface.turned(model.rest, faces)
+    fewest = int(turned.sum())
     for k in range(steps):
-        assert d.data.surface is not None
-        turned = d.data.surface.turned(d.model.rest, d.data.faces)
         if not turned.any():
-            return
-        stiff = d.data.faces[turned]
-        if k >= _ALONE:  # what is left is flipped because the triangles around it have turned
-            stiff = d.data.faces[np.isin(d.data.faces, stiff).any(axis=1)]
-        surface = d.data.surface.stiffened(stiff)
-        d.data = dataclasses.replace(d.data, surface=surface)
+            break
+        around = turned if k < _ALONE else np.isin(faces, faces[turned]).any(axis=1)
+        tilted = surface.tilted(model.rest, faces, (k - _ALONE) / _TO_ALL)
+        stiff = faces[turned | (around & tilted)]
+        surface = surface.stiffened(stiff, _STIFFER)
         # far from the stiffer edges nothing has changed
         near = surface.around(stiff)
-        optimise_some(d.data, d.model, near, constraints=constraints, times=_UNFOLD_ROUNDS)
-        d.set_best(d.model)
+        optimise_some(data, model, near, surface, constraints=constraints, times=_UNFOLD_ROUNDS)
+        turned = surface.turned(model.rest, faces)
+        fewest = _keep_flatter(d, surface, model, turned, fewest, most)
         yield
+    if turned.sum() < fewest and d.smoothness is None:
+        held = dataclasses.replace(data, surface=surface)
+        polish_steps(held, model, _STEPS_AFTER_UNFOLDING, constraints)
+        turned = surface.turned(model.rest, faces)
+        _keep_flatter(d, surface, model, turned, fewest, most)
+        yield
+
+
+def _keep_flatter(
+    d: Descent,
+    surface: RestSurface,
+    model: Model,
+    turned: NDArray[np.bool_],
+    fewest: int,
+    most: float,
+) -> int:
+    """Make a model the best one if it has fewer flipped triangles; return the fewest so far.
+
+    A model whose squared error is above `most` is not taken.  What follows keeps to `surface`.
+    """
+    count = int(turned.sum())
+    if count >= fewest or model.weighted_error(d.data) > most:
+        return fewest
+    d.data, d.model = dataclasses.replace(d.data, surface=surface), model.copy()
+    d.set_best(model)
+    return count
 
 
 # --- which vertices, which model -----------------------------------------------------------------

@@ -32,6 +32,7 @@ from scipy.spatial import cKDTree
 
 from ..common.parallel import serial_blas
 from ..kernels.normals import normals_range
+from ..mesh.normals import triangle_normals
 
 Array = NDArray[np.float64]
 RestPose = Literal["surface", "free"]
@@ -126,12 +127,17 @@ class RestSurface:
         """
         return _turned(rest, faces) & ~_turned(self.pose, faces)
 
-    def stiffened(self, faces: NDArray[np.int32]) -> RestSurface:
-        """A copy in which the edges of the triangles `faces` have ten times the weight."""
+    def tilted(self, rest: Array, faces: NDArray[np.int32], cosine: float) -> NDArray[np.bool_]:
+        """Mask (T,) of the triangles whose normals in a rest pose and in h have a lower cosine."""
+        dot = (triangle_normals(rest, faces) * triangle_normals(self.pose, faces)).sum(axis=1)
+        return np.asarray(dot < cosine)
+
+    def stiffened(self, faces: NDArray[np.int32], factor: float) -> RestSurface:
+        """A copy in which the edges of the triangles `faces` have `factor` times the weight."""
         ends = np.unique(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=0)
         i, j = np.concatenate([ends, ends[:, ::-1]]).T
         mask = coo_array((np.ones(len(i)), (i, j)), shape=self.edges.shape).tocsr()
-        mask.data[:] = 9.0
+        mask.data[:] = factor - 1.0
         edges = csr_array(self.edges + self.edges.multiply(mask))
         return RestSurface(self.pose, edges, np.asarray(edges.sum(axis=1), dtype=float).ravel())
 

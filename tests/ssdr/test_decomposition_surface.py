@@ -13,6 +13,7 @@ import ssdr
 from helpers import motions, naive
 from helpers.measures import bits, frames, rig
 from ssdr.kernels.normals import normals_range
+from ssdr.search import steps
 
 
 def _turned(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -50,6 +51,24 @@ def test_a_rest_pose_is_a_surface_by_default(real: Callable[[str], ssdr.MeshSequ
     assert drawn < free[2]
     assert stored < free[3]
     assert free[0] < rmse < 1.25 * free[0]
+
+
+def test_triangles_left_turned_over_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    dancer = ssdr.samples.load("dancer_small")
+    before = _turned(dancer.vertices[0], dancer.faces)
+
+    def turned_over(bones: int) -> tuple[int, tuple[str, ...]]:
+        result = ssdr.decompose(dancer, bones=bones, effort="fast", rest_frame=0)
+        turned = _turned(result.skinning.rest, dancer.faces) & ~before
+        return int(turned.sum()), result.warnings
+
+    assert turned_over(8) == turned_over(20) == (0, ())
+    monkeypatch.setattr(steps, "_MOST_LOSS", 0.0)  # every unfolding costs too much
+    for bones in (8, 12, 20):
+        with pytest.warns(ssdr.SsdrWarning, match="turned over in the rest pose"):
+            count, (message,) = turned_over(bones)
+        assert count > 0
+        assert message.startswith(f"{count} triangle{'s are' if count > 1 else ' is'} turned over")
 
 
 def test_surface_and_normals_are_paid_for_by_error() -> None:
