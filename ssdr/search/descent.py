@@ -87,8 +87,9 @@ class Descent:
     monitor : Monitor, optional
     rigid_joints : bool
         Whether only models with bones attached at their joints are accepted as best.
-    normals : bool
-        Whether the last steps solve rest normals, too.
+    normals : float or None
+        Length, in the mesh's units, below which errors of positions do not count against normals;
+        None if the last steps do not solve rest normals.
 
     Attributes
     ----------
@@ -124,7 +125,7 @@ class Descent:
         smoothness: WeightSmoothness | None = None,
         monitor: Monitor | None = None,
         rigid_joints: bool = False,
-        normals: bool = False,
+        normals: float | None = None,
     ) -> None:
         self.data = data
         self.few: Descent | None = None

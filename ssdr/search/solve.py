@@ -146,7 +146,7 @@ def _descended(problem: Problem, schedule: Schedule) -> tuple[Descent, str]:
         smoothness=smoothness,
         monitor=monitor,
         rigid_joints=problem.rig == "rigid",
-        normals=problem.normals and smoothness is None,
+        normals=problem.normals if smoothness is None else None,
     )
     del data  # frees the frames once they have been compressed
 
@@ -168,7 +168,7 @@ def _of_chosen(d: Descent, usual: Schedule, effort: Effort) -> None:
 
     More steps with normals would fit those of the chosen frames at the cost of positions.
     """
-    normals, d.normals = d.normals, False
+    normals, d.normals = d.normals, None
     usual(d)
     d.normals = normals
     if d.smoothness is None:
@@ -298,9 +298,9 @@ def _is_an_answer(problem: Problem, start: Skinning) -> bool:
     """Whether the call may return its start model unchanged.
 
     It may if the model has all frames of the problem, the call has neither importances nor
-    smoothness and, for a rigid rig, the given tree is rigid.
+    smoothness, nor an error that does not count, and, for a rigid rig, the given tree is rigid.
     """
-    plain = not problem.weighted
+    plain = not problem.weighted and not problem.normals
     rigid = problem.rig != "rigid" or (
         problem.initial.tree is not None and problem.initial.tree.rigid
     )

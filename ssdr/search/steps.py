@@ -14,6 +14,7 @@ from ..solver.alternation import free_gauge, repeat_alternation
 from ..solver.gauss_newton import GaussNewton
 from ..solver.initialization import with_rest_normals
 from ..solver.model import Constraints, Lowest, Model
+from ..solver.objective import strength_of
 from ..solver.rest_surface import RestSurface
 from ..solver.trajectories import Trajectories
 from ..solver.vertex_newton import optimise_some
@@ -119,9 +120,10 @@ def solve_normals(d: Descent) -> Iterator[None]:
 
     Normals come late, since they would lead a search for bones to models with more error.
     """
-    if not (d.normals and len(d.data.faces) and d.constraints.bone_model == "rigid"):
+    if d.normals is None or not len(d.data.faces) or d.constraints.bone_model != "rigid":
         return
-    d.data = d.data.with_normals()
+    slack = d.data.n_vertices * strength_of(d.data, d.normals)
+    d.data = dataclasses.replace(d.data.with_normals(d.bones), slack=slack)
     d.model = with_rest_normals(d.data, d.model)
     if d.best.exists:
         d.set_best(with_rest_normals(d.data, d.best.model))
@@ -262,10 +264,13 @@ def lowest(d: Descent, *starts: Schedule) -> None:
 
 
 def beside(d: Descent, start: Schedule) -> None:
-    """Follow a schedule from another start; if the error rises, restore the former best model."""
+    """Follow a schedule from another start; if the error rises, restore the former best model.
+
+    With a slack, more error may be worth its normals.
+    """
     before, known = copy.copy(d.best), len(d.records)
     start(d)
-    if before.exists and d.best_error > before.model.weighted_error(d.data):
+    if before.exists and not d.data.slack and d.best_error > before.model.weighted_error(d.data):
         d.best = before
         del d.records[known:]
 

@@ -31,6 +31,7 @@ _TAIL = 1e-4  # squared error that compression may add, relative to a lower boun
 _MOST_COLUMNS = 0.8  # share of all columns above which a basis costs more time than it saves
 _NOISE = 1e-15  # rounding, relative to the sum of squares
 _AT_ONCE = 64  # frames that are aligned together
+_LOST_NORMALS = 0.01  # share of the squares of the normals that a basis may lose
 _GRAM_LIMIT = 2000  # largest Gram matrix whose eigenvectors are all computed
 _FEWEST_OF_PART = 3  # vertices that determine a rigid motion
 
@@ -63,6 +64,8 @@ class Trajectories:
         Surface that the rest pose is to resemble; None if it is free.
     parts : (V,) int array or None
         Index of each vertex's connected part of the mesh, as :func:`connected_parts` returns it.
+    slack : float
+        Squared error that counts for nothing against the objective's other terms.
     """
 
     alignment: Alignment
@@ -76,6 +79,7 @@ class Trajectories:
     n2: Array | None = None
     surface: RestSurface | None = None
     parts: NDArray[np.intp] | None = None
+    slack: float = 0.0
 
     @property
     def n_frames(self) -> int:
@@ -155,15 +159,16 @@ class Trajectories:
         )
 
     @serial_blas()
-    def with_normals(self) -> Trajectories:
+    def with_normals(self, bones: int = 0) -> Trajectories:
         """A copy with the normals of all frames, computed from the positions that it holds.
 
         They are the means of the normals of the triangles around a vertex, weighted by the angles
-        at the vertex (Thürmer and Wüthrich 1998).  The basis is that of the positions: it spans
-        what bones can do, and so all of the normals that a model can fit.
+        at the vertex (Thürmer and Wüthrich 1998).  Where the basis of the positions loses more than
+        a hundredth of their squares, it gets 4 `bones` more columns by a randomised range finder
+        (Halko et al. 2011): a sheet's waves may be sums of few translations, a basis without turns.
         """
         n, n_frames = self.n_vertices, self.n_frames
-        normals, n2 = np.zeros(self.z.shape), np.zeros(n)
+        normals, n2 = np.zeros((n, 3 * n_frames)), np.zeros(n)
         # triangles near each other one after the other, so that their vertices are in the cache
         faces = self.faces[np.argsort(self.faces.min(axis=1, initial=n), kind="stable")]
         for first, last in chunk_bounds(n_frames, _AT_ONCE):
@@ -178,13 +183,21 @@ class Trajectories:
 
             run_chunks(work, chunk_bounds(last - first, 8))
             # the scale of a frame does not change the directions of its normals
-            flat = np.empty((n, 3 * (last - first))) if self.q is not None else normals[:, columns]
+            flat = normals[:, columns]
             scale = self.frame_scale[first:last, None]
             np.multiply(here.transpose(1, 0, 2), scale, out=flat.reshape(n, -1, 3))
             n2 += np.einsum("ij,ij->i", flat, flat)
-            if self.q is not None:
-                normals += flat @ self.q[columns]
-        return dataclasses.replace(self, normals=normals, n2=n2)
+        if self.q is None:
+            return dataclasses.replace(self, normals=normals, n2=n2)
+        z, q = self.z, self.q
+        inside = normals @ q
+        if (inside**2).sum() < (1 - _LOST_NORMALS) * n2.sum():
+            count = min(4 * bones, 3 * n_frames - q.shape[1])
+            mixed = normals.T @ np.random.default_rng(0).standard_normal((n, count))
+            more = np.linalg.qr(mixed - q @ (q.T @ mixed))[0]
+            z, q = np.pad(z, ((0, 0), (0, count))), np.concatenate([q, more], axis=1)
+            inside = np.concatenate([inside, normals @ more], axis=1)
+        return dataclasses.replace(self, z=z, q=q, normals=inside, n2=n2)
 
     @serial_blas()
     def compressed(self, bones: int) -> Trajectories:

@@ -87,6 +87,16 @@ def test_surface_and_normals_are_paid_for_by_error() -> None:
     assert (angles[:, 0] < 0.9 * angles[:, 1]).all()
 
 
+def test_an_error_that_is_not_seen_is_paid_for_normals() -> None:
+    size = ssdr.MeshSequence(frames(), rig().faces).diagonal()
+    options: tuple[Any, ...] = (True, 1e-200, "1%", 0.01 * size, "4%")
+    found = [ssdr.decompose(frames(), rig().faces, bones=4, normals=x) for x in options]
+    assert bits(found[0]) == bits(found[1])
+    assert bits(found[2]) == bits(found[3])
+    assert found[0].rmse < 0.99 * found[2].rmse
+    assert (np.diff([found[k].normals.mean for k in (0, 2, 4)]) < -0.05).all()
+
+
 def test_a_cloud_of_points_has_neither() -> None:
     free: dict[str, Any] = {"rest_pose": "free", "normals": False}
     for options in ({}, {"rig": "rigid"}, {"bone_model": "affine"}):

@@ -174,6 +174,7 @@ REFUSED: list[tuple[Any, ...]] = [  # call, argument, what is changed, a text of
     ("smallest", "vertex_importance", {"vertex_importance": np.arange(84) < 42}),
     ("smallest", "vertex_importance", {"vertex_importance": UNEVEN}),
     ("smallest", "normals", {"normals": "no"}),
+    ("decompose", "normals", {"normals": 0}),
     *(
         ("smallest", "tolerance", {"tolerance": t}, "a share of the diagonal such as")
         for t in ("half", "0.5", "%", "0%", "-1%", "1.2.3%", "nan%", "inf%", "", 0, -0.1, True,
