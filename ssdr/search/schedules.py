@@ -24,7 +24,15 @@ from .efforts import (
 )
 from .problem import Effort, RigKind
 from .progress import Stop
-from .starts import first_model, merged_start, polish_model, quick_start, start, start_from_model
+from .starts import (
+    first_model,
+    merged_start,
+    polish_model,
+    quick_start,
+    start,
+    start_from_model,
+    whole_parts,
+)
 from .steps import (
     add_and_merge,
     alternate,
@@ -326,6 +334,8 @@ def follow_effort(
             best_bones(d, size, stretching=stretching)
         else:
             free_bones(d, effort, stretching=stretching)
+        if d.influences == 1 and d.data.parts is not None:
+            whole_parts(d)
     if tries_model:
         beside(d, partial(polish_model, effort=effort))
     unfold(d)

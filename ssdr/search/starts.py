@@ -9,10 +9,11 @@ import numpy as np
 
 from ..solver.alternation import bone_step, repeat_alternation, vertex_step
 from ..solver.gauss_newton import fit_motion
-from ..solver.initialization import fit_patches, start_model, with_rest_normals
+from ..solver.initialization import fit_patches, nearest_bones, start_model, with_rest_normals
 from ..solver.model import Model, Skin
 from ..solver.trajectories import Array
 from .descent import Descent, step
+from .moves import polish_steps
 from .problem import Effort
 from .steps import alternate, compress, merge, polish
 
@@ -22,6 +23,7 @@ _FEW_FRAMES, _FEW_ALTERNATIONS = 64, 16
 # Gauss–Seidel sweeps, and leaps of all bones together, for bones that start with the transforms of
 # another frame.  Without leaps, it would take many sweeps to move a bone far.
 _FIRST_SWEEPS, _FIRST_LEAPS = 6, 2
+_WHOLE_ROUNDS, _WHOLE_POLISH = 16, 8  # to assign parts as a whole, and polish steps after them
 
 
 @step("start", cost=8)
@@ -167,3 +169,34 @@ def polish_model(d: Descent, effort: Effort) -> None:
     start_from_model(d)
     compress(d)
     polish(d, steps=6 if effort == "fast" else 20, gain=0.01)
+
+
+@step("whole parts", cost=3)
+def whole_parts(d: Descent, *, steps: int = _WHOLE_ROUNDS) -> Iterator[None]:
+    """Assign each rigid part of the mesh to one bone, for vertices with one influence.
+
+    A part that two bones move would come apart, so that the result becomes the best model even if
+    its error is higher.  With several influences, weights hold such a part together.
+    """
+    data, parts = d.data, d.data.parts
+    assert parts is not None
+    model, rigid = d.best.model.with_restarted_support(), parts >= 0
+    owner = np.unique(np.stack([parts, model.indices[:, 0]])[:, rigid], axis=1)
+    if (np.diff(owner[0]) > 0).all():
+        return
+    constraints = dataclasses.replace(d.constraints, weights=rigid)
+    for _ in range(steps):
+        model.indices[rigid, 0] = nearest_bones(data, model.rest, model.transforms)[rigid]
+        error = np.where(rigid, model.error * data.importance, 0.0)
+        for idle in np.setdiff1d(np.arange(d.bones), model.indices):  # takes the worst part
+            k = np.bincount(parts[rigid], weights=error[rigid]).argmax()
+            label = np.where(parts == k, 0, -1)
+            model.transforms[:, idle] = fit_patches(data, model.rest, label, 1)[:, 0]
+            model.indices[label == 0], error[label == 0] = idle, 0.0
+        model.restart_support()
+        repeat_alternation(data, model, 2, constraints)
+        yield
+    polish_steps(data, model, _WHOLE_POLISH, constraints)
+    d.model = model
+    d.set_best(model)
+    yield

@@ -32,9 +32,6 @@ _FEWEST_STRETCHED = 6  # vertices of a patch whose bone may stretch: fewer hardl
 # rounding chose among these, another unit of length would lead to another model.
 _TIED = 1e-9
 _SKETCH = 32  # dimensions of a random projection in which trajectories are compared
-# Squared error of a part under a bone of its own up to which it is rigid: relative to its motion,
-# plus that of rounding, relative to the squared norm of its trajectories.
-_RIGID, _ROUNDING = 1e-6, 1e-13
 _MORE_PATCHES = 512  # in which the parts of a mesh may result
 _OF_PART = 4  # vertices of each part, at least, by whose error patches are chosen
 
@@ -178,26 +175,6 @@ def facility_location(cost: Array, importance: Array, count: int) -> list[int]:
     return chosen
 
 
-def rigid_parts(data: Trajectories, rest: Array) -> NDArray[np.intp]:
-    """Index (V,) of the part of the mesh of each vertex; negative if that part deforms.
-
-    A part is rigid if one bone moves it.  If the mesh is one part, no vertex has an index.
-    """
-    group = np.full(data.n_vertices, -1, dtype=np.intp)
-    if data.parts is None:
-        return group
-    sizes = np.bincount(data.parts)
-    still = np.broadcast_to(np.eye(3, 4), (data.n_frames, 1, 3, 4))
-    bones = fit_patches(data, rest, data.parts, len(sizes))
-    order = np.argsort(data.parts, kind="stable")
-    for k, rows in enumerate(np.split(order, np.cumsum(sizes)[:-1])):
-        error = single_bone_errors(data, rest, bones[:, k : k + 1], rows).sum()
-        motion = single_bone_errors(data, rest, still, rows).sum()
-        if error <= _RIGID * motion + _ROUNDING * data.x2[rows].sum():
-            group[rows] = k
-    return group
-
-
 def _few_of_each(part: NDArray[np.intp]) -> NDArray[np.bool_]:
     """Mask (V,) of the first few vertices of each part."""
     order = np.argsort(part, kind="stable")
@@ -207,15 +184,13 @@ def _few_of_each(part: NDArray[np.intp]) -> NDArray[np.bool_]:
     return mask
 
 
-def _within_parts(
-    label: NDArray[np.intp], part: NDArray[np.intp], group: NDArray[np.intp], most: int
-) -> NDArray[np.intp]:
+def _within_parts(label: NDArray[np.intp], part: NDArray[np.intp], most: int) -> NDArray[np.intp]:
     """Labels (V,) of patches of which each lies in one part of the mesh, the largest ones first.
 
     A rigid part is one patch; in others, the patches `label` are divided.  Vertices of all patches
     after the first `most` get a negative label.
     """
-    inside = np.flatnonzero((label >= 0) | (group >= 0))
+    inside = np.flatnonzero((label >= 0) | (part >= 0))
     pair = part[inside] * (label.max() + 2) + label[inside]
     _, index, size = np.unique(pair, return_inverse=True, return_counts=True)
     rank = np.argsort(np.argsort(-size, kind="stable"), kind="stable")[index]
@@ -224,14 +199,21 @@ def _within_parts(
     return out
 
 
-def _shared(cost: Array, group: NDArray[np.intp]) -> Array:
-    """Costs (n, C) of vertices (in place); those of one group (n,) not negative get their mean."""
-    inside = np.flatnonzero(group >= 0)
+def _share(cost: Array, part: NDArray[np.intp]) -> None:
+    """Replace the costs (n, C) of the vertices of each rigid part by their mean (in place)."""
+    inside = np.flatnonzero(part >= 0)
     if len(inside):
-        _, index, size = np.unique(group[inside], return_inverse=True, return_counts=True)
+        _, index, size = np.unique(part[inside], return_inverse=True, return_counts=True)
         pick = coo_array((1.0 / size[index], (index, np.arange(len(inside))))).tocsr()
         cost[inside] = np.asarray(pick @ cost[inside])[index]
-    return cost
+
+
+def nearest_bones(data: Trajectories, rest: Array, transforms: Array) -> NDArray[np.intp]:
+    """Index (V,) of the bone that alone moves each vertex, or all of its rigid part, best."""
+    cost = single_bone_errors(data, rest, transforms, np.arange(data.n_vertices))
+    if data.parts is not None:
+        _share(cost, data.parts)
+    return np.asarray(cost.argmin(axis=1))
 
 
 def start_model(
@@ -262,7 +244,6 @@ def start_model(
         Whether to try half as many patches, on a fifth of the vertices, without random numbers.
     """
     n = data.n_vertices
-    everyone = np.arange(n)
     rows = by_motion(data)
     patches_per_bone, sample = _PATCHES_PER_BONE, _SAMPLE
     if quick:
@@ -270,13 +251,13 @@ def start_model(
         rows = rows[np.linspace(0, n - 1, min(n, sample)).astype(np.intp)]
     elif n > sample:
         rows = rows[np.sort(rng.choice(n, sample, replace=False))]
-    group = rigid_parts(data, rest)
+    part = np.full(n, -1) if data.parts is None else data.parts
     if data.parts is not None and len(rows) < n:
-        chosen = _few_of_each(data.parts)
+        chosen = _few_of_each(part)
         chosen[rows] = True
         rows = by_motion(data)
         rows = rows[chosen[rows]]
-    free, label = rows[group[rows] < 0], np.full(n, -1, dtype=np.intp)
+    free, label = rows[part[rows] < 0], np.full(n, -1, dtype=np.intp)
     if len(free):
         # scaled, so that vertices of little importance do not become seeds
         _, label[free] = farthest_points(
@@ -285,21 +266,19 @@ def start_model(
             len(free) - 1 if quick else int(rng.integers(len(free))),
         )
     if data.parts is not None:
-        most = patches_per_bone * bones + _MORE_PATCHES
-        label = _within_parts(label, data.parts, group, most)
+        label = _within_parts(label, part, patches_per_bone * bones + _MORE_PATCHES)
     patches = fit_patches(data, rest, label, int(label.max()) + 1, bone_model)
-    cost = _shared(single_bone_errors(data, rest, patches, rows), group[rows])
+    cost = single_bone_errors(data, rest, patches, rows)
+    _share(cost, part[rows])
     best = facility_location(cost, data.importance[rows], bones)
     # repeated where there are fewer patches than bones
     kept = np.ascontiguousarray(patches[:, np.resize(best, bones)])
     for _ in range(_REFITS):
-        cost = single_bone_errors(data, rest, kept, everyone)
-        nearest = _shared(cost, group).argmin(axis=1)
+        nearest = nearest_bones(data, rest, kept)
         refit = fit_patches(data, rest, nearest, bones, bone_model)
         used = np.bincount(nearest, minlength=bones) >= 3
         kept[:, used] = refit[:, used]
-    nearest = _shared(single_bone_errors(data, rest, kept, everyone), group).argmin(axis=1)
-    return Model.start(kept, rest, nearest, influences)
+    return Model.start(kept, rest, nearest_bones(data, rest, kept), influences)
 
 
 _LEAST = 1e-9  # added to a system's diagonal, relative to its trace

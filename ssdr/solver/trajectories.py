@@ -34,6 +34,9 @@ _AT_ONCE = 64  # frames that are aligned together
 _LOST_NORMALS = 0.01  # share of the squares of the normals that a basis may lose
 _GRAM_LIMIT = 2000  # largest Gram matrix whose eigenvectors are all computed
 _FEWEST_OF_PART = 3  # vertices that determine a rigid motion
+# Squared deformation up to which a part is rigid, relative to its motion; and the square of that of
+# rounding, relative to its squared positions.
+_RIGID, _ROUNDING = 1e-6, 1e-13
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -63,7 +66,7 @@ class Trajectories:
     surface : RestSurface or None
         Surface that the rest pose is to resemble; None if it is free.
     parts : (V,) int array or None
-        Index of each vertex's connected part of the mesh, as :func:`connected_parts` returns it.
+        Part of the mesh of each vertex, as :func:`find_parts` returns it.
     slack : float
         Squared error that counts for nothing against the objective's other terms.
     """
@@ -273,6 +276,7 @@ def gather(
         # squares would underflow to 0, and so would all errors
         raise InputError("vertices", f"an extent of 0, or above {1 / LARGEST:g}", "a smaller one")
     scale = size or 1.0
+    parts = find_parts(sequences[0].faces, x)
     x *= (frame_scale / scale)[None, :, None]
     flat = x.reshape(n_vertices, 3 * n_frames)
     x2 = np.einsum("ij,ij->i", flat, flat)
@@ -284,26 +288,36 @@ def gather(
         importance=importance,
         frame_scale=frame_scale,
         faces=sequences[0].faces,
-        parts=connected_parts(sequences[0].faces, n_vertices),
+        parts=parts,
     )
     return data.compressed(bones) if compress else data
 
 
-def connected_parts(faces: NDArray[np.int32], n: int) -> NDArray[np.intp] | None:
-    """Index (n,) of the part of the mesh to which each of n vertices belongs.
+def find_parts(faces: NDArray[np.int32], x: Array) -> NDArray[np.intp] | None:
+    """Connected part of the mesh of each vertex (V,), for trajectories x (V, F, 3).
 
-    Triangles that share a vertex belong to the same part.  Parts of one or two vertices, whose
-    motion does not determine that of a bone, count as one part together.  None if no more than one
-    part has three vertices.
+    Parts are counted from 0 if they move rigidly, and from −2 downward if they deform.  Those of
+    one or two vertices, which do not determine the motion of a bone, are the part −1 together.
+    None if no more than one part has three vertices.
     """
     ends = faces[:, [0, 1, 1, 2]].reshape(-1, 2)
-    links = coo_array((np.ones(len(ends), dtype=bool), ends.T), shape=(n, n))
+    links = coo_array((np.ones(len(ends), dtype=bool), ends.T), shape=(len(x), len(x)))
     count, part = connected_components(links, directed=False)
-    small = np.bincount(part, minlength=count) < _FEWEST_OF_PART
+    sizes = np.bincount(part, minlength=count)
+    small = sizes < _FEWEST_OF_PART
     if count - small.sum() < 2:
         return None
-    part[small[part]] = np.flatnonzero(small).min(initial=count)
-    return np.unique(part, return_inverse=True)[1].astype(np.intp)
+    out = np.where(small[part], -1, -2 - part.astype(np.intp))
+    order = np.argsort(part, kind="stable")
+    for k, rows in enumerate(np.split(order, np.cumsum(sizes)[:-1])):
+        frames = np.ascontiguousarray(x[rows].swapaxes(0, 1))
+        here, _ = centred(frames, None)
+        here = here @ rotations_onto(here, here[0], None)
+        motion, square = ((frames - frames[0]) ** 2).sum(), (frames**2).sum()
+        rigid = ((here - here[0]) ** 2).sum() <= _RIGID * motion + _ROUNDING * square
+        if rigid and not small[k]:
+            out[rows] = k
+    return out
 
 
 def _reduce(x: Array, energy: float, rank: int) -> tuple[Array, Array | None]:

@@ -12,11 +12,10 @@ from ssdr.solver.initialization import (
     facility_location,
     farthest_points,
     fit_patches,
-    rigid_parts,
     single_bone_errors,
     start_model,
 )
-from ssdr.solver.trajectories import connected_parts, gather
+from ssdr.solver.trajectories import find_parts, gather
 
 
 @settings(max_examples=20)
@@ -101,14 +100,14 @@ def test_rounding_does_not_choose_among_vertices_that_move_alike() -> None:
         np.testing.assert_allclose(other.rest, unit * one.rest, atol=1e-6 * unit)
 
 
-def test_parts_by_hand() -> None:
-    """Two triangles that share vertex 2, another one, an edge that has lost its area, a point."""
+def test_parts_by_hand(rng: np.random.Generator) -> None:
+    """Two triangles that share vertex 2, a rigid one, an edge that has lost its area, a point."""
     faces = np.array([[0, 1, 2], [4, 5, 6], [2, 3, 1], [7, 8, 8]], dtype=np.int32)
-    part = connected_parts(faces, 10)
-    assert part is not None
-    assert list(part) == [0, 0, 0, 0, 1, 1, 1, 2, 2, 2]
-    assert connected_parts(faces[[0, 2, 3]], 10) is None
-    assert connected_parts(faces[:0], 10) is None
+    x = rng.standard_normal((10, 3, 3))
+    x[4:7] = x[4:7, :1] + np.arange(3)[:, None]
+    assert list(find_parts(faces, x)) == [-2, -2, -2, -2, 1, 1, 1, -1, -1, -1]
+    assert find_parts(faces[[0, 2, 3]], x) is None
+    assert find_parts(faces[:0], x) is None
 
 
 def test_which_parts_are_rigid() -> None:
@@ -116,7 +115,7 @@ def test_which_parts_are_rigid() -> None:
     frames = exact.frames
     frames[:, :8] *= np.linspace(1, 1.1, len(frames))[:, None, None]  # swells
     data = gather([ssdr.MeshSequence(frames, exact.faces)], bones=3)
-    assert list(rigid_parts(data, data.frame(0))) == 8 * [-1] + 8 * [1] + 8 * [2]
+    assert list(data.parts) == 8 * [-2] + 8 * [1] + 8 * [2]
 
 
 @settings(max_examples=10)
