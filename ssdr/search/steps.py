@@ -19,12 +19,10 @@ from ..solver.rest_surface import RestSurface
 from ..solver.trajectories import Trajectories
 from ..solver.vertex_newton import optimise_some
 from .descent import (
-    ALTERNATIONS_OF_ALL,
     LEAST,
     MOST,
     Descent,
     Schedule,
-    motion_sample,
     step,
 )
 from .moves import (
@@ -79,6 +77,20 @@ def alternate(d: Descent, *, steps: int, gain: float = _PLATEAU) -> Iterator[Non
         yield
         if d.converged:
             return
+
+
+@step("alternate")
+def look_ahead(d: Descent, *, steps: int) -> Iterator[None]:
+    """Alternate on a copy of the present model, for a run that is stopped before a better one.
+
+    What follows starts from the present model all the same, as that leads to less error.
+    """
+    begun, d.model = d.model, d.model.copy()
+    for _ in range(steps):
+        repeat_alternation(d.data, d.model, 1, d.constraints)
+        d.work.iteration += 1
+        yield
+    d.model = begun
 
 
 @step("polish", cost=6)
@@ -210,34 +222,41 @@ def _keep_flatter(
 
 
 def on_sample(
-    d: Descent, schedule: Schedule, *, least: int = LEAST, most: int = MOST, free: bool = True
+    d: Descent, *schedules: Schedule, least: int = LEAST, most: int = MOST, free: bool = True
 ) -> bool:
-    """Follow a schedule on a third of the vertices, then continue from its best model on all.
+    """Follow schedules on a third of the vertices, then continue from the best model on all.
 
     The sample, evenly spaced in the order of :func:`by_motion`, has at least `least` and at most
     `most` vertices for each of the `d.bones` bones.  If that would be half of the vertices or more,
-    the schedule runs on all.  Returns whether it ran on a sample.  If `free`, no surface holds the
-    rest pose of the sample: that is enough to find where bones belong.
+    the schedules run on all.  Returns whether they ran on a sample.  If `free`, no surface holds
+    the rest pose of the sample: that is enough to find where bones belong.  Between two schedules
+    the sample's best model is fitted to all vertices, which changes nothing on the sample, but is
+    what a run returns that is stopped there.
     """
     count = min(most * d.bones, max(least * d.bones, d.data.n_vertices // 3))
     if 2 * count >= d.data.n_vertices:
-        schedule(d)
+        for schedule in schedules:
+            schedule(d)
         return False
-    few = d.sample(motion_sample(d.data, count), free=free)
-    schedule(few)
-    all_vertices(d)
+    few, (*first, last) = d.sample(count, free=free), schedules
+    for schedule in first:
+        schedule(few)
+        all_vertices(d, few.best, alternations=1)
+    last(few)
+    d.few = None
+    all_vertices(d, few.best)
     return True
 
 
 @step("all vertices", cost=8)
-def all_vertices(d: Descent) -> Iterator[None]:
-    """Return from the sample to all vertices: each takes the weights of the nearest sampled vertex.
+def all_vertices(d: Descent, best: Lowest, *, alternations: int = 8) -> Iterator[None]:
+    """Fit the best model of the sample to all vertices, and make it the present one.
 
-    Alternations of all vertices follow.
+    Each vertex takes the weights of the nearest sampled vertex.  Alternations of all vertices
+    follow.
     """
-    assert d.few is not None
-    d.model, d.few = d.of_all(d.few.best.model), None
-    d.work.iteration += ALTERNATIONS_OF_ALL
+    d.model = d.of_all(best.model, alternations)
+    d.work.iteration += alternations
     yield
 
 

@@ -15,7 +15,7 @@ from ..kernels.bones import sweep_bones
 from .affine_fit import PATCH_RIDGE, solve_affine
 from .model import CHUNK, Model
 from .moments import transform_sums
-from .rest_surface import SHORT
+from .rest_surface import SHORT, distinct_edges
 from .trajectories import Array, Trajectories
 
 _FEW = 64  # frames among which the central one is chosen
@@ -322,8 +322,7 @@ def central_frame(data: Trajectories, *, first: bool = False) -> int:
     unless parts of the mesh have no size in it.
     """
     few = np.unique(np.linspace(0, data.n_frames - 1, _FEW).round().astype(int))
-    edges = np.sort(data.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)).astype(np.intp)
-    ends = np.unique(edges, axis=0)
+    ends = distinct_edges(data.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), data.n_vertices)
     if not len(ends):
         ends = _nearest(data, few[:: max(1, len(few) // _FEWER)])
     if not len(ends):

@@ -71,8 +71,7 @@ class RestSurface:
 
     @staticmethod
     def _of_edges(pose: Array, ends: NDArray[np.integer]) -> RestSurface | None:
-        ends = np.unique(np.sort(ends, axis=1), axis=0).astype(np.int64)
-        ends = ends[ends[:, 0] != ends[:, 1]]
+        ends = distinct_edges(ends, len(pose))
         squared = ((pose[ends[:, 0]] - pose[ends[:, 1]]) ** 2).sum(axis=1)
         if not squared.any():
             return None
@@ -134,7 +133,7 @@ class RestSurface:
 
     def stiffened(self, faces: NDArray[np.int32], factor: float) -> RestSurface:
         """A copy in which the edges of the triangles `faces` have `factor` times the weight."""
-        ends = np.unique(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=0)
+        ends = distinct_edges(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), len(self.pose))
         i, j = np.concatenate([ends, ends[:, ::-1]]).T
         mask = coo_array((np.ones(len(i)), (i, j)), shape=self.edges.shape).tocsr()
         mask.data[:] = factor - 1.0
@@ -148,6 +147,13 @@ class RestSurface:
         for _ in range(_RINGS):
             reached += self.edges @ reached
         return np.flatnonzero(reached)
+
+
+def distinct_edges(ends: NDArray[np.integer], n: int) -> NDArray[np.int64]:
+    """Distinct pairs (P, 2) i < j among index pairs `ends` of n vertices, in ascending order."""
+    i, j = np.sort(ends, axis=1).astype(np.int64).T
+    code = np.unique((i * n + j)[i < j])
+    return np.stack([code // n, code % n], axis=1)
 
 
 def _turned(points: Array, faces: NDArray[np.int32]) -> NDArray[np.bool_]:

@@ -11,7 +11,7 @@ import threadpoolctl
 import ssdr
 from helpers import motions, surfaces, terms
 from ssdr.solver.initialization import central_frame
-from ssdr.solver.rest_surface import RestSurface
+from ssdr.solver.rest_surface import RestSurface, distinct_edges
 from ssdr.solver.trajectories import Trajectories, gather
 
 
@@ -75,6 +75,13 @@ def test_without_edges_there_is_no_surface(rng: np.random.Generator) -> None:
         data = _data(frames, np.array(faces, dtype=np.int32))
         assert RestSurface.build(data.faces, data.frame(0)) is None
     assert central_frame(_data(points, np.zeros((0, 3), np.int32)), first=True) == 0
+
+
+def test_edges_are_distinct_pairs_in_order(rng: np.random.Generator) -> None:
+    ends = rng.integers(0, 9, (60, 2)).astype(np.int32)
+    want = sorted({(min(a, b), max(a, b)) for a, b in ends.tolist() if a != b})
+    np.testing.assert_array_equal(distinct_edges(ends, 9), want)
+    assert distinct_edges(ends[:0], 9).shape == (0, 2)
 
 
 def test_the_unit_of_length_does_not_count(rng: np.random.Generator) -> None:
