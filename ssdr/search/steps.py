@@ -206,15 +206,16 @@ def _keep_flatter(
     fewest: int,
     most: float,
 ) -> int:
-    """Make a model the best one if it has fewer flipped triangles; return the fewest so far.
+    """Make a model the present one if it has fewer flipped triangles; return the fewest so far.
 
-    A model whose squared error is above `most` is not taken.  What follows keeps to `surface`.
+    The end of the round takes it for the best one, whatever its objective.  A model whose squared
+    error is above `most` is not taken.  What follows keeps to `surface`.
     """
     count = int(turned.sum())
     if count >= fewest or model.weighted_error(d.data) > most:
         return fewest
     d.data, d.model = dataclasses.replace(d.data, surface=surface), model.copy()
-    d.set_best(model)
+    d.best = Lowest()
     return count
 
 

@@ -101,6 +101,7 @@ def test_triangles_that_are_turned_over_turn_back(smoothness: float) -> None:
     assert 0 < flipped(d) < 6
     d.follow(unfold)
     assert flipped(d) == 0
+    assert d.records[-1][2:] == (d.best_error, "unfold")
     # it is the model that is returned, and what follows keeps to the stiffer edges
     assert d.best.value == pytest.approx(d.value(d.best.model), rel=1e-12)
     assert d.data.surface is not surface
