@@ -27,10 +27,12 @@ from .progress import Stop
 from .starts import (
     first_model,
     merged_start,
+    normals_need_a_start,
     polish_model,
     quick_start,
     start,
     start_from_model,
+    start_with_normals,
     whole_parts,
 )
 from .steps import (
@@ -149,6 +151,23 @@ def relax_from_rigid(d: Descent) -> None:
         merged_start(d)
     polish(d, steps=8)
     relax_bones(d)
+
+
+def bones_that_turn(d: Descent, effort: Effort) -> None:
+    """Start anew with normals in the objective, where these need it; keep the model if it is lower.
+
+    Relaxed for positions alone, bones of a sheet stop turning, and normals do not bring that back.
+    """
+    if not normals_need_a_start(d):
+        return
+    start_with_normals(d)
+    polish(d, steps=60, gain=0.02)
+    if effort == "fast":
+        return
+    relax(d, polish_steps=4)
+    if effort == "best":
+        search(d, steps=TRIALS_OF_A_START)
+    polish(d, steps=200, gain=0.016)
 
 
 def best_bones(d: Descent, size: float, *, stretching: bool) -> None:
@@ -339,6 +358,8 @@ def follow_effort(
             best_bones(d, size, stretching=stretching)
         else:
             free_bones(d, effort, stretching=stretching)
+        if not stretching:
+            bones_that_turn(d, effort)
         if d.influences == 1 and d.data.parts is not None:
             whole_parts(d)
     if tries_model:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterator
 
 import numpy as np
 
+from ..model.transforms import rest_diagonal
 from ..solver.alternation import bone_step, repeat_alternation, vertex_step
 from ..solver.gauss_newton import fit_motion
 from ..solver.initialization import fit_patches, nearest_bones, start_model, with_rest_normals
 from ..solver.model import Model, Skin
+from ..solver.objective import mean_normal_error
 from ..solver.trajectories import Array
 from .descent import Descent, step
 from .moves import polish_steps
@@ -24,6 +27,9 @@ _FEW_FRAMES, _FEW_ALTERNATIONS = 64, 16
 # another frame.  Without leaps, it would take many sweeps to move a bone far.
 _FIRST_SWEEPS, _FIRST_LEAPS = 6, 2
 _WHOLE_ROUNDS, _WHOLE_POLISH = 16, 8  # to assign parts as a whole, and polish steps after them
+_WITHOUT_NORMALS = 12  # alternations of a start with normals before these are solved
+# RMSE, relative to the diagonal, that nobody sees, and mean squared error of normals that all see.
+_NOT_SEEN, _SEEN = 1e-4, math.radians(10.0) ** 2
 
 
 @step("start", cost=8)
@@ -79,6 +85,42 @@ def _first_model(
         return Model.with_weights(bones, rest, *initial.skin, k)
     count = min(data.n_vertices, max(d.bones, round(d.bones * factor)))
     return start_model(data, rest, count, k, d.rng, d.constraints.bone_model, quick=quick)
+
+
+def normals_need_a_start(d: Descent) -> bool:
+    """Whether to start anew with normals: if `normals` is a length, or if only normals are poor.
+
+    If it is not, the RMSE must not be seen, while normals are more than 10° off: the waves of a
+    thin, smooth sheet can be sums of few translations, and bones that translate then fit positions
+    but not light.  In that case an RMSE below 0.01 % of the diagonal counts for nothing from now
+    on.
+    """
+    if d.planning or d.normals or d.data.normals is None:
+        wanted = bool(d.normals) and d.constraints.bone_model == "rigid"
+        return wanted and len(d.data.faces) > 0
+    model, count = d.best.model, d.data.n_frames * d.data.n_vertices
+    slack = count * (_NOT_SEEN * rest_diagonal(model.rest)) ** 2
+    if model.weighted_error(d.data) > slack or mean_normal_error(d.data, model) < _SEEN:
+        return False
+    d.data = dataclasses.replace(d.data, slack=slack)
+    d.set_best(model)
+    return True
+
+
+@step("start", cost=8)
+def start_with_normals(d: Descent) -> Iterator[None]:
+    """Make bones from motion and alternate a little; solve normals from now on.
+
+    More alternations would lead to bones that translate, and alternations with normals to ones
+    that only turn.
+    """
+    data = d.data
+    d.data = dataclasses.replace(data, normals=None, n2=None)
+    model = _first_model(d, 1.0, None, quick=True)
+    vertex_step(d.data, model, constraints=d.constraints)
+    repeat_alternation(d.data, model, _WITHOUT_NORMALS, d.constraints)
+    d.data, d.model = data, with_rest_normals(data, model)
+    yield
 
 
 @step("start", cost=8)

@@ -142,7 +142,7 @@ class Objective:
         if self.smoothness is not None:
             value += self.smoothness.penalty(model)
         value *= _rest_factor(data, model, self.constraints)
-        value *= 1.0 + _mean_normal_error(data, model) / _UNSEEN
+        value *= 1.0 + mean_normal_error(data, model) / _UNSEEN
         if self.constraints.near_skin and model.tree is not None:
             _, squared = joint_offsets(model)
             value *= 1.0 + mean_joint_penalty(squared[model.tree.non_roots])
@@ -205,7 +205,7 @@ def normal_length(data: Trajectories, model: Model, penalty: float = 0.0) -> flo
     if data.normals is None or not model.normals.shape[1]:
         return 0.0
     count = data.n_frames * data.n_vertices
-    unit = count * (_mean_normal_error(data, model) + _UNSEEN)
+    unit = count * (mean_normal_error(data, model) + _UNSEEN)
     return math.sqrt((_seen_error(data, model) + penalty) / unit)
 
 
@@ -232,7 +232,8 @@ def _rest_factor(data: Trajectories, model: Model, constraints: Constraints) -> 
     return 1.0 if data.surface is None or constraints.rest else data.surface.factor(model.rest)
 
 
-def _mean_normal_error(data: Trajectories, model: Model) -> float:
+def mean_normal_error(data: Trajectories, model: Model) -> float:
+    """Mean squared error N of the normals; 0 while these are not solved."""
     if data.normals is None or not model.normals.shape[1]:
         return 0.0
     return float(data.importance @ model.normal_error) / (data.n_frames * data.n_vertices)

@@ -13,7 +13,7 @@ import ssdr
 from helpers import motions, naive
 from helpers.measures import bits, frames, rig
 from ssdr.kernels.normals import normals_range
-from ssdr.search import steps
+from ssdr.search import schedules, steps
 
 
 def _turned(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -95,6 +95,30 @@ def test_an_error_that_is_not_seen_is_paid_for_normals() -> None:
     assert bits(found[2]) == bits(found[3])
     assert found[0].rmse < 0.99 * found[2].rmse
     assert (np.diff([found[k].normals.mean for k in (0, 2, 4)]) < -0.05).all()
+
+
+def flag(n: int = 31, m: int = 21) -> ssdr.MeshSequence:
+    """A sheet whose waves travel: sums of few translations, that is, with next to no error."""
+    x, y = (a.ravel() for a in np.meshgrid(np.linspace(0, 1.5, n), np.linspace(0, 1, m)))
+    turns = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    waves = [0.18 * x * np.sin(6 * x - 2 * t + 1.5 * y) for t in turns]
+    i = np.arange(n * m).reshape(m, n)
+    corners = [i[:-1, :-1], i[:-1, 1:], i[1:, 1:]], [i[:-1, :-1], i[1:, 1:], i[1:, :-1]]
+    faces = np.concatenate([np.stack(c, axis=-1).reshape(-1, 3) for c in corners])
+    return ssdr.MeshSequence(np.stack([np.stack([x, y, z], axis=-1) for z in waves]), faces)
+
+
+def test_bones_of_a_sheet_turn_as_soon_as_its_light_counts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    sheet = flag()
+    found = [ssdr.decompose(sheet, bones=12, normals=x) for x in (True, "0.05%")]
+    assert max(r.normals.mean for r in found) < 4
+    assert max(r.rmse for r in found) < 1.5e-3 * sheet.diagonal()
+    monkeypatch.setattr(schedules, "bones_that_turn", lambda d, effort: None)
+    before = ssdr.decompose(sheet, bones=12)
+    assert before.normals.mean > 20
+    assert before.rmse < 1e-4 * sheet.diagonal()
 
 
 def test_a_cloud_of_points_has_neither() -> None:
