@@ -8,14 +8,12 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..solver.alternation import free_gauge, repeat_alternation
 from ..solver.gauss_newton import GaussNewton
 from ..solver.initialization import with_rest_normals
 from ..solver.model import Constraints, Lowest, Model
 from ..solver.objective import strength_of
-from ..solver.rest_surface import RestSurface
 from ..solver.trajectories import Trajectories
 from ..solver.vertex_newton import optimise_some
 from .descent import (
@@ -45,7 +43,6 @@ _PLATEAU_ALTERNATIONS = 3
 _ALONE, _TO_ALL, _STIFFER = 6, 6, 4.0
 _UNFOLD_ROUNDS = 4  # solves of weights and rest pose in a round of unfolding
 _MOST_LOSS = 1.02  # largest ratio of the error after unfolding to the one before
-_STEPS_AFTER_UNFOLDING = 8  # polish steps if the error is above that
 
 
 # --- all bones -----------------------------------------------------------------------------------
@@ -165,58 +162,39 @@ def unfold(d: Descent, *, steps: int = 24) -> Iterator[None]:
 
     Of the models found whose error is at most 2 % above the first one's, that with the fewest
     flipped triangles becomes the best model, even if its objective is higher than before: a rest
-    pose with folds is not a surface.  If the last model lost more, a few polish steps may give the
-    loss back, since then bones and all other vertices move, too.
+    pose with folds is not a surface.  A model without folds that lost more is polished, at most
+    twice, since bones and all other vertices may give the loss back; what folds again is unfolded.
     """
     if d.data.surface is None:
         return
     d.model, constraints = d.best.model.with_restarted_support(), d.constraints
-    if d.smoothness is not None:  # this solve of weights would ignore the penalty
+    if d.smoothness is not None:  # these solves of weights would ignore the penalty
         constraints = constraints.with_weights(d.data.n_vertices)
     data, surface, model, faces = d.data, d.data.surface, d.model.copy(), d.data.faces
     most = _MOST_LOSS**2 * model.weighted_error(data)
     turned = surface.turned(model.rest, faces)
-    fewest = int(turned.sum())
+    fewest, polishes = turned.sum(), 2
     for k in range(steps):
-        if not turned.any():
-            break
-        around = turned if k < _ALONE else np.isin(faces, faces[turned]).any(axis=1)
-        tilted = surface.tilted(model.rest, faces, (k - _ALONE) / _TO_ALL)
-        stiff = faces[turned | (around & tilted)]
-        surface = surface.stiffened(stiff, _STIFFER)
-        # far from the stiffer edges nothing has changed
-        near = surface.around(stiff)
-        optimise_some(data, model, near, surface, constraints=constraints, times=_UNFOLD_ROUNDS)
+        if not fewest or not (turned.any() or polishes):
+            return
+        if turned.any():
+            around = turned if k < _ALONE else np.isin(faces, faces[turned]).any(axis=1)
+            tilted = surface.tilted(model.rest, faces, (k - _ALONE) / _TO_ALL)
+            stiff = faces[turned | (around & tilted)]
+            surface = surface.stiffened(stiff, _STIFFER)
+            # far from the stiffer edges nothing has changed
+            near, times = surface.around(stiff), _UNFOLD_ROUNDS
+            optimise_some(data, model, near, surface, constraints=constraints, times=times)
+        else:
+            held = dataclasses.replace(data, surface=surface)
+            polish_steps(held, model, STEPS_OF_A_TRIAL, constraints)
+            polishes -= 1
         turned = surface.turned(model.rest, faces)
-        fewest = _keep_flatter(d, surface, model, turned, fewest, most)
+        if turned.sum() < fewest and model.weighted_error(data) <= most:
+            fewest, d.model = turned.sum(), model.copy()
+            d.best = Lowest()  # so that this model becomes the best, whatever its objective
+            d.data = dataclasses.replace(data, surface=surface)  # what follows keeps to the edges
         yield
-    if turned.sum() < fewest and d.smoothness is None:
-        held = dataclasses.replace(data, surface=surface)
-        polish_steps(held, model, _STEPS_AFTER_UNFOLDING, constraints)
-        turned = surface.turned(model.rest, faces)
-        _keep_flatter(d, surface, model, turned, fewest, most)
-        yield
-
-
-def _keep_flatter(
-    d: Descent,
-    surface: RestSurface,
-    model: Model,
-    turned: NDArray[np.bool_],
-    fewest: int,
-    most: float,
-) -> int:
-    """Make a model the present one if it has fewer flipped triangles; return the fewest so far.
-
-    The end of the round takes it for the best one, whatever its objective.  A model whose squared
-    error is above `most` is not taken.  What follows keeps to `surface`.
-    """
-    count = int(turned.sum())
-    if count >= fewest or model.weighted_error(d.data) > most:
-        return fewest
-    d.data, d.model = dataclasses.replace(d.data, surface=surface), model.copy()
-    d.best = Lowest()
-    return count
 
 
 # --- which vertices, which model -----------------------------------------------------------------
