@@ -35,7 +35,7 @@ def decompose(
     smoothness: float = 0.0,
     rest_pose: RestPose = "surface",
     rest_frame: int | None = None,
-    normals: bool = True,
+    normals: bool | float | str = True,
     rng: int | np.random.Generator = 0,
     time_limit: float | None = None,
     checkpoint: str | Path | None = None,
@@ -76,8 +76,9 @@ def decompose(
     start : Skinning, Decomposition or Start, optional
         A model to start from, such as a checkpoint: the error of the result is never above that of
         this model nor, if neither `rig` nor `smoothness` is given, above that of the same call
-        without `start`.  If its frames differ from those of `sequence`, bones for the latter are
-        fitted to its weights.  Of a :class:`Start`, rest pose or weights are kept.
+        without `start`; but more if `normals` is a length.  If its frames differ from those of
+        `sequence`, bones for the latter are fitted to its weights.  Of a :class:`Start`, rest pose
+        or weights are kept.
     vertex_importance : (V,) array, optional
         Non-negative; scales each vertex's squared error in the objective.
     frame_importance : (F,) array, optional
@@ -95,10 +96,12 @@ def decompose(
         Index of the frame from which the solve of the rest pose starts, and whose surface the
         result resembles.  By default the frame whose edges are nearest to the mean edges of all
         frames, or the first for ``rest_pose="free"``.
-    normals : bool
+    normals : bool, float or str
         Whether the last steps also fit the normals that engines draw (the rest normals, transformed
-        by the bones) to the normals of the animation.  If False, they are fitted only after the
-        model is found.
+        by the bones) to those of the animation, or the error of positions that is not seen beside
+        them: a length in the mesh's units, or a share of the diagonal such as ``"0.05%"``.  An RMSE
+        far below it counts for nothing, so that normals are better at a larger error.  If False,
+        normals are fitted only after the model is found.
     rng : int or numpy.random.Generator
         Seed: the same seed gives the same bits, whatever the number of threads.
     time_limit : float, optional

@@ -8,6 +8,7 @@ the user chose another value than the default.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import inspect
 import os
@@ -109,6 +110,8 @@ def _parameter(p: inspect.Parameter, hint: Any, text: str) -> inspect.Parameter:
         panel = None if p.name in _FIRST else "More"
         metavar = p.name.upper() if kind is str else _METAVARS.get(kind)
         info = typer.Option(*flags, help=text, rich_help_panel=panel, metavar=metavar)
+        if kind is _flag_number_or_text:
+            kind, info.parser, info.metavar = str, kind, "TEXT"
     annotation: Any = Annotated[kind | None if optional else kind, info]
     return p.replace(kind=p.KEYWORD_ONLY, annotation=annotation)
 
@@ -132,8 +135,18 @@ def _kind(hint: Any) -> tuple[Any, bool]:
         if isinstance(origin, type) and issubclass(origin, Sequence):
             several = typing.get_args(kind)[0]
             return list[Path] if several is Path else list[str], optional
+    if str in kinds and float in kinds:
+        return _flag_number_or_text, optional
     paths = any(typing.get_origin(kind) is os.PathLike for kind in kinds)
     return Path if paths else next((k for k in _KINDS if k in kinds), Path), optional
+
+
+def _flag_number_or_text(given: Any) -> bool | float | str:
+    """What a word stands for where several kinds are possible: true, false, a number or a text."""
+    word = str(given)  # the default is not a text
+    with contextlib.suppress(ValueError):
+        return float(word)
+    return {"true": True, "false": False}.get(word.lower(), word)
 
 
 def _help(functions: Sequence[Callable[..., Any]], name: str) -> str:

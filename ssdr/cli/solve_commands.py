@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import math
 import re
@@ -13,6 +12,7 @@ from typing import Any
 
 import ssdr
 
+from ..common.checks import parse_normals, parse_tolerance
 from ..common.errors import Cancelled, InputError
 from ..common.signals import stop_on_signals
 from ..decomposition import decompose as _decompose
@@ -120,7 +120,6 @@ def smallest(
     inputs: list[Path],
     *,
     output: list[Path],
-    tolerance: str,
     rig: JointKind | None = None,
     start: Path | None = None,
     **options: Any,
@@ -133,18 +132,11 @@ def smallest(
         Animated mesh; several files of one mesh are its clips.
     output : list of Path
         Model to write; repeat it for other formats, a contact sheet (.png) or a page (.html).
-    tolerance : str
-        A length in the mesh's units, or a share of the diagonal such as 0.5%.
     rig : {"loose", "rigid"}, optional
         Connect the bones by joints that may come apart (loose) or not (rigid).
     start : Path, optional
         A model to begin from, such as a checkpoint.
     """
-    from ..common.checks import parse_tolerance
-
-    with contextlib.suppress(ValueError):
-        options["tolerance"] = tolerance
-        options["tolerance"] = float(tolerance)
     parse_tolerance(options["tolerance"], 1.0)
     _fit(ssdr.smallest, inputs, output, start, options, lambda space: {"rig": rig})
 
@@ -169,6 +161,7 @@ def _fit(
     from ..solver.warmup import begin_compiling
 
     began = time.perf_counter()
+    parse_normals(options.get("normals", True))
     drawn = [path for path in output if path.suffix.lower() in _DRAWN]
     models = [path for path in output if path not in drawn]
     checkpoint = options.get("checkpoint")

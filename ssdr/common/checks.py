@@ -79,8 +79,12 @@ def check_rng(rng: Any) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
-def parse_tolerance(tolerance: Any, diagonal: float) -> float:
+def parse_tolerance(
+    tolerance: Any, diagonal: float, argument: str = "tolerance", others: str = ""
+) -> float:
     """Convert a tolerance, a length or a share such as ``"0.5%"``, to the mesh's units.
+
+    A message names `argument`, and `others`, what else it may be.
 
     Raises
     ------
@@ -99,8 +103,20 @@ def parse_tolerance(tolerance: Any, diagonal: float) -> float:
         number = float(tolerance)
     if not (math.isfinite(number) and number > 0):
         expected = 'a length > 0 in the mesh\'s units, or a share of the diagonal such as "0.5%"'
-        raise InputError("tolerance", expected, repr(tolerance))
+        raise InputError(argument, others + expected, repr(tolerance))
     return number * unit
+
+
+def parse_normals(normals: Any, diagonal: Callable[[], float] = lambda: 1.0) -> float | None:
+    """Length below which errors of positions do not count against normals; None for False.
+
+    It is 0 for True; anything else is parsed like a tolerance, with a `diagonal` that is computed
+    only for a share.
+    """
+    if isinstance(normals, (bool, np.bool_)):
+        return 0.0 if normals else None
+    unit = diagonal() if isinstance(normals, str) else 1.0
+    return parse_tolerance(normals, unit, "normals", "True, False, ")
 
 
 def check_callback(callback: Any) -> Any:

@@ -125,13 +125,16 @@ def _usable_tolerance(frames: SolvedFrames, asked: float) -> float:
 def _least_bones(frames: SolvedFrames, tolerance: float) -> tuple[int, int]:
     """Lower bound on the number of bones, and upper bound on that of an exact skinning.
 
-    Both follow from the rank of the motion.  The second is 0 if the rank does not suggest that
-    there is an exact skinning.
+    Both follow from the rank of the motion, unless all parts of the mesh are rigid: then the second
+    is their number.  It is 0 if the rank does not suggest that there is an exact skinning.
     """
-    problem = frames.problem
+    problem, parts = frames.problem, frames.data.parts
+    pieces = 0 if parts is None or parts.min() < 0 else len(np.unique(parts))
     if problem.weighted or problem.rows is not None or frames.scan is not None:
-        return 1, 0
+        return 1, pieces
     least = rank_bound(frames.data, frames.squared(tolerance))
+    if pieces:
+        return least, pieces
     # an exact skinning has the rank 4B − 1, less one for each joint that two bones share: since
     # the rank is at least 3B, there are at most a third as many bones
     exact = -(-rank_of(frames.data, 0.0) // 3)

@@ -212,7 +212,8 @@ def _schedules(frames: SolvedFrames) -> tuple[Schedule, list[Schedule]]:
 
     if not len(frames.data.faces):
         return usual, []
-    return usual, [_with_normals, unfolded] if polishes and frames.problem.normals else [unfolded]
+    normals = polishes and frames.problem.normals is not None
+    return usual, [_with_normals, unfolded] if normals else [unfolded]
 
 
 def _with_normals(d: Descent) -> None:

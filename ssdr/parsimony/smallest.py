@@ -46,7 +46,7 @@ def smallest(
     frame_importance: Any = None,
     rest_pose: RestPose = "surface",
     rest_frame: int | None = None,
-    normals: bool = True,
+    normals: bool | float | str = True,
     rng: int | np.random.Generator = 0,
     time_limit: float | None = None,
     checkpoint: str | Path | None = None,
@@ -92,7 +92,7 @@ def smallest(
     rest_pose : {"surface", "free"}
     rest_frame : int, optional
         Both as in :func:`decompose`.
-    normals : bool
+    normals : bool, float or str
         As in :func:`decompose`.  The last steps solve normals only if the result then holds the
         tolerance and takes no more bytes.
     rng : int or numpy.random.Generator

@@ -80,7 +80,7 @@ class SolvedFrames:
             initial=self.initial.beside_model() if initial is None else initial,
             monitor=problem.monitor,
             rigid_joints=problem.rig == "rigid",
-            normals=True,
+            normals=problem.normals,
         )
 
     def error(self, model: Model, measure: Measure | None = None) -> float:

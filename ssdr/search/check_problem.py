@@ -22,8 +22,9 @@ from ..common.checks import (
     check_squarable,
     check_transforms,
     check_whole,
+    parse_normals,
 )
-from ..common.errors import InputError, check_choice, check_flag, is_real, is_whole
+from ..common.errors import InputError, check_choice, is_real, is_whole
 from ..mesh.sequence import MeshSequence, as_sequences, labels_of, without_copies
 from ..mesh.surface import told_apart
 from ..model.skinning import Skinning, skinning_in
@@ -129,7 +130,7 @@ def check_problem(
         start=start if isinstance(start, Skinning) else None,
         smoothness=smoothness,
         rest_pose=rest_pose,
-        normals=check_flag(normals, "normals"),
+        normals=parse_normals(normals, lambda: max(s.diagonal() for s in inputs)),
         vertex_importance=importance,
         weighted=weighted,
         frame_importance=frame_importance,

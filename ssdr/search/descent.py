@@ -30,12 +30,8 @@ from ..solver.initialization import by_motion
 from ..solver.model import Constraints, Lowest, Model
 from ..solver.objective import Objective, WeightSmoothness
 from ..solver.trajectories import Trajectories
-from .moves import polish_steps
 from .problem import Initial
 from .progress import Monitor, Stop
-
-# Alternations on all vertices after a sample, and polish steps if the descent is stopped on it.
-ALTERNATIONS_OF_ALL, _STEPS_AFTER_STOP = 8, 8
 
 # Objective, relative to the squared motion, below which only rounding errors are left.
 _EXACT = 1e-30
@@ -87,8 +83,9 @@ class Descent:
     monitor : Monitor, optional
     rigid_joints : bool
         Whether only models with bones attached at their joints are accepted as best.
-    normals : bool
-        Whether the last steps solve rest normals, too.
+    normals : float or None
+        Length, in the mesh's units, below which errors of positions do not count against normals;
+        None if the last steps do not solve rest normals.
 
     Attributes
     ----------
@@ -124,7 +121,7 @@ class Descent:
         smoothness: WeightSmoothness | None = None,
         monitor: Monitor | None = None,
         rigid_joints: bool = False,
-        normals: bool = False,
+        normals: float | None = None,
     ) -> None:
         self.data = data
         self.few: Descent | None = None
@@ -170,26 +167,25 @@ class Descent:
         """
         best = copy.copy(self.best)
         if self.few is not None:
-            model = self.of_all(self.few.best.model)
-            polish_steps(self.data, model, _STEPS_AFTER_STOP, self.constraints)
+            model = self.of_all(self.few.best.model, 1)
             best.offer(model, self.value(model))
         return best
 
-    def sample(self, chosen: NDArray[np.intp], *, free: bool) -> Descent:
-        """Begin a descent on the chosen vertices from the present and the best model; return it.
+    def sample(self, count: int, *, free: bool) -> Descent:
+        """Begin a descent on `count` vertices from the present model, and return it.
 
         Its rest pose is free if `free`; otherwise it is held by a coarse surface.
         """
-        few = copy.copy(self)
+        few, planned = copy.copy(self), self.planning
+        chosen = np.arange(count) if planned else motion_sample(self.data, count)
         few.data = self.data.select_vertices(chosen)
         few.constraints = self.constraints.select_vertices(chosen)
-        if self.data.surface is not None and not free:
+        if self.data.surface is not None and not free and not planned:
             few.data = dataclasses.replace(few.data, surface=self.data.surface.sampled(chosen))
         few.initial, few.records = self.initial.beside_model().of_vertices(chosen), []
         few.smoothness, few.objective = None, Objective(few.constraints)
-        if not self.planning:
-            few.model = self.model.select_vertices(chosen)
-            few.set_best(self.best.model.select_vertices(chosen))
+        if not planned:
+            few.begin_with(self.model.select_vertices(chosen))
             self.few, self._chosen = few, chosen
         return few
 
@@ -200,8 +196,8 @@ class Descent:
         bare.best = Lowest()
         return bare
 
-    def of_all(self, few: Model) -> Model:
-        """Model of all vertices, made by eight alternations from `few`, a model of the sample.
+    def of_all(self, few: Model, alternations: int) -> Model:
+        """Model of all vertices, made by alternations from `few`, a model of the sample.
 
         Each vertex starts with the weights of the nearest vertex of the sample, and with the offset
         from it that it has in the first pose.
@@ -215,7 +211,7 @@ class Descent:
         if parts.rest is not None:
             model.rest = rest
         vertex_step(self.data, model, constraints=constraints)
-        repeat_alternation(self.data, model, ALTERNATIONS_OF_ALL, constraints)
+        repeat_alternation(self.data, model, alternations, constraints)
         return model
 
     def value(self, model: Model) -> float:

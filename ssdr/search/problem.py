@@ -149,8 +149,9 @@ class Problem:
     smoothness : float
         Smoothness of the weights, as a length in the mesh's units; 0 if they are not penalised.
     rest_pose : {"surface", "free"}
-    normals : bool
-        Whether normals are part of the objective.
+    normals : float or None
+        Length, in the mesh's units, below which errors of positions do not count against normals;
+        None if normals are not part of the objective.
     vertex_importance : (V,) array or None
         Importance of each vertex of `sequences`: the sum over the copies of one.
     weighted : bool
@@ -173,7 +174,7 @@ class Problem:
     start: Skinning | None
     smoothness: float
     rest_pose: RestPose
-    normals: bool
+    normals: float | None
     vertex_importance: Array | None
     weighted: bool
     frame_importance: Array | None

@@ -76,9 +76,8 @@ def solve(problem: Problem, schedule: Schedule | None = None) -> Decomposition:
         return _solve_streamed(problem, usual)
     d, reason = _descended(problem, schedule or usual)
     alignment, steps = d.data.alignment, list(d.records)
-    return outcome_of(
-        problem, alignment, d.best.model, steps, reason=reason, removable=d.removable_bones
-    )
+    warnings = _warnings(d, d.best.model)
+    return outcome_of(problem, alignment, d.best.model, steps, reason=reason, warnings=warnings)
 
 
 def _solve_streamed(problem: Problem, usual: Schedule) -> Decomposition:
@@ -89,7 +88,7 @@ def _solve_streamed(problem: Problem, usual: Schedule) -> Decomposition:
     with monitor.part(SCANNED, _SOLVED):
         few = problem.of_frames(chosen.chosen, some)
         d, reason = _descended(few, partial(_of_chosen, usual=usual, effort=problem.effort))
-    rmse, removable = d.data.rmse(d.best_error), d.removable_bones
+    rmse = d.data.rmse(d.best_error)
 
     def report(done: float) -> None:
         fraction = _SOLVED + (1 - _SOLVED) * done
@@ -98,7 +97,8 @@ def _solve_streamed(problem: Problem, usual: Schedule) -> Decomposition:
     alignment, model = fit_all_frames(problem, chosen, d.data, d.best.model, report=report)
     steps = [(d.work.iteration + 1, monitor.elapsed, model.weighted_error(d.data), "all frames")]
     reason = monitor.stopped or reason
-    return outcome_of(problem, alignment, model, steps, reason=reason, removable=removable)
+    warnings = _warnings(d, model)
+    return outcome_of(problem, alignment, model, steps, reason=reason, warnings=warnings)
 
 
 def scan_of(problem: Problem, *, spread: bool) -> Scan:
@@ -146,7 +146,7 @@ def _descended(problem: Problem, schedule: Schedule) -> tuple[Descent, str]:
         smoothness=smoothness,
         monitor=monitor,
         rigid_joints=problem.rig == "rigid",
-        normals=problem.normals and smoothness is None,
+        normals=problem.normals if smoothness is None else None,
     )
     del data  # frees the frames once they have been compressed
 
@@ -168,7 +168,7 @@ def _of_chosen(d: Descent, usual: Schedule, effort: Effort) -> None:
 
     More steps with normals would fit those of the chosen frames at the cost of positions.
     """
-    normals, d.normals = d.normals, False
+    normals, d.normals = d.normals, None
     usual(d)
     d.normals = normals
     if d.smoothness is None:
@@ -224,13 +224,13 @@ def outcome_of(
     steps: list[Step],
     *,
     reason: str,
-    removable: int,
+    warnings: tuple[str, ...],
 ) -> Decomposition:
     """Outcome of a run: the model in the input's space, its true error, and the history.
 
     If the call was given a start model that it may return unchanged (see `_is_an_answer`), and the
     error of that model is less, the start model is returned instead. `steps` hold squared errors in
-    the solver's space; `removable` is the number of bones that could each be removed at no loss.
+    the solver's space.
     """
     count = problem.n_frames * problem.n_vertices
     inputs, executor = problem.inputs, problem.executor
@@ -245,7 +245,6 @@ def outcome_of(
             skinning, rmse = start, before
     skinning, normals = with_normals(problem, skinning)
     values = np.array([value for _, _, value, _ in steps])
-    hint = f"{removable} of {problem.bones} bones could each go at no loss: fewer bones would do"
     return Decomposition(
         skinning=skinning,
         rmse=rmse,
@@ -255,8 +254,25 @@ def outcome_of(
         normals=normals,
         motion=motion_rms(inputs, executor=executor),
         copies=problem.copies,
-        warnings=(hint,) if removable else (),
+        warnings=warnings,
     )
+
+
+def _warnings(d: Descent, model: Model) -> tuple[str, ...]:
+    """Warnings about bones that are not needed, and about folds of the rest pose of `model`."""
+    found, surface = [], d.data.surface
+    if removable := d.removable_bones:
+        found.append(
+            f"{removable} of {d.bones} bones could each go at no loss: fewer bones would do"
+        )
+    turned = 0 if surface is None else int(surface.turned(model.rest, d.data.faces).sum())
+    if turned:
+        count = "1 triangle is" if turned == 1 else f"{turned} triangles are"
+        found.append(
+            f"{count} turned over in the rest pose: turning all of them back would raise the "
+            "error by more than 2 %, or the run was stopped before"
+        )
+    return tuple(found)
 
 
 def with_normals(problem: Problem, skinning: Skinning) -> tuple[Skinning, NormalErrors | None]:
@@ -282,9 +298,9 @@ def _is_an_answer(problem: Problem, start: Skinning) -> bool:
     """Whether the call may return its start model unchanged.
 
     It may if the model has all frames of the problem, the call has neither importances nor
-    smoothness and, for a rigid rig, the given tree is rigid.
+    smoothness, nor an error that does not count, and, for a rigid rig, the given tree is rigid.
     """
-    plain = not problem.weighted
+    plain = not problem.weighted and not problem.normals
     rigid = problem.rig != "rigid" or (
         problem.initial.tree is not None and problem.initial.tree.rigid
     )

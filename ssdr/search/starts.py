@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterator
 
 import numpy as np
 
+from ..model.transforms import rest_diagonal
 from ..solver.alternation import bone_step, repeat_alternation, vertex_step
 from ..solver.gauss_newton import fit_motion
-from ..solver.initialization import fit_patches, start_model, with_rest_normals
+from ..solver.initialization import fit_patches, nearest_bones, start_model, with_rest_normals
 from ..solver.model import Model, Skin
+from ..solver.objective import mean_normal_error
 from ..solver.trajectories import Array
 from .descent import Descent, step
+from .moves import polish_steps
 from .problem import Effort
 from .steps import alternate, compress, merge, polish
 
@@ -22,6 +26,10 @@ _FEW_FRAMES, _FEW_ALTERNATIONS = 64, 16
 # Gauss–Seidel sweeps, and leaps of all bones together, for bones that start with the transforms of
 # another frame.  Without leaps, it would take many sweeps to move a bone far.
 _FIRST_SWEEPS, _FIRST_LEAPS = 6, 2
+_WHOLE_ROUNDS, _WHOLE_POLISH = 16, 8  # to assign parts as a whole, and polish steps after them
+_WITHOUT_NORMALS = 12  # alternations of a start with normals before these are solved
+# RMSE, relative to the diagonal, that nobody sees, and mean squared error of normals that all see.
+_NOT_SEEN, _SEEN = 1e-4, math.radians(10.0) ** 2
 
 
 @step("start", cost=8)
@@ -77,6 +85,42 @@ def _first_model(
         return Model.with_weights(bones, rest, *initial.skin, k)
     count = min(data.n_vertices, max(d.bones, round(d.bones * factor)))
     return start_model(data, rest, count, k, d.rng, d.constraints.bone_model, quick=quick)
+
+
+def normals_need_a_start(d: Descent) -> bool:
+    """Whether to start anew with normals: if `normals` is a length, or if only normals are poor.
+
+    If it is not, the RMSE must not be seen, while normals are more than 10° off: the waves of a
+    thin, smooth sheet can be sums of few translations, and bones that translate then fit positions
+    but not light.  In that case an RMSE below 0.01 % of the diagonal counts for nothing from now
+    on.
+    """
+    if d.planning or d.normals or d.data.normals is None:
+        wanted = bool(d.normals) and d.constraints.bone_model == "rigid"
+        return wanted and len(d.data.faces) > 0
+    model, count = d.best.model, d.data.n_frames * d.data.n_vertices
+    slack = count * (_NOT_SEEN * rest_diagonal(model.rest)) ** 2
+    if model.weighted_error(d.data) > slack or mean_normal_error(d.data, model) < _SEEN:
+        return False
+    d.data = dataclasses.replace(d.data, slack=slack)
+    d.set_best(model)
+    return True
+
+
+@step("start", cost=8)
+def start_with_normals(d: Descent) -> Iterator[None]:
+    """Make bones from motion and alternate a little; solve normals from now on.
+
+    More alternations would lead to bones that translate, and alternations with normals to ones
+    that only turn.
+    """
+    data = d.data
+    d.data = dataclasses.replace(data, normals=None, n2=None)
+    model = _first_model(d, 1.0, None, quick=True)
+    vertex_step(d.data, model, constraints=d.constraints)
+    repeat_alternation(d.data, model, _WITHOUT_NORMALS, d.constraints)
+    d.data, d.model = data, with_rest_normals(data, model)
+    yield
 
 
 @step("start", cost=8)
@@ -167,3 +211,34 @@ def polish_model(d: Descent, effort: Effort) -> None:
     start_from_model(d)
     compress(d)
     polish(d, steps=6 if effort == "fast" else 20, gain=0.01)
+
+
+@step("whole parts", cost=3)
+def whole_parts(d: Descent, *, steps: int = _WHOLE_ROUNDS) -> Iterator[None]:
+    """Assign each rigid part of the mesh to one bone, for vertices with one influence.
+
+    A part that two bones move would come apart, so that the result becomes the best model even if
+    its error is higher.  With several influences, weights hold such a part together.
+    """
+    data, parts = d.data, d.data.parts
+    assert parts is not None
+    model, rigid = d.best.model.with_restarted_support(), parts >= 0
+    owner = np.unique(np.stack([parts, model.indices[:, 0]])[:, rigid], axis=1)
+    if (np.diff(owner[0]) > 0).all():
+        return
+    constraints = dataclasses.replace(d.constraints, weights=rigid)
+    for _ in range(steps):
+        model.indices[rigid, 0] = nearest_bones(data, model.rest, model.transforms)[rigid]
+        error = np.where(rigid, model.error * data.importance, 0.0)
+        for idle in np.setdiff1d(np.arange(d.bones), model.indices):  # takes the worst part
+            k = np.bincount(parts[rigid], weights=error[rigid]).argmax()
+            label = np.where(parts == k, 0, -1)
+            model.transforms[:, idle] = fit_patches(data, model.rest, label, 1)[:, 0]
+            model.indices[label == 0], error[label == 0] = idle, 0.0
+        model.restart_support()
+        repeat_alternation(data, model, 2, constraints)
+        yield
+    polish_steps(data, model, _WHOLE_POLISH, constraints)
+    d.model = model
+    d.set_best(model)
+    yield

@@ -13,15 +13,14 @@ from ..solver.alternation import free_gauge, repeat_alternation
 from ..solver.gauss_newton import GaussNewton
 from ..solver.initialization import with_rest_normals
 from ..solver.model import Constraints, Lowest, Model
+from ..solver.objective import strength_of
 from ..solver.trajectories import Trajectories
 from ..solver.vertex_newton import optimise_some
 from .descent import (
-    ALTERNATIONS_OF_ALL,
     LEAST,
     MOST,
     Descent,
     Schedule,
-    motion_sample,
     step,
 )
 from .moves import (
@@ -39,8 +38,11 @@ from .moves import (
 _PLATEAU = 1e-5
 # Failures in a row that end the alternations: with fewer, they would end at a pause.
 _PLATEAU_ALTERNATIONS = 3
-_ALONE = 2  # rounds in which only edges of the flipped triangles themselves become stiffer
-_UNFOLD_ROUNDS = 4  # solves of weights and rest pose after the edges have become stiffer
+# Rounds of unfolding in which only edges of the flipped triangles become stiffer, and further ones
+# until those of all triangles around them do; the factor of a round.
+_ALONE, _TO_ALL, _STIFFER = 6, 6, 4.0
+_UNFOLD_ROUNDS = 4  # solves of weights and rest pose in a round of unfolding
+_MOST_LOSS = 1.02  # largest ratio of the error after unfolding to the one before
 
 
 # --- all bones -----------------------------------------------------------------------------------
@@ -72,6 +74,20 @@ def alternate(d: Descent, *, steps: int, gain: float = _PLATEAU) -> Iterator[Non
         yield
         if d.converged:
             return
+
+
+@step("alternate")
+def look_ahead(d: Descent, *, steps: int) -> Iterator[None]:
+    """Alternate on a copy of the present model, for a run that is stopped before a better one.
+
+    What follows starts from the present model all the same, as that leads to less error.
+    """
+    begun, d.model = d.model, d.model.copy()
+    for _ in range(steps):
+        repeat_alternation(d.data, d.model, 1, d.constraints)
+        d.work.iteration += 1
+        yield
+    d.model = begun
 
 
 @step("polish", cost=6)
@@ -113,9 +129,10 @@ def solve_normals(d: Descent) -> Iterator[None]:
 
     Normals come late, since they would lead a search for bones to models with more error.
     """
-    if not (d.normals and len(d.data.faces) and d.constraints.bone_model == "rigid"):
+    if d.normals is None or not len(d.data.faces) or d.constraints.bone_model != "rigid":
         return
-    d.data = d.data.with_normals()
+    slack = d.data.n_vertices * strength_of(d.data, d.normals)
+    d.data = dataclasses.replace(d.data.with_normals(d.bones), slack=slack)
     d.model = with_rest_normals(d.data, d.model)
     if d.best.exists:
         d.set_best(with_rest_normals(d.data, d.best.model))
@@ -134,34 +151,49 @@ def last_polish(d: Descent, *, steps: int, gain: float = 0.0) -> None:
     polish(d, steps=steps, gain=gain)
 
 
-@step("unfold", cost=3)
-def unfold(d: Descent, *, steps: int = 12) -> Iterator[None]:
-    """Unfold the flipped triangles of the rest pose, by making their edges ten times stiffer.
+@step("unfold")
+def unfold(d: Descent, *, steps: int = 24) -> Iterator[None]:
+    """Unfold the flipped triangles of the rest pose, by making edges stiffer, fourfold a round.
 
-    From the third round on, the edges of the triangles around them become stiffer, too.
+    The edges are at first those of the flipped triangles alone, as stiffer edges cost error.  What
+    is still flipped after six rounds lies as in the reference, and the triangles around it have
+    turned: then those of them join that have turned by more than an angle, which shrinks from 90°
+    to 0 within six more rounds.
 
-    The result becomes the best model even if its error is higher, as a rest pose with folds is not
-    a surface.
+    Of the models found whose error is at most 2 % above the first one's, that with the fewest
+    flipped triangles becomes the best model, even if its objective is higher than before: a rest
+    pose with folds is not a surface.  A model without folds that lost more is polished, at most
+    twice, since bones and all other vertices may give the loss back; what folds again is unfolded.
     """
     if d.data.surface is None:
         return
     d.model, constraints = d.best.model.with_restarted_support(), d.constraints
-    if d.smoothness is not None:  # this solve of weights would ignore the penalty
+    if d.smoothness is not None:  # these solves of weights would ignore the penalty
         constraints = constraints.with_weights(d.data.n_vertices)
+    data, surface, model, faces = d.data, d.data.surface, d.model.copy(), d.data.faces
+    most = _MOST_LOSS**2 * model.weighted_error(data)
+    turned = surface.turned(model.rest, faces)
+    fewest, polishes = turned.sum(), 2
     for k in range(steps):
-        assert d.data.surface is not None
-        turned = d.data.surface.turned(d.model.rest, d.data.faces)
-        if not turned.any():
+        if not fewest or not (turned.any() or polishes):
             return
-        stiff = d.data.faces[turned]
-        if k >= _ALONE:  # what is left is flipped because the triangles around it have turned
-            stiff = d.data.faces[np.isin(d.data.faces, stiff).any(axis=1)]
-        surface = d.data.surface.stiffened(stiff)
-        d.data = dataclasses.replace(d.data, surface=surface)
-        # far from the stiffer edges nothing has changed
-        near = surface.around(stiff)
-        optimise_some(d.data, d.model, near, constraints=constraints, times=_UNFOLD_ROUNDS)
-        d.set_best(d.model)
+        if turned.any():
+            around = turned if k < _ALONE else np.isin(faces, faces[turned]).any(axis=1)
+            tilted = surface.tilted(model.rest, faces, (k - _ALONE) / _TO_ALL)
+            stiff = faces[turned | (around & tilted)]
+            surface = surface.stiffened(stiff, _STIFFER)
+            # far from the stiffer edges nothing has changed
+            near, times = surface.around(stiff), _UNFOLD_ROUNDS
+            optimise_some(data, model, near, surface, constraints=constraints, times=times)
+        else:
+            held = dataclasses.replace(data, surface=surface)
+            polish_steps(held, model, STEPS_OF_A_TRIAL, constraints)
+            polishes -= 1
+        turned = surface.turned(model.rest, faces)
+        if turned.sum() < fewest and model.weighted_error(data) <= most:
+            fewest, d.model = turned.sum(), model.copy()
+            d.best = Lowest()  # so that this model becomes the best, whatever its objective
+            d.data = dataclasses.replace(data, surface=surface)  # what follows keeps to the edges
         yield
 
 
@@ -169,34 +201,41 @@ def unfold(d: Descent, *, steps: int = 12) -> Iterator[None]:
 
 
 def on_sample(
-    d: Descent, schedule: Schedule, *, least: int = LEAST, most: int = MOST, free: bool = True
+    d: Descent, *schedules: Schedule, least: int = LEAST, most: int = MOST, free: bool = True
 ) -> bool:
-    """Follow a schedule on a third of the vertices, then continue from its best model on all.
+    """Follow schedules on a third of the vertices, then continue from the best model on all.
 
     The sample, evenly spaced in the order of :func:`by_motion`, has at least `least` and at most
     `most` vertices for each of the `d.bones` bones.  If that would be half of the vertices or more,
-    the schedule runs on all.  Returns whether it ran on a sample.  If `free`, no surface holds the
-    rest pose of the sample: that is enough to find where bones belong.
+    the schedules run on all.  Returns whether they ran on a sample.  If `free`, no surface holds
+    the rest pose of the sample: that is enough to find where bones belong.  Between two schedules
+    the sample's best model is fitted to all vertices, which changes nothing on the sample, but is
+    what a run returns that is stopped there.
     """
     count = min(most * d.bones, max(least * d.bones, d.data.n_vertices // 3))
     if 2 * count >= d.data.n_vertices:
-        schedule(d)
+        for schedule in schedules:
+            schedule(d)
         return False
-    few = d.sample(motion_sample(d.data, count), free=free)
-    schedule(few)
-    all_vertices(d)
+    few, (*first, last) = d.sample(count, free=free), schedules
+    for schedule in first:
+        schedule(few)
+        all_vertices(d, few.best, alternations=1)
+    last(few)
+    d.few = None
+    all_vertices(d, few.best)
     return True
 
 
 @step("all vertices", cost=8)
-def all_vertices(d: Descent) -> Iterator[None]:
-    """Return from the sample to all vertices: each takes the weights of the nearest sampled vertex.
+def all_vertices(d: Descent, best: Lowest, *, alternations: int = 8) -> Iterator[None]:
+    """Fit the best model of the sample to all vertices, and make it the present one.
 
-    Alternations of all vertices follow.
+    Each vertex takes the weights of the nearest sampled vertex.  Alternations of all vertices
+    follow.
     """
-    assert d.few is not None
-    d.model, d.few = d.of_all(d.few.best.model), None
-    d.work.iteration += ALTERNATIONS_OF_ALL
+    d.model = d.of_all(best.model, alternations)
+    d.work.iteration += alternations
     yield
 
 
@@ -223,10 +262,13 @@ def lowest(d: Descent, *starts: Schedule) -> None:
 
 
 def beside(d: Descent, start: Schedule) -> None:
-    """Follow a schedule from another start; if the error rises, restore the former best model."""
+    """Follow a schedule from another start; if the error rises, restore the former best model.
+
+    With a slack, more error may be worth its normals.
+    """
     before, known = copy.copy(d.best), len(d.records)
     start(d)
-    if before.exists and d.best_error > before.model.weighted_error(d.data):
+    if before.exists and not d.data.slack and d.best_error > before.model.weighted_error(d.data):
         d.best = before
         del d.records[known:]
 

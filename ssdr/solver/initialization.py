@@ -6,6 +6,7 @@ import heapq
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 
 from ..common.checks import BoneModel
@@ -14,7 +15,7 @@ from ..kernels.bones import sweep_bones
 from .affine_fit import PATCH_RIDGE, solve_affine
 from .model import CHUNK, Model
 from .moments import transform_sums
-from .rest_surface import SHORT
+from .rest_surface import SHORT, distinct_edges
 from .trajectories import Array, Trajectories
 
 _FEW = 64  # frames among which the central one is chosen
@@ -31,6 +32,8 @@ _FEWEST_STRETCHED = 6  # vertices of a patch whose bone may stretch: fewer hardl
 # rounding chose among these, another unit of length would lead to another model.
 _TIED = 1e-9
 _SKETCH = 32  # dimensions of a random projection in which trajectories are compared
+_MORE_PATCHES = 512  # in which the parts of a mesh may result
+_OF_PART = 4  # vertices of each part, at least, by whose error patches are chosen
 
 
 def by_motion(data: Trajectories) -> NDArray[np.intp]:
@@ -172,6 +175,47 @@ def facility_location(cost: Array, importance: Array, count: int) -> list[int]:
     return chosen
 
 
+def _few_of_each(part: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Mask (V,) of the first few vertices of each part."""
+    order = np.argsort(part, kind="stable")
+    first = np.searchsorted(part[order], part[order])
+    mask = np.zeros(len(part), dtype=bool)
+    mask[order] = np.arange(len(part)) < first + _OF_PART
+    return mask
+
+
+def _within_parts(label: NDArray[np.intp], part: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+    """Labels (V,) of patches of which each lies in one part of the mesh, the largest ones first.
+
+    A rigid part is one patch; in others, the patches `label` are divided.  Vertices of all patches
+    after the first `most` get a negative label.
+    """
+    inside = np.flatnonzero((label >= 0) | (part >= 0))
+    pair = part[inside] * (label.max() + 2) + label[inside]
+    _, index, size = np.unique(pair, return_inverse=True, return_counts=True)
+    rank = np.argsort(np.argsort(-size, kind="stable"), kind="stable")[index]
+    out = np.full(len(part), -1, dtype=np.intp)
+    out[inside] = np.where(rank < most, rank, -1)
+    return out
+
+
+def _share(cost: Array, part: NDArray[np.intp]) -> None:
+    """Replace the costs (n, C) of the vertices of each rigid part by their mean (in place)."""
+    inside = np.flatnonzero(part >= 0)
+    if len(inside):
+        _, index, size = np.unique(part[inside], return_inverse=True, return_counts=True)
+        pick = coo_array((1.0 / size[index], (index, np.arange(len(inside))))).tocsr()
+        cost[inside] = np.asarray(pick @ cost[inside])[index]
+
+
+def nearest_bones(data: Trajectories, rest: Array, transforms: Array) -> NDArray[np.intp]:
+    """Index (V,) of the bone that alone moves each vertex, or all of its rigid part, best."""
+    cost = single_bone_errors(data, rest, transforms, np.arange(data.n_vertices))
+    if data.parts is not None:
+        _share(cost, data.parts)
+    return np.asarray(cost.argmin(axis=1))
+
+
 def start_model(
     data: Trajectories,
     rest: Array,
@@ -185,7 +229,9 @@ def start_model(
 
     Vertices are divided into patches around farthest points, a bone is fitted to each patch, and
     the best of these bones are chosen.  Then vertices are assigned to bones, and bones fitted to
-    their vertices, in turns.
+    their vertices, in turns.  No patch has vertices of several parts of the mesh, and the vertices
+    of a rigid part are assigned together: if rigid parts are all there is, and their motions are no
+    more than the bones, the model is exact.
 
     Parameters
     ----------
@@ -198,7 +244,6 @@ def start_model(
         Whether to try half as many patches, on a fifth of the vertices, without random numbers.
     """
     n = data.n_vertices
-    everyone = np.arange(n)
     rows = by_motion(data)
     patches_per_bone, sample = _PATCHES_PER_BONE, _SAMPLE
     if quick:
@@ -206,26 +251,34 @@ def start_model(
         rows = rows[np.linspace(0, n - 1, min(n, sample)).astype(np.intp)]
     elif n > sample:
         rows = rows[np.sort(rng.choice(n, sample, replace=False))]
-    # scaled, so that vertices of little importance do not become seeds
-    seeds, label_rows = farthest_points(
-        data.z[rows] * np.sqrt(data.importance[rows])[:, None],
-        patches_per_bone * bones,
-        len(rows) - 1 if quick else int(rng.integers(len(rows))),
-    )
-    label = np.full(n, -1, dtype=np.intp)
-    label[rows] = label_rows
-    patches = fit_patches(data, rest, label, len(seeds), bone_model)
+    part = np.full(n, -1) if data.parts is None else data.parts
+    if data.parts is not None and len(rows) < n:
+        chosen = _few_of_each(part)
+        chosen[rows] = True
+        rows = by_motion(data)
+        rows = rows[chosen[rows]]
+    free, label = rows[part[rows] < 0], np.full(n, -1, dtype=np.intp)
+    if len(free):
+        # scaled, so that vertices of little importance do not become seeds
+        _, label[free] = farthest_points(
+            data.z[free] * np.sqrt(data.importance[free])[:, None],
+            patches_per_bone * bones,
+            len(free) - 1 if quick else int(rng.integers(len(free))),
+        )
+    if data.parts is not None:
+        label = _within_parts(label, part, patches_per_bone * bones + _MORE_PATCHES)
+    patches = fit_patches(data, rest, label, int(label.max()) + 1, bone_model)
     cost = single_bone_errors(data, rest, patches, rows)
-    chosen = facility_location(cost, data.importance[rows], bones)
+    _share(cost, part[rows])
+    best = facility_location(cost, data.importance[rows], bones)
     # repeated where there are fewer patches than bones
-    kept = np.ascontiguousarray(patches[:, np.resize(chosen, bones)])
+    kept = np.ascontiguousarray(patches[:, np.resize(best, bones)])
     for _ in range(_REFITS):
-        nearest = single_bone_errors(data, rest, kept, everyone).argmin(axis=1)
+        nearest = nearest_bones(data, rest, kept)
         refit = fit_patches(data, rest, nearest, bones, bone_model)
         used = np.bincount(nearest, minlength=bones) >= 3
         kept[:, used] = refit[:, used]
-    nearest = single_bone_errors(data, rest, kept, everyone).argmin(axis=1)
-    return Model.start(kept, rest, nearest, influences)
+    return Model.start(kept, rest, nearest_bones(data, rest, kept), influences)
 
 
 _LEAST = 1e-9  # added to a system's diagonal, relative to its trace
@@ -269,8 +322,7 @@ def central_frame(data: Trajectories, *, first: bool = False) -> int:
     unless parts of the mesh have no size in it.
     """
     few = np.unique(np.linspace(0, data.n_frames - 1, _FEW).round().astype(int))
-    edges = np.sort(data.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)).astype(np.intp)
-    ends = np.unique(edges, axis=0)
+    ends = distinct_edges(data.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), data.n_vertices)
     if not len(ends):
         ends = _nearest(data, few[:: max(1, len(few) // _FEWER)])
     if not len(ends):

@@ -15,7 +15,8 @@ smoothness are factors, since then a change of one counts as much as the same re
 another, whatever the data.  The smoothness (:class:`WeightSmoothness`) is 0 unless requested.  The
 first bracket is 1 unless ``rig="rigid"`` has to find the joints; d_j² is the squared distance of
 joint j from where the skin of its two bones meets, plus the squared gap there, in the solver's
-unit.  Below, E includes the smoothness.
+unit.  Below, E includes the smoothness, and a constant, the slack F V s², if errors of positions
+below a length s are to count for nothing: once E is far below it, only the factors fall.
 
 A step does not minimise the product itself: around the present model, each factor 1 + x becomes a
 quadratic term of strength E/(1 + x) beside the error.  Every function that gives such a term, and
@@ -137,11 +138,11 @@ class Objective:
 
     def value(self, data: Trajectories, model: Model) -> float:
         """The objective of a model, in the solver's units."""
-        value = model.weighted_error(data)
+        value = _seen_error(data, model)
         if self.smoothness is not None:
             value += self.smoothness.penalty(model)
         value *= _rest_factor(data, model, self.constraints)
-        value *= 1.0 + _mean_normal_error(data, model) / _UNSEEN
+        value *= 1.0 + mean_normal_error(data, model) / _UNSEEN
         if self.constraints.near_skin and model.tree is not None:
             _, squared = joint_offsets(model)
             value *= 1.0 + mean_joint_penalty(squared[model.tree.non_roots])
@@ -155,7 +156,7 @@ class Objective:
         `joints` (J,) are the indices of the bones whose joints may move.  Without a penalty, the
         stiffness is 0.
         """
-        error = model.weighted_error(data)
+        error = _seen_error(data, model)
         factor = dataclasses.replace(self, smoothness=None).value(data, model) / max(error, 1e-300)
         if not self.constraints.near_skin or not len(joints):
             return JointPenalty.none(len(joints), factor)
@@ -204,8 +205,8 @@ def normal_length(data: Trajectories, model: Model, penalty: float = 0.0) -> flo
     if data.normals is None or not model.normals.shape[1]:
         return 0.0
     count = data.n_frames * data.n_vertices
-    unit = count * (_mean_normal_error(data, model) + _UNSEEN)
-    return math.sqrt((model.weighted_error(data) + penalty) / unit)
+    unit = count * (mean_normal_error(data, model) + _UNSEEN)
+    return math.sqrt((_seen_error(data, model) + penalty) / unit)
 
 
 def rest_pulls(
@@ -219,15 +220,20 @@ def rest_pulls(
     known = np.isfinite(model.error).all()  # a start has no error yet
     if data.surface is None or constraints.rest or not known:
         return np.zeros((len(model.rest), 4))
-    error = model.weighted_error(data) + penalty
+    error = _seen_error(data, model) + penalty
     return data.surface.pulls(model.rest, error, data.importance)
+
+
+def _seen_error(data: Trajectories, model: Model) -> float:
+    return model.weighted_error(data) + data.slack
 
 
 def _rest_factor(data: Trajectories, model: Model, constraints: Constraints) -> float:
     return 1.0 if data.surface is None or constraints.rest else data.surface.factor(model.rest)
 
 
-def _mean_normal_error(data: Trajectories, model: Model) -> float:
+def mean_normal_error(data: Trajectories, model: Model) -> float:
+    """Mean squared error N of the normals; 0 while these are not solved."""
     if data.normals is None or not model.normals.shape[1]:
         return 0.0
     return float(data.importance @ model.normal_error) / (data.n_frames * data.n_vertices)

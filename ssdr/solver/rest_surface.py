@@ -32,6 +32,7 @@ from scipy.spatial import cKDTree
 
 from ..common.parallel import serial_blas
 from ..kernels.normals import normals_range
+from ..mesh.normals import triangle_normals
 
 Array = NDArray[np.float64]
 RestPose = Literal["surface", "free"]
@@ -70,8 +71,7 @@ class RestSurface:
 
     @staticmethod
     def _of_edges(pose: Array, ends: NDArray[np.integer]) -> RestSurface | None:
-        ends = np.unique(np.sort(ends, axis=1), axis=0).astype(np.int64)
-        ends = ends[ends[:, 0] != ends[:, 1]]
+        ends = distinct_edges(ends, len(pose))
         squared = ((pose[ends[:, 0]] - pose[ends[:, 1]]) ** 2).sum(axis=1)
         if not squared.any():
             return None
@@ -126,12 +126,17 @@ class RestSurface:
         """
         return _turned(rest, faces) & ~_turned(self.pose, faces)
 
-    def stiffened(self, faces: NDArray[np.int32]) -> RestSurface:
-        """A copy in which the edges of the triangles `faces` have ten times the weight."""
-        ends = np.unique(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=0)
+    def tilted(self, rest: Array, faces: NDArray[np.int32], cosine: float) -> NDArray[np.bool_]:
+        """Mask (T,) of the triangles whose normals in a rest pose and in h have a lower cosine."""
+        dot = (triangle_normals(rest, faces) * triangle_normals(self.pose, faces)).sum(axis=1)
+        return np.asarray(dot < cosine)
+
+    def stiffened(self, faces: NDArray[np.int32], factor: float) -> RestSurface:
+        """A copy in which the edges of the triangles `faces` have `factor` times the weight."""
+        ends = distinct_edges(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), len(self.pose))
         i, j = np.concatenate([ends, ends[:, ::-1]]).T
         mask = coo_array((np.ones(len(i)), (i, j)), shape=self.edges.shape).tocsr()
-        mask.data[:] = 9.0
+        mask.data[:] = factor - 1.0
         edges = csr_array(self.edges + self.edges.multiply(mask))
         return RestSurface(self.pose, edges, np.asarray(edges.sum(axis=1), dtype=float).ravel())
 
@@ -142,6 +147,13 @@ class RestSurface:
         for _ in range(_RINGS):
             reached += self.edges @ reached
         return np.flatnonzero(reached)
+
+
+def distinct_edges(ends: NDArray[np.integer], n: int) -> NDArray[np.int64]:
+    """Distinct pairs (P, 2) i < j among index pairs `ends` of n vertices, in ascending order."""
+    i, j = np.sort(ends, axis=1).astype(np.int64).T
+    code = np.unique((i * n + j)[i < j])
+    return np.stack([code // n, code % n], axis=1)
 
 
 def _turned(points: Array, faces: NDArray[np.int32]) -> NDArray[np.bool_]:

@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from ..common.checks import LARGEST
 from ..common.errors import InputError
@@ -29,7 +31,12 @@ _TAIL = 1e-4  # squared error that compression may add, relative to a lower boun
 _MOST_COLUMNS = 0.8  # share of all columns above which a basis costs more time than it saves
 _NOISE = 1e-15  # rounding, relative to the sum of squares
 _AT_ONCE = 64  # frames that are aligned together
+_LOST_NORMALS = 0.01  # share of the squares of the normals that a basis may lose
 _GRAM_LIMIT = 2000  # largest Gram matrix whose eigenvectors are all computed
+_FEWEST_OF_PART = 3  # vertices that determine a rigid motion
+# Squared deformation up to which a part is rigid, relative to its motion; and the square of that of
+# rounding, relative to its squared positions.
+_RIGID, _ROUNDING = 1e-6, 1e-13
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -58,6 +65,10 @@ class Trajectories:
         Sum of the squares of each vertex's normals before compression.
     surface : RestSurface or None
         Surface that the rest pose is to resemble; None if it is free.
+    parts : (V,) int array or None
+        Part of the mesh of each vertex, as :func:`find_parts` returns it.
+    slack : float
+        Squared error that counts for nothing against the objective's other terms.
     """
 
     alignment: Alignment
@@ -70,6 +81,8 @@ class Trajectories:
     normals: Array | None = None
     n2: Array | None = None
     surface: RestSurface | None = None
+    parts: NDArray[np.intp] | None = None
+    slack: float = 0.0
 
     @property
     def n_frames(self) -> int:
@@ -145,18 +158,20 @@ class Trajectories:
             normals=None if normals is None else np.ascontiguousarray(normals[chosen]),
             n2=None if n2 is None else n2[chosen],
             surface=None,
+            parts=None if self.parts is None else self.parts[chosen],
         )
 
     @serial_blas()
-    def with_normals(self) -> Trajectories:
+    def with_normals(self, bones: int = 0) -> Trajectories:
         """A copy with the normals of all frames, computed from the positions that it holds.
 
         They are the means of the normals of the triangles around a vertex, weighted by the angles
-        at the vertex (Thürmer and Wüthrich 1998).  The basis is that of the positions: it spans
-        what bones can do, and so all of the normals that a model can fit.
+        at the vertex (Thürmer and Wüthrich 1998).  Where the basis of the positions loses more than
+        a hundredth of their squares, it gets 4 `bones` more columns by a randomised range finder
+        (Halko et al. 2011): a sheet's waves may be sums of few translations, a basis without turns.
         """
         n, n_frames = self.n_vertices, self.n_frames
-        normals, n2 = np.zeros(self.z.shape), np.zeros(n)
+        normals, n2 = np.zeros((n, 3 * n_frames)), np.zeros(n)
         # triangles near each other one after the other, so that their vertices are in the cache
         faces = self.faces[np.argsort(self.faces.min(axis=1, initial=n), kind="stable")]
         for first, last in chunk_bounds(n_frames, _AT_ONCE):
@@ -171,13 +186,21 @@ class Trajectories:
 
             run_chunks(work, chunk_bounds(last - first, 8))
             # the scale of a frame does not change the directions of its normals
-            flat = np.empty((n, 3 * (last - first))) if self.q is not None else normals[:, columns]
+            flat = normals[:, columns]
             scale = self.frame_scale[first:last, None]
             np.multiply(here.transpose(1, 0, 2), scale, out=flat.reshape(n, -1, 3))
             n2 += np.einsum("ij,ij->i", flat, flat)
-            if self.q is not None:
-                normals += flat @ self.q[columns]
-        return dataclasses.replace(self, normals=normals, n2=n2)
+        if self.q is None:
+            return dataclasses.replace(self, normals=normals, n2=n2)
+        z, q = self.z, self.q
+        inside = normals @ q
+        if (inside**2).sum() < (1 - _LOST_NORMALS) * n2.sum():
+            count = min(4 * bones, 3 * n_frames - q.shape[1])
+            mixed = normals.T @ np.random.default_rng(0).standard_normal((n, count))
+            more = np.linalg.qr(mixed - q @ (q.T @ mixed))[0]
+            z, q = np.pad(z, ((0, 0), (0, count))), np.concatenate([q, more], axis=1)
+            inside = np.concatenate([inside, normals @ more], axis=1)
+        return dataclasses.replace(self, z=z, q=q, normals=inside, n2=n2)
 
     @serial_blas()
     def compressed(self, bones: int) -> Trajectories:
@@ -253,6 +276,7 @@ def gather(
         # squares would underflow to 0, and so would all errors
         raise InputError("vertices", f"an extent of 0, or above {1 / LARGEST:g}", "a smaller one")
     scale = size or 1.0
+    parts = find_parts(sequences[0].faces, x)
     x *= (frame_scale / scale)[None, :, None]
     flat = x.reshape(n_vertices, 3 * n_frames)
     x2 = np.einsum("ij,ij->i", flat, flat)
@@ -264,8 +288,36 @@ def gather(
         importance=importance,
         frame_scale=frame_scale,
         faces=sequences[0].faces,
+        parts=parts,
     )
     return data.compressed(bones) if compress else data
+
+
+def find_parts(faces: NDArray[np.int32], x: Array) -> NDArray[np.intp] | None:
+    """Connected part of the mesh of each vertex (V,), for trajectories x (V, F, 3).
+
+    Parts are counted from 0 if they move rigidly, and from −2 downward if they deform.  Those of
+    one or two vertices, which do not determine the motion of a bone, are the part −1 together.
+    None if no more than one part has three vertices.
+    """
+    ends = faces[:, [0, 1, 1, 2]].reshape(-1, 2)
+    links = coo_array((np.ones(len(ends), dtype=bool), ends.T), shape=(len(x), len(x)))
+    count, part = connected_components(links, directed=False)
+    sizes = np.bincount(part, minlength=count)
+    small = sizes < _FEWEST_OF_PART
+    if count - small.sum() < 2:
+        return None
+    out = np.where(small[part], -1, -2 - part.astype(np.intp))
+    order = np.argsort(part, kind="stable")
+    for k, rows in enumerate(np.split(order, np.cumsum(sizes)[:-1])):
+        frames = np.ascontiguousarray(x[rows].swapaxes(0, 1))
+        here, _ = centred(frames, None)
+        here = here @ rotations_onto(here, here[0], None)
+        motion, square = ((frames - frames[0]) ** 2).sum(), (frames**2).sum()
+        rigid = ((here - here[0]) ** 2).sum() <= _RIGID * motion + _ROUNDING * square
+        if rigid and not small[k]:
+            out[rows] = k
+    return out
 
 
 def _reduce(x: Array, energy: float, rank: int) -> tuple[Array, Array | None]:

@@ -21,6 +21,7 @@ from ..kernels.polish import choose_influences
 from .model import CHUNK, FREE, SOLVED, Constraints, Model
 from .moments import transform_sums
 from .objective import normal_length, rest_pulls
+from .rest_surface import RestSurface
 from .trajectories import Array, Trajectories
 
 
@@ -102,28 +103,32 @@ def optimise_some(
     data: Trajectories,
     model: Model,
     rows: NDArray[np.intp],
+    surface: RestSurface,
     *,
     constraints: Constraints,
     times: int,
 ) -> None:
     """Optimise weights and rest positions of the vertices `rows` alone (in place).
 
-    It repeats what :func:`optimise_vertices` does without entering bones, `times` times, each time
-    with the pulls at the new rest pose.
+    It repeats what :func:`optimise_vertices` does `times` times, each time with the pulls of
+    `surface` at the new rest pose.  Edges that are stiffer there than in the surface of `data` do
+    not make the others weaker, as they would in the objective.
     """
     _, gram, gram4, reduced = transform_sums(data, model.transforms)
     some, part = model.select_vertices(rows), constraints.select_vertices(rows)
     for _ in range(times):
-        length = normal_length(data, model)
+        length, error = normal_length(data, model), model.weighted_error(data)
+        if data.surface is not None:
+            error *= surface.factor(model.rest) / data.surface.factor(model.rest)
         newton_vertices(
             lambda i, k, length=length: data.products(rows[i:k], reduced, length),  # type: ignore[misc]
             data.squares(rows, length),
             (gram, gram4),
             some,
-            hold=rest_pulls(data, model, constraints)[rows],
+            hold=surface.pulls(model.rest, error, data.importance)[rows],
             length=length,
             constraints=part,
-            entering=0,
+            entering=3,
             rounds=2,
         )
         for name in SOLVED:

@@ -152,6 +152,13 @@ def boxes(n_boxes=2, frames=12, points=30, seed=0):
     )
 
 
+def pieces(count, frames=12, seed=0):
+    """Separate strips of eight vertices, each moving rigidly by itself."""
+    strip = np.arange(6)[:, None] + np.arange(3)
+    faces = (8 * np.arange(count)[:, None, None] + strip).reshape(-1, 3)
+    return dataclasses.replace(boxes(count, frames, 8, seed), faces=faces.astype(np.int32))
+
+
 def grid(rows, columns):
     """Triangles of a sheet whose vertices lie row by row."""
     i = np.arange(rows * columns).reshape(rows, columns)

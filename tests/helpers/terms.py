@@ -61,7 +61,7 @@ def value(data: Trajectories, model: Model, pose=None) -> float:
     frames = np.stack([data.frame(t) for t in range(data.n_frames)])
     parts = model.indices, model.weights, model.transforms
     counts = data.frame_scale[:, None, None] ** 2 * data.importance[None, :, None]
-    out = float((counts * (naive.skin(model.rest, *parts) - frames) ** 2).sum())
+    out = data.slack + float((counts * (naive.skin(model.rest, *parts) - frames) ** 2).sum())
     if pose is not None:
         out *= 1.0 + STRENGTH * strain(model.rest, pose, data.faces)
     if model.normals.shape[1]:
@@ -79,6 +79,7 @@ class Case:
     normals: bool = True
     compressed: bool = False
     counts: str = "equal"
+    slack: float = 0.0  # relative to the error of the model
     constraints: Constraints = FREE
 
 
@@ -118,4 +119,5 @@ def problem(
     if case.normals:
         data = data.with_normals()
         model = with_rest_normals(data, model)
+    data = dataclasses.replace(data, slack=case.slack * model.weighted_error(data))
     return data, model

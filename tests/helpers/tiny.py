@@ -39,7 +39,7 @@ class Tiny:
     """A small fitted model, its residual as a function of all unknowns, and the Jacobian.
 
     `kind` is a bone model or a tree's name, `more` says what there is beyond positions: a "surface"
-    that the rest pose resembles, "normals", or both.
+    that the rest pose resembles, "normals", a "slack" beside them.
     """
 
     n, bones, frames, k = 8, 3, 4, 3
@@ -82,6 +82,8 @@ class Tiny:
             self.truth = terms.frame_normals(inner, self.data.faces)
             self.data = self.data.with_normals()
             self.model = with_rest_normals(self.data, self.model)
+        if "slack" in more:
+            self.data = dataclasses.replace(self.data, slack=self.model.weighted_error(self.data))
         self.newton = self.gauss_newton()
         if more:  # once more, so that pulls and length are those of the model
             self.newton = self.gauss_newton(damping=self.newton.damping)

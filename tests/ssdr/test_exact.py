@@ -57,6 +57,10 @@ def long_chain(**options: Any) -> Made:
 EXACT: dict[str, tuple[float, Callable[[], Made]]] = {
     "separate boxes": (1e-10, lambda: of(motions.boxes(2), faces=None)),
     **{
+        f"27 pieces, {o}": (1e-12, lambda o=o: of(motions.pieces(27), **o))
+        for o in ({"influences": 1, "effort": "fast"}, {"effort": "balanced"})
+    },
+    **{
         f"chain {seed}, {effort}": (
             1e-4 if effort == "best" else 5e-3,
             lambda seed=seed, effort=effort: chain(seed, effort=effort),

@@ -17,6 +17,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 from scipy.spatial import cKDTree
 
@@ -137,7 +138,9 @@ def find_contacts(model: Model) -> Contacts:
     return Contacts(point, apart, overlap / own[:, None] / own[None])
 
 
-def spanning_tree(model: Model, *, by_gap: bool = False) -> Tree:
+def spanning_tree(
+    model: Model, *, by_gap: bool = False, parts: NDArray[np.intp] | None = None
+) -> Tree:
     """Find the minimum spanning tree over the bones, where an edge costs the gap of its joint.
 
     Gaps are weighted by the masses of their bones.  If parts of the mesh are far apart and move
@@ -148,6 +151,9 @@ def spanning_tree(model: Model, *, by_gap: bool = False) -> Tree:
     model : Model
     by_gap : bool
         Whether costs are gaps alone, without masses; contacts then decide between equal gaps.
+    parts : (V,) int array, optional
+        Connected part of the mesh of each vertex, or None if all are in one.  Bones of different
+        parts are not connected because their skin touches, but only if a joint is possible.
     """
     meet = find_contacts(model)
     n_frames = len(model.transforms)
@@ -160,16 +166,21 @@ def spanning_tree(model: Model, *, by_gap: bool = False) -> Tree:
     else:
         pair = mass[:, None] * mass / np.maximum(mass[:, None] + mass, 1e-12)
         cost = pair * (gap + extra)
+    connected = meet.overlap > 0
+    for distance, gap_size in zip(_DISTANCES, _GAPS, strict=True):
+        near = (meet.distances <= distance) & (gap <= gap_size**2 * n_frames)
+        if parts is not None and gap_size == np.inf:
+            index = np.unique(parts, return_inverse=True)[1]
+            member = np.zeros((model.n_bones, index.max() + 1), dtype=bool)
+            member[model.indices[:, 0], index] = True
+            near &= member @ member.T
+        connected |= near
+    _, group = connected_components(connected, directed=False)
     # SciPy treats costs below 1e-8 as no edge, so ranks replace costs: only their order matters
     above = np.triu_indices(model.n_bones, 1)
     order = np.zeros_like(cost)
     order[above] = 1 + cost[above].argsort(kind="stable").argsort()
-    edges = minimum_spanning_tree(order).toarray() > 0
-    connected = meet.overlap > 0
-    for distance, gap_size in zip(_DISTANCES, _GAPS, strict=True):
-        connected |= (meet.distances <= distance) & (gap <= gap_size**2 * n_frames)
-    _, part = connected_components(connected, directed=False)
-    edges &= part[:, None] == part
+    edges = minimum_spanning_tree(order * (group[:, None] == group)).toarray() > 0
     parents = root_at_centroids(edges | edges.T, mass)
     index = np.arange(model.n_bones)
     points = np.where((parents >= 0)[:, None], point[index, np.maximum(parents, 0)], 0.0)

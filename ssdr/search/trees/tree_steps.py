@@ -51,7 +51,7 @@ def attach(d: Descent, *, steps: int = 20) -> Iterator[None]:
     """
     model = d.model = d.model.with_influences(d.influences)
     if model.tree is None:
-        model.tree = spanning_tree(model)
+        model.tree = spanning_tree(model, parts=d.data.parts)
     for k, stiffness in enumerate(np.geomspace(*_STIFFNESS, steps)):
         step_with_joint_penalty(d.data, model, float(stiffness), d.constraints)
         d.work.iteration += 1

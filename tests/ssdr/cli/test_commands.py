@@ -53,8 +53,9 @@ def test_decompose_passes_options_and_writes_models_pages_and_pictures(faked, do
     outputs = [clip.with_name(name) for name in ("a.npz", "b.pc2", "c.html", "d.png")]
     document = done(
         "decompose", clip, *(f for o in outputs for f in ("-o", o)), "--bones", 3, "-k", 2,
-        "--checkpoint", clip.with_name("c.npz"), "--time-limit", 9, "--seed", 5, "--no-normals",
-        "--effort", "fast", "--smoothness", 0.1, "--rest-pose", "free", "--rest-frame", 2,
+        "--checkpoint", clip.with_name("c.npz"), "--time-limit", 9, "--seed", 5,
+        "--effort", "fast", "--normals", "False", "--smoothness", 0.1,
+        "--rest-pose", "free", "--rest-frame", 2,
     )  # fmt: skip
     assert (document["bones"], document["influences"], document["rmse"]) == (3, 2, 0.25)
     assert document["rmse_percent"] == pytest.approx(25 / wave.diagonal())
@@ -77,6 +78,12 @@ def test_decompose_passes_options_and_writes_models_pages_and_pictures(faked, do
     assert held["title"] == "clip"
     with Image.open(outputs[3]) as image:
         assert image.width == 1600
+
+
+@pytest.mark.parametrize(("word", "value"), [("0.05%", "0.05%"), ("2e-3", 0.002), ("true", None)])
+def test_a_word_is_a_flag_a_number_or_a_share(faked, done, clip, word, value):
+    done("decompose", clip, "-o", clip.with_name("a.npz"), *FAST, "--normals", word)
+    assert fake_decompose.options.get("normals") == value
 
 
 def test_the_table_tells_the_error_and_quiet_tells_nothing(faked, run, clip):

@@ -45,6 +45,8 @@ TABLE = [
     ((*OUT, "--joints", "loose"), 2, "--joints: expected the file of a rig beside it"),
     (SMALL, 2, "--tolerance"),
     ((*SMALL, "--tolerance", "half"), 2, "such as"),
+    ((*SMALL, "--tolerance", "1%", "--normals", "0"), 2, "normals: expected True, False"),
+    ((*OUT, "--normals", "some"), 2, "normals: expected True, False"),
     ((*SMALL, "--tolerance", "1%", "--rig", "rig.npz"), 2, "'loose'"),
     # outputs
     ((*D, "a.xyz"), 2, "output: expected a suffix of"),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import ssdr
-from ssdr.common.checks import parse_tolerance
+from ssdr.common.checks import parse_normals, parse_tolerance
 
 
 @pytest.mark.parametrize(
@@ -25,6 +25,13 @@ from ssdr.common.checks import parse_tolerance
 )
 def test_tolerances(text: Any, expected: float) -> None:
     assert parse_tolerance(text, 4.0) == pytest.approx(expected)
+    assert parse_normals(text, lambda: 4.0) == pytest.approx(expected)
+
+
+def test_normals_are_solved_or_not_or_beside_a_length() -> None:
+    assert [parse_normals(x) for x in (True, np.True_, False)] == [0.0, 0.0, None]
+    with pytest.raises(ssdr.InputError, match="normals: expected True, False, a length"):
+        parse_normals("no")
 
 
 def test_quads_are_refused_with_the_way_out() -> None:

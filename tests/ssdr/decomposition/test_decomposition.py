@@ -10,6 +10,7 @@ import pytest
 import threadpoolctl
 
 import ssdr
+from helpers import motions
 from helpers.measures import Ticks, bits, check, frames, rig, rmse_of
 
 # the number of bones
@@ -60,6 +61,34 @@ def test_history_is_what_a_run_stopped_there_gives(options: dict[str, Any]) -> N
         error = max(rmse_of(part.skinning, frames()), whole.rmse)
         assert error == pytest.approx(record.rmse, rel=0.01)
         assert part.history[-1].iteration == record.iteration
+
+
+def test_while_a_sample_is_solved_models_are_of_the_whole_mesh() -> None:
+    """The history and what a stopped run returns, measured on all vertices."""
+    large = motions.chain(bones=3, rows=120, ring=8, frames=8)
+    moved = motions.wobble(large, 0.05)
+    seen: list[ssdr.search.progress.Progress] = []
+    whole = ssdr.decompose(moved, large.faces, bones=3, callback=seen.append)
+    phases = [record.phase for record in whole.history]
+    assert phases[:2] == ["quick", "alternate"]
+    assert phases.count("all vertices") >= 1
+    errors = np.array([record.rmse for record in whole.history])
+    assert (np.diff(errors) <= 0).all()
+    records = [r for r in whole.history if r.phase in ("alternate", "all vertices")]
+    merged = next(p for p in seen if p.phase == "merge")  # on the sample
+    for last in (*records, merged):
+
+        def reached(p: ssdr.search.progress.Progress, last: Any = last) -> bool:
+            return p.iteration >= last.iteration
+
+        part = ssdr.decompose(moved, large.faces, bones=3, callback=reached)
+        assert part.stop_reason == "cancelled"
+        error = rmse_of(part.skinning, moved)
+        assert error == pytest.approx(part.rmse, rel=1e-6)
+        if last is merged:
+            assert error <= 1.01 * last.rmse
+        else:
+            assert max(error, whole.rmse) == pytest.approx(last.rmse, rel=0.01)
 
 
 def test_progress_agrees_with_the_result() -> None:

@@ -13,6 +13,7 @@ import ssdr
 from helpers import motions, naive
 from helpers.measures import bits, frames, rig
 from ssdr.kernels.normals import normals_range
+from ssdr.search import schedules, steps
 
 
 def _turned(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -52,6 +53,24 @@ def test_a_rest_pose_is_a_surface_by_default(real: Callable[[str], ssdr.MeshSequ
     assert free[0] < rmse < 1.25 * free[0]
 
 
+def test_triangles_left_turned_over_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    dancer = ssdr.samples.load("dancer_small")
+    before = _turned(dancer.vertices[0], dancer.faces)
+
+    def turned_over(bones: int) -> tuple[int, tuple[str, ...]]:
+        result = ssdr.decompose(dancer, bones=bones, effort="fast", rest_frame=0)
+        turned = _turned(result.skinning.rest, dancer.faces) & ~before
+        return int(turned.sum()), result.warnings
+
+    assert turned_over(8) == turned_over(20) == (0, ())
+    monkeypatch.setattr(steps, "_MOST_LOSS", 0.0)  # every unfolding costs too much
+    for bones in (8, 12, 20):
+        with pytest.warns(ssdr.SsdrWarning, match="turned over in the rest pose"):
+            count, (message,) = turned_over(bones)
+        assert count > 0
+        assert message.startswith(f"{count} triangle{'s are' if count > 1 else ' is'} turned over")
+
+
 def test_surface_and_normals_are_paid_for_by_error() -> None:
     found = {}
     for rest_pose in ("surface", "free"):
@@ -66,6 +85,40 @@ def test_surface_and_normals_are_paid_for_by_error() -> None:
     assert (errors[:, 0] > errors[:, 1]).all()  # with normals, without
     assert (errors < 1.3 * errors.min()).all()
     assert (angles[:, 0] < 0.9 * angles[:, 1]).all()
+
+
+def test_an_error_that_is_not_seen_is_paid_for_normals() -> None:
+    size = ssdr.MeshSequence(frames(), rig().faces).diagonal()
+    options: tuple[Any, ...] = (True, 1e-200, "1%", 0.01 * size, "4%")
+    found = [ssdr.decompose(frames(), rig().faces, bones=4, normals=x) for x in options]
+    assert bits(found[0]) == bits(found[1])
+    assert bits(found[2]) == bits(found[3])
+    assert found[0].rmse < 0.99 * found[2].rmse
+    assert (np.diff([found[k].normals.mean for k in (0, 2, 4)]) < -0.05).all()
+
+
+def flag(n: int = 31, m: int = 21) -> ssdr.MeshSequence:
+    """A sheet whose waves travel: sums of few translations, that is, with next to no error."""
+    x, y = (a.ravel() for a in np.meshgrid(np.linspace(0, 1.5, n), np.linspace(0, 1, m)))
+    turns = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    waves = [0.18 * x * np.sin(6 * x - 2 * t + 1.5 * y) for t in turns]
+    i = np.arange(n * m).reshape(m, n)
+    corners = [i[:-1, :-1], i[:-1, 1:], i[1:, 1:]], [i[:-1, :-1], i[1:, 1:], i[1:, :-1]]
+    faces = np.concatenate([np.stack(c, axis=-1).reshape(-1, 3) for c in corners])
+    return ssdr.MeshSequence(np.stack([np.stack([x, y, z], axis=-1) for z in waves]), faces)
+
+
+def test_bones_of_a_sheet_turn_as_soon_as_its_light_counts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    sheet = flag()
+    found = [ssdr.decompose(sheet, bones=12, normals=x) for x in (True, "0.05%")]
+    assert max(r.normals.mean for r in found) < 4
+    assert max(r.rmse for r in found) < 1.5e-3 * sheet.diagonal()
+    monkeypatch.setattr(schedules, "bones_that_turn", lambda d, effort: None)
+    before = ssdr.decompose(sheet, bones=12)
+    assert before.normals.mean > 20
+    assert before.rmse < 1e-4 * sheet.diagonal()
 
 
 def test_a_cloud_of_points_has_neither() -> None:

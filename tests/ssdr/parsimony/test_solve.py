@@ -61,6 +61,14 @@ def test_rigid_boxes_get_a_bone_each(count: int) -> None:
     assert len(set(bone[:, 0])) == count
 
 
+def test_pieces_get_a_bone_for_each_motion() -> None:
+    exact = motions.pieces(11)
+    exact.transforms[:, 4] = exact.transforms[:, 1]
+    found = ssdr.smallest(exact.frames, exact.faces, tolerance="0.01%", effort="fast")
+    assert found.skinning.n_bones == 10
+    assert found.skinning.n_influences == 1
+
+
 @pytest.mark.parametrize("tolerance", ["0.1%", "0.001%"])
 def test_exact_skinning_gets_no_more_bones_than_it_was_made_with(tolerance: str) -> None:
     rig = motions.chain(bones=5, rows=14, frames=15)

@@ -93,7 +93,7 @@ REFUSED: list[Row] = [
     ("decompose", "rig", "", [np.array(["rigid", "loose"])]),
     ("decompose", "time_limit", "", [0.0]),
     ("decompose", "rest_pose", "", [np.zeros((84, 3))]),
-    ("decompose", "normals", "", [np.ones((84, 3))]),
+    ("decompose", "normals", "", [np.ones((84, 3)), 0]),
     ("decompose", "smoothness", "", [{"smoothness": 1.0, "faces": None}]),
     ("decompose", "smoothness", "", [{"rig": "rigid", "smoothness": 0.1}]),
     ("decompose", "vertices", "",

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import ssdr
+from helpers import motions
 from helpers.measures import descent_of
 from ssdr.search.descent import Descent
 from ssdr.search.schedules import best_bones, follow_effort
@@ -70,3 +71,15 @@ def test_normals_count_from_the_last_polish_on(effort: Any, rig: Any) -> None:
     follow_effort(d, effort=effort, rig=rig, bones_placed=False, tries_model=False)
     assert phases(d.work.plan)[-3:] == ["normals", "polish", "unfold"]
     assert phases(d.work.plan).count("normals") == 1
+
+
+@pytest.mark.parametrize("rest_pose", ["surface", "free"])
+def test_no_piece_is_torn_where_two_share_a_bone(rest_pose: str) -> None:
+    """With one influence, a piece of two bones would come apart."""
+    exact = motions.pieces(16, seed=2)
+    options = {"influences": 1, "effort": "fast", "rest_pose": rest_pose}
+    found = ssdr.decompose(exact.frames, exact.faces, bones=9, **options)
+    owner = found.skinning.indices.reshape(16, 8)
+    assert (owner == owner[:, :1]).all()
+    assert len(np.unique(owner)) == 9
+    assert found.rmse > 0

@@ -13,8 +13,9 @@ from ssdr.solver.initialization import (
     farthest_points,
     fit_patches,
     single_bone_errors,
+    start_model,
 )
-from ssdr.solver.trajectories import gather
+from ssdr.solver.trajectories import find_parts, gather
 
 
 @settings(max_examples=20)
@@ -97,3 +98,42 @@ def test_rounding_does_not_choose_among_vertices_that_move_alike() -> None:
         other = ssdr.initialize(unit * shots, bones=12)
         np.testing.assert_allclose(other.dense_weights(), one.dense_weights(), atol=1e-6)
         np.testing.assert_allclose(other.rest, unit * one.rest, atol=1e-6 * unit)
+
+
+def test_parts_by_hand(rng: np.random.Generator) -> None:
+    """Two triangles that share vertex 2, a rigid one, an edge that has lost its area, a point."""
+    faces = np.array([[0, 1, 2], [4, 5, 6], [2, 3, 1], [7, 8, 8]], dtype=np.int32)
+    x = rng.standard_normal((10, 3, 3))
+    x[4:7] = x[4:7, :1] + np.arange(3)[:, None]
+    assert list(find_parts(faces, x)) == [-2, -2, -2, -2, 1, 1, 1, -1, -1, -1]
+    assert find_parts(faces[[0, 2, 3]], x) is None
+    assert find_parts(faces[:0], x) is None
+
+
+def test_which_parts_are_rigid() -> None:
+    exact = motions.pieces(3)
+    frames = exact.frames
+    frames[:, :8] *= np.linspace(1, 1.1, len(frames))[:, None, None]  # swells
+    data = gather([ssdr.MeshSequence(frames, exact.faces)], bones=3)
+    assert list(data.parts) == 8 * [-2] + 8 * [1] + 8 * [2]
+
+
+@settings(max_examples=10)
+@given(seed=st.integers(0, 10**6), few=st.integers(2, 9), quick=st.booleans())
+def test_a_start_cuts_no_rigid_part(seed: int, few: int, quick: bool) -> None:
+    """Twelve pieces, of which three move as one: exact with ten bones, and whole with fewer."""
+    exact = motions.pieces(12, seed=seed % 50)
+    exact.transforms[:, [4, 8]] = exact.transforms[:, :1]
+    data = gather([ssdr.MeshSequence(exact.frames, exact.faces)], bones=10)
+    for bones in (few, 10, 13):
+        rng = np.random.default_rng(seed)
+        model = start_model(data, data.frame(0), bones, 1, rng, quick=quick)
+        owner = model.indices.reshape(12, 8)
+        assert (owner == owner[:, :1]).all()
+        assert len(np.unique(owner)) >= min(bones, 10)
+        if bones >= 10:
+            bone = model.transforms[:, owner[:, 0]]
+            moved = np.einsum("tbij,bvj->tbvi", bone[..., :3], model.rest.reshape(12, 8, 3))
+            moved += bone[..., None, :, 3]
+            inner = np.stack([data.frame(t) for t in range(data.n_frames)])
+            np.testing.assert_allclose(moved.reshape(inner.shape), inner, atol=1e-12)

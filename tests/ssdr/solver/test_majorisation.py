@@ -25,6 +25,7 @@ CASES = {
     "surface": Case(normals=False),
     "normals": Case(surface=False),
     "both": Case(),
+    "slack": Case(slack=5.0),
     "importance": Case(counts="some"),
     "vertices that do not count": Case(counts="few"),
     "compressed": Case(compressed=True),

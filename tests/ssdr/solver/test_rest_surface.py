@@ -11,7 +11,7 @@ import threadpoolctl
 import ssdr
 from helpers import motions, surfaces, terms
 from ssdr.solver.initialization import central_frame
-from ssdr.solver.rest_surface import RestSurface
+from ssdr.solver.rest_surface import RestSurface, distinct_edges
 from ssdr.solver.trajectories import Trajectories, gather
 
 
@@ -77,10 +77,17 @@ def test_without_edges_there_is_no_surface(rng: np.random.Generator) -> None:
     assert central_frame(_data(points, np.zeros((0, 3), np.int32)), first=True) == 0
 
 
-def test_stiffer_edges_count_ten_times_as_much(rng: np.random.Generator) -> None:
+def test_edges_are_distinct_pairs_in_order(rng: np.random.Generator) -> None:
+    ends = rng.integers(0, 9, (60, 2)).astype(np.int32)
+    want = sorted({(min(a, b), max(a, b)) for a, b in ends.tolist() if a != b})
+    np.testing.assert_array_equal(distinct_edges(ends, 9), want)
+    assert distinct_edges(ends[:0], 9).shape == (0, 2)
+
+
+def test_stiffer_edges_count_so_many_times_as_much(rng: np.random.Generator) -> None:
     surface, faces = _sheet(rng)
     some = faces[[4, 5]]
-    stiff = surface.stiffened(some)
+    stiff = surface.stiffened(some, 7.0)
     rest = surface.pose.copy()
     i, j = some[0, 0], next(int(k) for k in range(len(rest)) if k not in faces[:6])
     for k, times in ((i, None), (j, 1.0)):
@@ -88,11 +95,25 @@ def test_stiffer_edges_count_ten_times_as_much(rng: np.random.Generator) -> None
         moved[k] += 0.1
         ends = [pair for pair in terms.edges_of(faces) if k in pair]
         weight = {pair: surface.edges[pair[0], pair[1]] for pair in ends}
-        tenfold = [10 * w if pair in terms.edges_of(some) else w for pair, w in weight.items()]
-        ratio = sum(tenfold) / sum(weight.values())
+        sevenfold = [7 * w if pair in terms.edges_of(some) else w for pair, w in weight.items()]
+        ratio = sum(sevenfold) / sum(weight.values())
         found = (stiff.factor(moved) - 1) / (surface.factor(moved) - 1)
         assert found == pytest.approx(ratio if times is None else times, rel=1e-9)
     assert stiff.factor(rest) == 1
+
+
+def test_tilted_triangles_are_found(rng: np.random.Generator) -> None:
+    surface, faces = _sheet(rng)
+    leaning = surface.pose.copy()
+    leaning[:, 2] += np.where(leaning[:, 0] > leaning[:, 0].mean(), 0.8, 0.1) * leaning[:, 0]
+    for cosine in (-1.0, 0.7, 0.95, 1.1):
+        want = []
+        for i, j, k in faces:
+            ends = [(p[j] - p[i], p[k] - p[i]) for p in (leaning, surface.pose)]
+            a, b = (np.cross(*pair) / np.linalg.norm(np.cross(*pair)) for pair in ends)
+            want.append(a @ b < cosine)
+        np.testing.assert_array_equal(surface.tilted(leaning, faces, cosine), want)
+    assert 0 < surface.tilted(leaning, faces, 0.95).sum() < len(faces)
 
 
 def test_triangles_turned_over_are_found(rng: np.random.Generator) -> None:

@@ -94,6 +94,23 @@ def test_rings_a_third_of_the_size_apart_that_move_together_share_a_tree():
         assert (spanning_tree(model).parents < 0).sum() == roots
 
 
+def test_pieces_that_touch_and_turn_apart_share_no_joint():
+    """Two wheels that touch; as parts of one mesh they are connected all the same."""
+    angle = np.linspace(0, 2 * np.pi, 25)[:-1]
+    wheel = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    rest = np.concatenate([wheel, wheel + np.array([2.0, 0, 0])])
+    turn = motions.rotation(0, 0, 0.2)
+    transforms = np.zeros((16, 2, 3, 4))
+    for t in range(16):
+        way = np.linalg.matrix_power(turn, t)
+        transforms[t, 0, :, :3], transforms[t, 1, :, :3] = way, way.T
+        transforms[t, 1, :, 3] = [2.0, 0, 0] - way.T @ [2.0, 0, 0]
+    bones = np.repeat([0, 1], 24)
+    model = Model.start(transforms, rest, bones, 1)
+    for parts, roots in ((None, 1), (0 * bones, 1), (bones, 2)):
+        assert (spanning_tree(model, parts=parts).parents < 0).sum() == roots
+
+
 def test_what_motion_leaves_open_is_where_the_skin_meets():
     still = np.broadcast_to(np.eye(3, 4), (5, 2, 3, 4)).copy()
     rest = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]])
