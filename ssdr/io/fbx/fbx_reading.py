@@ -188,6 +188,8 @@ class FbxMesh:
         inverses = to_bone @ np.linalg.inv(place)
         check(all(map(_usable, inverses)), f"{self.name}: a bone of size 0 in the bind pose")
         found = dict(zip(bones, inverses, strict=True))
+        same = all(np.allclose(found[node], one) for node, one in zip(bones, inverses, strict=True))
+        check(same, f"{self.name}: a bone is bound twice")
         self.skeleton = next((k for k, one in enumerate(skeletons) if _agree(one, found)), -1)
         if self.skeleton < 0:
             self.skeleton = len(skeletons)
