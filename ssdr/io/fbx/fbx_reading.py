@@ -39,9 +39,9 @@ Skeleton = dict[int, NDArray[np.float64]]
 class FbxFile(SceneFile):
     """An FBX file, in metres with y up; each stack of animation with keys is a clip.
 
-    A clip runs over the range that its stack states and all its keys. By default it has the frame
-    rate of the file or, if keys lie between the file's frames, that of the keys. Of materials only
-    the names are read.
+    A clip runs over the range that its stack states or, if keys lie outside, over its keys. By
+    default it has the frame rate of the file or, if keys lie between the file's frames, that of the
+    keys. Of materials only the names are read.
     """
 
     space = METRES_Y_UP
@@ -91,8 +91,8 @@ class FbxFile(SceneFile):
         check(0 < stated < math.inf, f"{stated} frames a second")
         if len(keys) < 2:
             return Frames(float(keys[0]) if len(keys) else first, fps or stated, 1, keys[:0])
-        first, last = (first, last) if first < last else (keys[0], keys[-1])
-        first, last = min(first, float(keys[0])), max(last, float(keys[-1]))
+        if not first <= keys[0] <= keys[-1] <= last:  # a range of the timeline, not of the stack
+            first, last = float(keys[0]), float(keys[-1])
         rate = fps or frame_rate(np.union1d(first, keys), stated) or stated
         return frames_between(keys, first, last, rate, asked=fps is not None)
 
@@ -185,7 +185,8 @@ class FbxMesh:
             places = arrays["worlds_0"][:, self._columns[bones[-1]]] @ to_bone[-1]
         frame, mirrored = facing(places[:, :3, :3])
         place = places[frame] if _usable(places[frame]) else np.eye(4)
-        inverses = to_bone @ np.linalg.inv(place)
+        # the points of a baked mesh lie in the world
+        inverses = np.eye(4)[None] if self._baked else to_bone @ np.linalg.inv(place)
         check(all(map(_usable, inverses)), f"{self.name}: a bone of size 0 in the bind pose")
         found = dict(zip(bones, inverses, strict=True))
         same = all(np.allclose(found[node], one) for node, one in zip(bones, inverses, strict=True))
