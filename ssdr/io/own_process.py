@@ -19,16 +19,20 @@ from ..common.errors import FormatError, InputError, MissingDependencyError, Ssd
 from ..mesh.clips import readable
 
 _log = logging.getLogger(__name__)
+_READER = Path(__file__).with_name("reading_process.py")
 _TIME_LIMIT = 600.0  # seconds after which reading is stopped
 
 
 def run_reader(
     script: Path, job: Mapping[str, Any], who: str, path: Path
 ) -> dict[str, NDArray[Any]]:
-    """Run a script in this Python that reads the file `path`, as :func:`run_script` does."""
+    """Run a script's function `read` in a Python of its own, for the file `path`.
+
+    `job` holds the limit of memory as ``"max_bytes"``. Errors are those of :func:`run_script`.
+    """
     return run_script(
-        [sys.executable, "-P", str(script)],
-        {"path": str(path.resolve()), **job},
+        [sys.executable, "-P", str(_READER)],
+        {"path": str(path.resolve()), "script": str(script), "who": who, **job},
         who=who,
         # what can be imported here can be imported there
         environment={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},

@@ -48,6 +48,11 @@ class SceneFile:
         """One clip and the parts to show in it, which are the same in all clips of the file."""
         raise NotImplementedError
 
+    def samples(
+        self, indices: Sequence[int], fps: float | None, joints_alone: bool = False
+    ) -> list[Sample]:
+        return [self.sample(k, fps, joints_alone) for k in indices]
+
     def clips(self, fps: float | None) -> list[Clip]:
         """All clips, of which only rates and numbers of frames are known."""
         return [self.sample(k, fps).clip for k in range(len(self.clip_names))]
@@ -152,7 +157,7 @@ class SceneFile:
         """
         with reading(path, "meshes"):
             file = cls(path, max_bytes, meshes)
-            samples = [file.sample(k, fps, joints_alone) for k in range(len(file.clip_names))]
+            samples = file.samples(range(len(file.clip_names)), fps, joints_alone)
             materials = file.materials(samples[0].parts)
             model = join_skinning(samples, materials, file.name, file.space)
             return _as_face(model) if file.driven else model

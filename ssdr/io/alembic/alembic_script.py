@@ -1,14 +1,10 @@
 """Script that reads the meshes of an Alembic archive as they are stored.
 
-Run it as ``python alembic_script.py job.json``. It needs only NumPy and alembic3d, not the package.
-It runs in a process of its own because a damaged archive can crash the library. It writes its
-results, or the reason why the archive is not read, to an archive of arrays, which the package
-checks.
+``reading_process.py`` runs it, in a process of its own because a damaged archive can crash the
+library. It needs only NumPy and alembic3d, not the package.
 """
 
-import contextlib
 import json
-import sys
 from collections.abc import Iterator
 from typing import Any
 
@@ -22,7 +18,6 @@ _SCOPES = {
     "kUniformScope": "uniform",
     "kConstantScope": "constant",
 }
-_SPARE = 2 << 30  # bytes of address space beside the arrays: the library and NumPy
 _MOST_SAMPLES = 1 << 22  # of a property; two days at 24 a second
 
 
@@ -221,26 +216,10 @@ def change(points: Any, topology: list[Any]) -> str:
     return ""
 
 
-def main() -> None:
-    with open(sys.argv[1], encoding="utf-8") as stream:
-        job = json.load(stream)
-    with contextlib.suppress(ImportError, ValueError, OSError):  # Windows has none
-        import resource
-
-        most = 3 * int(job["max_bytes"]) + _SPARE
-        resource.setrlimit(resource.RLIMIT_AS, (most, most))
+def read(job: dict[str, Any]) -> dict[str, Any]:
+    """Arrays for the package, which checks them."""
     reader = Reader(job)
-    try:
-        reader.read(Abc.IArchive(job["path"]).getTop())
-    except (Refused, RuntimeError) as error:
-        said = str(error).strip().splitlines()[-1]
-        said = said if isinstance(error, Refused) else f"truncated or damaged; Alembic says: {said}"
-        np.savez(job["out"], error=np.array(said))
-        return
+    reader.read(Abc.IArchive(job["path"]).getTop())
     fields = ("names", "hidden", "meshes", "transforms")
     found = json.dumps({name: getattr(reader, name) for name in fields})
-    np.savez(job["out"], found=np.array(found), **reader.arrays)
-
-
-if __name__ == "__main__":
-    main()
+    return {"found": np.array(found), **reader.arrays}

@@ -116,7 +116,7 @@ def test_meshes_share_bones_stand_alone_or_are_left_out(tmp_path, caplog):
     path = file.save(tmp_path / "a.fbx")
     model, seen = ssdr.load_skinning(path), ssdr.load(path)
     np.testing.assert_allclose(model.skin(), seen.vertices, atol=1e-6)
-    assert model.names() == ("lower", "upper", "coat", "upper_1", "box", "twin")
+    assert model.names() == ("lower", "upper", "coat", "box", "twin", "upper_1")
     assert model.parents.tolist() == [-1, 0, -1, -1, -1, -1]
     assert model.n_vertices == 20
     np.testing.assert_allclose(seen.vertices[-1, 7], SQUARE[3], atol=1e-6)  # of no bone
