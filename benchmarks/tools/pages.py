@@ -134,6 +134,13 @@ def rest_rows() -> list[Row]:
     return pivot(found, SEQUENCE, "{pose}", shown)
 
 
+def seen_rows() -> list[Row]:
+    found = rows("sheets")
+    for r in found:
+        r["given"] = "True" if r["normals"] is True else "length"
+    return pivot(found, SEQUENCE, "{given}", "{percent:.3f} %, {drawn:.1f}°, {cpu seconds:.1f} s")
+
+
 # --- pages ---------------------------------------------------------------------------------------
 
 
@@ -192,6 +199,10 @@ BLOCKS: dict[str, Callable[[], str]] = {
         "ratio": "{ratio:.1f}", "GEMM, GFLOP/s": "{rate}", "revision": "{machine[revision]}",
     }),
     "rest_poses": Table(rest_rows, {"sequence, bones": "{line}", **same(*REST_POSES.values())}),
+    "seen": Table(seen_rows, {
+        "sequence, bones": "{line}", "`normals=True`": "{True}",
+        '`normals="0.05%"`': "{length}",
+    }),
     **{name: Table(*table) for name, table in leaderboard.TABLES.items()},
 }  # fmt: skip
 

@@ -13,7 +13,7 @@ from .vertices import read_influences, store
 
 
 @kernel
-def schur_vertices(
+def answer_bones(
     cross,
     start,
     bones,
@@ -27,12 +27,11 @@ def schur_vertices(
     gradient,
     share,
     step,
-    total,
     move_rest,
     first,
     last,
 ):
-    """Compute the steps of vertices in groups first..last, and add up their effect on the bones.
+    """Compute the steps with which the vertices in groups first..last answer a change of the bones.
 
     cross       (B, B, 4, 4)  real     for bones k, j: (Mⱼᵀ δMₖ)ᵀ summed over frames, in
     start       (G + 1,)      integer  start[g]..start[g + 1]: vertices of group g, in
@@ -42,15 +41,13 @@ def schur_vertices(
     points      (V, P, 4)     real     points p̃ of each vertex: its rest position (p, 1) and, if it
                                        has one, its normal (l n, 0), in
     weights     (V, K)        real     weights in the order of the group's bones, in
-    importance  (V,)          real     factor of each vertex's error, in
+    importance  (V,)          real     factor of each vertex's error, not used
     free        (V,)          bool     vertices whose weights may change, in
     inverse     (V, D, D)     real     inverse of the Gauss–Newton matrix, in
     gradient    (V, D)        real     half gradient of the error, in
     step        (V, D)        real     inverse times (H_vm δM + share · gradient), out
-    total       (B, B, 4, 4)  float64  Σ_i a δaᵀ, in the layout of `cross`, times importance, where
-                                       a is w p̃ of a bone and δa its change, added to
 
-    ``real`` is float32 or float64, the same for all these arrays; groups are summed in it, too.
+    ``real`` is float32 or float64, the same for all these arrays.
     """
     real = inverse.dtype
     n_keep = bones.shape[1]
@@ -59,14 +56,10 @@ def schur_vertices(
     # Rows are padded to whole vectors; entries beyond 4·count are finite and never used.
     width = 16 * ((4 * n_keep + 15) // 16)
     block = np.zeros((4 * n_keep, width), dtype=real)
-    sums = np.zeros((4 * n_keep, width), dtype=real)
-    a = np.zeros((4, 4 * n_keep), dtype=real)
-    delta = np.zeros((4, width), dtype=real)
     image = np.empty(width, dtype=real)
     along = np.empty(n_keep, dtype=real)
     zero = along.dtype.type(0)
     b = np.empty(n_unknowns, dtype=real)
-    x = np.empty(n_unknowns, dtype=real)
     for g in range(first, last):
         n = count[g]
         width = 16 * ((4 * n + 15) // 16)
@@ -76,10 +69,6 @@ def schur_vertices(
                 for e in range(4):
                     for d in range(4):
                         block[4 * s + e, 4 * q + d] = m[e, d]
-        for u in range(4 * n):
-            for t in range(width):
-                sums[u, t] = 0.0
-        held = 0
         for i in range(start[g], start[g + 1]):
             k = n - 1 if free[i] else 0
             size = k
@@ -90,10 +79,8 @@ def schur_vertices(
                 for t in range(width):
                     image[t] = 0.0
                 for s in range(n):
-                    w = weights[i, s]
+                    w, u = weights[i, s], 4 * s
                     v0, v1, v2, v3 = w * p0, w * p1, w * p2, w * p3
-                    u, v = 4 * s, held + e
-                    a[v, u], a[v, u + 1], a[v, u + 2], a[v, u + 3] = v0, v1, v2, v3
                     for t in range(width):
                         image[t] += (
                             v0 * block[u, t]
@@ -120,8 +107,63 @@ def schur_vertices(
                 value = zero
                 for q in range(size):
                     value += b[q] * inverse[i, s, q]
-                x[s] = value
                 step[i, s] = value
+
+
+@kernel
+def effect_on_bones(
+    start,
+    bones,
+    count,
+    slot,
+    points,
+    weights,
+    importance,
+    free,
+    inverse,
+    change,
+    step,
+    total,
+    move_rest,
+    first,
+    last,
+):
+    """Add up the effect on the bones of the steps of vertices in groups first..last.
+
+    start..inverse                     as in :func:`answer_bones`, in
+    change      (V, 3)        real     changes of the right sides of rest positions, or (0, 3), in
+    step        (V, D)        real     steps of the vertices, to which that of `change` is added
+    total       (B, B, 4, 4)  float64  Σ_i a δaᵀ, in the layout of `cross`, times importance, where
+                                       a is w p̃ of a bone and δa its change, added to
+
+    Groups are summed in ``real``.
+    """
+    real = inverse.dtype
+    n_keep = bones.shape[1]
+    n_points = points.shape[1]
+    n_unknowns = inverse.shape[1]
+    coupled = len(change) > 0
+    # as in answer_bones
+    width = 16 * ((4 * n_keep + 15) // 16)
+    sums = np.zeros((4 * n_keep, width), dtype=real)
+    a = np.zeros((4, 4 * n_keep), dtype=real)
+    delta = np.zeros((4, width), dtype=real)
+    x = np.empty(n_unknowns, dtype=real)
+    zero = x.dtype.type(0)
+    for g in range(first, last):
+        n = count[g]
+        width = 16 * ((4 * n + 15) // 16)
+        for u in range(4 * n):
+            for t in range(width):
+                sums[u, t] = 0.0
+        held = 0
+        for i in range(start[g], start[g + 1]):
+            k = n - 1 if free[i] else 0
+            for s in range(n_unknowns):
+                if coupled:
+                    for c in range(3):
+                        step[i, s] += inverse[i, s, k + c] * change[i, c]
+                x[s] = step[i, s]
             sum_w = zero
             for q in range(k):
                 sum_w += x[q]
@@ -139,10 +181,12 @@ def schur_vertices(
                         s = slot[i, q]
                         dw = -c * sum_w if s == 0 else c * x[s - 1]
                     w, u = weights[i, q], 4 * q
-                    delta[held, u] = dw * p0 + w * g0
-                    delta[held, u + 1] = dw * p1 + w * g1
-                    delta[held, u + 2] = dw * p2 + w * g2
-                    delta[held, u + 3] = dw * p3
+                    v = held
+                    a[v, u], a[v, u + 1], a[v, u + 2], a[v, u + 3] = w * p0, w * p1, w * p2, w * p3
+                    delta[v, u] = dw * p0 + w * g0
+                    delta[v, u + 1] = dw * p1 + w * g1
+                    delta[v, u + 2] = dw * p2 + w * g2
+                    delta[v, u + 3] = dw * p3
                 held += 1
             # four points at a time, since each pass reads and writes all sums
             if held + n_points > 4 or i + 1 == start[g + 1]:

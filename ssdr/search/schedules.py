@@ -41,7 +41,6 @@ from .steps import (
     beside,
     compress,
     last_polish,
-    look_ahead,
     move_bones,
     on_sample,
     polish,
@@ -113,9 +112,9 @@ def free_bones(d: Descent, effort: Effort, *, stretching: bool) -> None:
         relax_bones(d)
         relax_from_rigid(d)
         return
-    look_ahead(d, steps=3)
     bones = [place_bones] if effort == "fast" else [place_bones, relax_placed]
-    on_sample(d, *bones, least=RELAXED_VERTICES, most=2 * RELAXED_VERTICES, free=False)
+    sizes = {"least": RELAXED_VERTICES, "most": 2 * RELAXED_VERTICES}
+    on_sample(d, *bones, **sizes, free=False, ahead=3)
     if effort == "fast":
         last_polish(d, steps=6)
     else:

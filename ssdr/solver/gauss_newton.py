@@ -35,7 +35,7 @@ from .trajectories import Array, Trajectories
 from .vertex_elimination import ReducedSystem
 from .vertex_newton import optimise_vertices
 
-_DAMPING = 1e-3  # λ of the first step
+_DAMPING, _LEAST_DAMPING = 1e-3, 1e-4  # λ of the first step, and the least
 _STEPPED = ("transforms", *SOLVED)  # arrays that a step changes
 # In every third step, up to three bones may enter the support of a vertex: to try this in every
 # step costs more than it brings.
@@ -97,19 +97,23 @@ class GaussNewton:
         ----------
         most : int
         gain : float
-            The steps end if eight of them lower the error by less than this fraction of it.
+            The steps end if the last eight that were accepted lower the error by less than this
+            fraction of it, or if eight in a row are rejected.
         entering : bool
             Whether further bones may become influences of a vertex, in the first step and in every
             third after it.
         """
-        values = [self.value]
+        values, rejected = [self.value], 0
         for k in range(most):
             enter = entering and k % _ENTERING_EVERY == 0
-            self.accepted = self.step(entering=_ENTERING_BONES if enter else 0)
-            values = [*values, self.value][-_WINDOW - 1 :]
+            self.accepted = self.step(entering=_ENTERING_BONES if enter else -1)
+            if self.accepted:
+                values = [*values, self.value][-_WINDOW - 1 :]
+            rejected = 0 if self.accepted else rejected + 1
             # the objective is a square: its relative change is twice that of the error
             change = 0.5 * (values[0] - values[-1]) / max(values[0], 1e-300)
-            self.converged = len(values) > _WINDOW and change < gain
+            settled = len(values) > _WINDOW and change < gain
+            self.converged = settled or rejected == _WINDOW
             yield
             if self.converged:
                 return
@@ -127,7 +131,8 @@ class GaussNewton:
         Parameters
         ----------
         entering : int
-            Number of bones that may enter the influences of each vertex.
+            Number of bones that may enter the influences of each vertex; −1 as in
+            :func:`~ssdr.solver.vertex_newton.newton_vertices`.
         """
         data, model, system = self.data, self.model, self._reduced()
         x, predicted = self._solve(system)
@@ -135,7 +140,7 @@ class GaussNewton:
         system.move_vertices(trial, self.tangent.image(x))
         self.tangent.move(trial, x)
         vertices = optimise_vertices(
-            data, trial, constraints=self.constraints, entering=entering, rounds=2
+            data, trial, constraints=self.constraints, entering=entering, rounds=1
         )
         value = self.objective.value(data, trial)
         if not value <= self.value:
@@ -143,7 +148,7 @@ class GaussNewton:
             return False
         ratio = (self.value - value) / predicted if predicted > 0 else 1.0
         if ratio > 0.7:
-            self.damping = max(self.damping / 5.0, 1e-8)
+            self.damping = max(self.damping / 5.0, _LEAST_DAMPING)
         elif ratio < 0.25:
             self.damping *= 3.0
         for name in (*_STEPPED, "tree"):
@@ -166,7 +171,7 @@ class GaussNewton:
         tangent.penalty = penalty
         rhs = -tangent.pullback(system.gradient)
         tangent.joint_part(rhs)[:] -= penalty.stiffness * penalty.offsets
-        precondition, damp = tangent.precondition(system.u, self.damping)
+        precondition, damp = tangent.precondition(system.u, self.damping, system.patches)
 
         def apply(x: Array) -> Array:
             out = tangent.pullback(system.times(tangent.image(x)))
@@ -174,8 +179,11 @@ class GaussNewton:
             tangent.joint_part(out)[:] += penalty.stiffness * tangent.joint_part(x)
             return out
 
+        steps = tangent.conjugate_steps
+        if system.patches is not None and self.model.tree is None:
+            steps //= 2  # which the second level of the preconditioner allows
         x, residual, self.recycled = conjugate_gradients(
-            apply, rhs, precondition, steps=tangent.conjugate_steps, recycled=self.recycled
+            apply, rhs, precondition, steps=steps, recycled=self.recycled
         )
         # the undamped quadratic falls by 2·rhs·x − xᵀAx, with A x = rhs − residual − λDx
         undamped = rhs - residual - damp(x)

@@ -13,7 +13,8 @@ same share of the error whatever the error is, and nothing where a model is exac
 The logarithm of a product is majorised by the linear terms of its factors (log is concave), and the
 squared difference along an edge by a term for each end (|a − b|² <= 2|a − m|² + 2|b − m|²).  That
 leaves a quadratic pull on each rest position alone, so that vertices are still solved one by one,
-and no step that lowers the error with these pulls raises the objective.
+and no step that lowers the error with these pulls raises the objective.  The polish of all bones
+uses the first bound alone (:mod:`~ssdr.solver.vertex_elimination`).
 
 References
 ----------
@@ -23,7 +24,7 @@ Hunter and Lange, "A tutorial on MM algorithms", 2004.
 from __future__ import annotations
 
 import dataclasses
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +39,7 @@ Array = NDArray[np.float64]
 RestPose = Literal["surface", "free"]
 
 # c: an error 1 + c·S times as large is as bad as a strain S; an edge rotated by 20° has S = 0.12.
-_STRENGTH = 1.5
+_STRENGTH = 4.5
 # Added to an edge's squared length in 1/ω, relative to the mean, so that no short edge dominates.
 SHORT = 0.1
 _RINGS = 4  # of edges around a fold that may move as it unfolds
@@ -114,10 +115,22 @@ class RestSurface:
         around = np.asarray(self.edges @ moved)
         some = np.maximum(self.degree, 1e-300)[:, None]
         out = np.empty((len(rest), 4))
-        scale = 2.0 * _STRENGTH * error / self._factor_of(moved, around)
-        out[:, 0] = scale * self.degree / np.maximum(importance, 1e-6)
+        strength = _STRENGTH * error / self._factor_of(moved, around)
+        out[:, 0] = self.stiffness(strength, importance)
         out[:, 1:] = self.pose + 0.5 * (moved + around / some)
         return out
+
+    def strength(self, rest: Array, error: float) -> float:
+        """λ, by which Σ_edges ω |change|² adds to the squared error `error` at a rest pose."""
+        return _STRENGTH * error / self.factor(rest)
+
+    def rows(self, strength: float) -> tuple[NDArray[Any], NDArray[np.uint32], Array]:
+        """Bounds (V + 1,) of each vertex's edges, their other ends, and λω for a λ = `strength`."""
+        return self.edges.indptr, self.edges.indices.astype(np.uint32), strength * self.edges.data
+
+    def stiffness(self, strength: float, importance: Array) -> Array:
+        """Stiffness (V,) of the pulls for a λ = `strength`, divided by the importance."""
+        return 2.0 * strength * self.degree / np.maximum(importance, 1e-6)
 
     def turned(self, rest: Array, faces: NDArray[np.int32]) -> NDArray[np.bool_]:
         """Mask (T,) of the triangles that are flipped in a rest pose, but not in the pose h.

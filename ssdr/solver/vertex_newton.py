@@ -20,7 +20,7 @@ from ..kernels.newton import polish_vertices
 from ..kernels.polish import choose_influences
 from .model import CHUNK, FREE, SOLVED, Constraints, Model
 from .moments import transform_sums
-from .objective import normal_length, rest_pulls
+from .objective import normal_length, rest_pulls, rest_strength
 from .rest_surface import RestSurface
 from .trajectories import Array, Trajectories
 
@@ -39,12 +39,15 @@ class VertexSystem:
         Half gradient of each vertex's squared error with the terms of rest pose and normals.
     length : float
         Length of a normal treated as a point.
+    strength : float
+        Factor λ of the squared changes of edges whose bound is in `inverse`; 0 if none is.
     """
 
     stacked: Array
     inverse: Array
     gradient: Array
     length: float
+    strength: float
 
 
 @serial_blas()
@@ -75,6 +78,7 @@ def optimise_vertices(
     """
     stacked, gram, gram4, reduced = transform_sums(data, model.transforms)
     length, hold = normal_length(data, model), rest_pulls(data, model, constraints)
+    strength = rest_strength(data, model, constraints)
     inverse, gradient = newton_vertices(
         lambda i, k: data.products(slice(i, k), reduced, length),
         data.squares(slice(None), length),
@@ -95,7 +99,7 @@ def optimise_vertices(
         moved = np.take_along_axis(gradient, columns, axis=1)
         moved += hold[:, :1] * (hold[:, 1:] - new[:, 1:])
         np.put_along_axis(gradient, columns, moved, axis=1)
-    return VertexSystem(stacked, inverse, gradient, length)
+    return VertexSystem(stacked, inverse, gradient, length, strength)
 
 
 @serial_blas()

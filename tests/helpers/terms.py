@@ -15,9 +15,10 @@ from ssdr.solver.model import FREE, Constraints, Model
 from ssdr.solver.rest_surface import RestSurface
 from ssdr.solver.trajectories import Trajectories, gather
 
-# The three numbers that are chosen, not derived.
+# The numbers that are chosen, not derived.
 STRENGTH = rest_surface._STRENGTH
 UNSEEN = objective._UNSEEN
+NORMALS = objective._NORMALS
 
 
 def edges_of(faces):
@@ -67,7 +68,7 @@ def value(data: Trajectories, model: Model, pose=None) -> float:
     if model.normals.shape[1]:
         gap = turned_normals(model.normals[:, 0], *parts) - frame_normals(frames, data.faces)
         mean = float((counts * gap**2).sum()) / (data.n_frames * data.n_vertices)
-        out *= 1.0 + mean / UNSEEN
+        out *= (1.0 + mean / UNSEEN) ** NORMALS
     return out
 
 

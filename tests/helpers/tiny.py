@@ -17,7 +17,7 @@ from ssdr.solver.alternation import vertex_step
 from ssdr.solver.gauss_newton import GaussNewton
 from ssdr.solver.initialization import with_rest_normals
 from ssdr.solver.model import FREE, Constraints, Model
-from ssdr.solver.objective import normal_length, rest_pulls
+from ssdr.solver.objective import normal_length, rest_strength
 from ssdr.solver.rest_surface import RestSurface
 from ssdr.solver.trajectories import Trajectories, gather
 
@@ -177,9 +177,17 @@ class Tiny:
             gaps.append(length * (turned - self.truth))
         root = np.sqrt(self.data.importance)[:, None]
         rows = [root * gap * self.data.frame_scale[:, None, None] for gap in gaps]
-        pulls = rest_pulls(self.data, self.model, self.constraints)
-        rows.append((root * np.sqrt(pulls[:, :1]) * (rest - pulls[:, 1:]))[None])
-        return np.concatenate(rows).ravel()
+        strength = rest_strength(self.data, self.model, self.constraints)
+        if strength > 0:
+            rows.append(np.sqrt(strength) * self._changed_edges(rest))
+        return np.concatenate([row.ravel() for row in rows])
+
+    def _changed_edges(self, rest: np.ndarray) -> np.ndarray:
+        """Changes of all edges, times the roots of their weights."""
+        surface = self.data.surface
+        moved, weights = rest - surface.pose, surface.edges.toarray()
+        i, j = np.nonzero(np.triu(weights))
+        return np.sqrt(weights[i, j])[:, None] * (moved[i] - moved[j])
 
     def jacobians(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Residual, and its derivatives by the bones' unknowns and the vertices' freedoms."""

@@ -76,7 +76,9 @@ class ChainTangent(Tangent):
 
         run_chunks(work, self.chunks)
 
-    def precondition(self, u: Array, damping: float) -> tuple[Operator, Operator]:
+    def precondition(
+        self, u: Array, damping: float, patches: Array | None = None
+    ) -> tuple[Operator, Operator]:
         """The inverse of H + λD, with H averaged over groups of frames, and λD.
 
         The unknowns of the frames are eliminated exactly; the Schur complement of the joints is

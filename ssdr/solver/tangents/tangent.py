@@ -71,11 +71,17 @@ class Tangent(ABC):
         """Move the bones of `model`, a copy of this model, by the step x (in place)."""
 
     @abstractmethod
-    def precondition(self, u: Array, damping: float) -> tuple[Operator, Operator]:
+    def precondition(
+        self, u: Array, damping: float, patches: Array | None = None
+    ) -> tuple[Operator, Operator]:
         """An approximate inverse of H + λD, and λD, both as operators, with λ = `damping`.
 
         H is the Gauss–Newton matrix of the unknowns x for fixed weights and rest pose, and D the
-        scale of its diagonal.  `u` (B, B, 4, 4) is Σ_i w_j w_k p̃ p̃ᵀ for bones j and k.
+        scale of its diagonal.  `u` (B, B, 4, 4) is Σ_i w_j w_k p̃ p̃ᵀ for bones j and k, and
+        `patches` that of :class:`~ssdr.solver.vertex_elimination.ReducedSystem`.  With it, the
+        inverse of the small matrix of changes that are the same in all frames is added: if the rest
+        pose can follow these, they cost far less than H says (a two-level method, as of Nicolaides
+        1987, with a space for each bone).
         """
 
     def joint_part(self, x: Array) -> Array:
@@ -111,6 +117,8 @@ GENERATORS = np.array(
 )
 _GROUP = 24  # fewest frames that share a factor of the preconditioner
 _GROUPS = 32  # most factors
+# Least damping of what is the same in all frames: to move everything so costs nothing.
+_SAME = 1e-4
 
 
 class RigidTangent(Tangent):
@@ -149,7 +157,9 @@ class RigidTangent(Tangent):
         m = model.transforms
         run_chunks(lambda _, i, k: move_bones(m[i:k], x[i:k]), self.chunks)
 
-    def precondition(self, u: Array, damping: float) -> tuple[Operator, Operator]:
+    def precondition(
+        self, u: Array, damping: float, patches: Array | None = None
+    ) -> tuple[Operator, Operator]:
         """The inverse of H + λD, with H averaged over groups of frames, and λD.
 
         Unknowns act on M from the right, so that the block of bones j and k depends on the frame
@@ -181,11 +191,21 @@ class RigidTangent(Tangent):
             return inverse_of(matrix)
 
         inverses = run_chunks(invert_group, groups)
+        together = None
+        if patches is not None:
+            of_patches = patches.transpose(2, 3, 0, 1).reshape(16, -1)
+            both = np.einsum("dca,ecb->abde", generators, generators).reshape(n_tangent**2, 16)
+            matrix = (both @ of_patches).reshape(n_tangent, n_tangent, n_bones, n_bones)
+            matrix = np.ascontiguousarray(matrix.transpose(2, 0, 3, 1)).reshape(size, size)
+            matrix[np.diag_indices(size)] += (damping + _SAME) * frame_weight.sum() * own.ravel()
+            together = inverse_of(matrix)
 
         def precondition(r: Array) -> Array:
             flat = r.reshape(n_frames, size) / frame_weight[:, None]
             out = np.empty_like(flat)
             run_chunks(lambda g, i, k: np.matmul(flat[i:k], inverses[g], out=out[i:k]), groups)
+            if together is not None:
+                out += together @ r.reshape(n_frames, size).sum(axis=0)
             return out.reshape(r.shape)
 
         damped = damping * (frame_weight[:, None, None] * own)
@@ -262,7 +282,9 @@ class AffineTangent(Tangent):
         good = admissible(m, moved)
         m[good] = moved[good]
 
-    def precondition(self, u: Array, damping: float) -> tuple[Operator, Operator]:
+    def precondition(
+        self, u: Array, damping: float, patches: Array | None = None
+    ) -> tuple[Operator, Operator]:
         """The exact inverse of H + λD, and λD; D is the quadratic form of :func:`ridge_blocks`."""
         metric = stack_diagonal(ridge_blocks(u, 1.0))
         damped = damping * metric
@@ -278,7 +300,18 @@ class AffineTangent(Tangent):
             stacked = stack_transforms(x.reshape(*x.shape[:2], 3, 4)) @ matrix
             return np.ascontiguousarray(unstack_transforms(stacked, len(u))).reshape(x.shape)
 
+        together, axes = None, self.model.transforms[..., :3]
+        if patches is not None:
+            same = (damping + _SAME) * float(weight.sum()) * metric
+            together = inverse_of(stack_blocks(patches) + same)
+
         def precondition(r: Array) -> Array:
-            return times(r, inverse) / weight
+            out = times(r, inverse) / weight
+            if together is not None:
+                # with M X for X the change of all frames, as sums over the frames
+                x = np.einsum("tjca,tjcd->jad", axes, r.reshape(*r.shape[:2], 3, 4))
+                x = unstack_transforms(stack_transforms(x[None]) @ together, len(u))[0]
+                out += np.einsum("tjca,jad->tjcd", axes, x).reshape(r.shape)
+            return out
 
         return precondition, lambda x: times(x, damped) * weight
