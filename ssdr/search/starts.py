@@ -95,7 +95,7 @@ def normals_need_a_start(d: Descent) -> bool:
     but not light.  In that case an RMSE below 0.01 % of the diagonal counts for nothing from now
     on.
     """
-    if d.planning or d.normals or d.data.normals is None:
+    if d.planning or d.data.slack or d.data.normals is None:
         wanted = bool(d.normals) and d.constraints.bone_model == "rigid"
         return wanted and len(d.data.faces) > 0
     model, count = d.best.model, d.data.n_frames * d.data.n_vertices

@@ -40,7 +40,7 @@ _STEPPED = ("transforms", *SOLVED)  # arrays that a step changes
 # In every third step, up to three bones may enter the support of a vertex: to try this in every
 # step costs more than it brings.
 _ENTERING_EVERY, _ENTERING_BONES = 3, 3
-_WINDOW = 8  # steps over which the stopping test measures the gain
+_WINDOW = 6  # steps over which the stopping test measures the gain
 # Most steps of bones with joints, and the relative gain of a step below which no further step is
 # taken.
 _STEPS, _LEAST_GAIN = 12, 1e-3
@@ -97,8 +97,8 @@ class GaussNewton:
         ----------
         most : int
         gain : float
-            The steps end if the last eight that were accepted lower the error by less than this
-            fraction of it, or if eight in a row are rejected.
+            The steps end if the last six that were accepted lower the error by less than this
+            fraction of it, or if six in a row are rejected.
         entering : bool
             Whether further bones may become influences of a vertex, in the first step and in every
             third after it.

@@ -139,7 +139,7 @@ class Objective:
 
     def value(self, data: Trajectories, model: Model) -> float:
         """The objective of a model, in the solver's units."""
-        value = _seen_error(data, model)
+        value = seen_error(data, model)
         if self.smoothness is not None:
             value += self.smoothness.penalty(model)
         value *= _rest_factor(data, model, self.constraints)
@@ -157,7 +157,7 @@ class Objective:
         `joints` (J,) are the indices of the bones whose joints may move.  Without a penalty, the
         stiffness is 0.
         """
-        error = _seen_error(data, model)
+        error = seen_error(data, model)
         factor = dataclasses.replace(self, smoothness=None).value(data, model) / max(error, 1e-300)
         if not self.constraints.near_skin or not len(joints):
             return JointPenalty.none(len(joints), factor)
@@ -207,7 +207,7 @@ def normal_length(data: Trajectories, model: Model, penalty: float = 0.0) -> flo
         return 0.0
     count = data.n_frames * data.n_vertices
     unit = count * (mean_normal_error(data, model) + _UNSEEN) / _NORMALS
-    return math.sqrt((_seen_error(data, model) + penalty) / unit)
+    return math.sqrt((seen_error(data, model) + penalty) / unit)
 
 
 def rest_pulls(
@@ -221,7 +221,7 @@ def rest_pulls(
     known = np.isfinite(model.error).all()  # a start has no error yet
     if data.surface is None or constraints.rest or not known:
         return np.zeros((len(model.rest), 4))
-    error = _seen_error(data, model) + penalty
+    error = seen_error(data, model) + penalty
     return data.surface.pulls(model.rest, error, data.importance)
 
 
@@ -229,10 +229,11 @@ def rest_strength(data: Trajectories, model: Model, constraints: Constraints) ->
     """λ of the edges that :func:`rest_pulls` bounds; 0 where there are no pulls."""
     if data.surface is None or constraints.rest or not np.isfinite(model.error).all():
         return 0.0
-    return data.surface.strength(model.rest, _seen_error(data, model))
+    return data.surface.strength(model.rest, seen_error(data, model))
 
 
-def _seen_error(data: Trajectories, model: Model) -> float:
+def seen_error(data: Trajectories, model: Model) -> float:
+    """Squared error of a model with the slack of the data."""
     return model.weighted_error(data) + data.slack
 
 

@@ -20,7 +20,7 @@ from ..kernels.newton import polish_vertices
 from ..kernels.polish import choose_influences
 from .model import CHUNK, FREE, SOLVED, Constraints, Model
 from .moments import transform_sums
-from .objective import normal_length, rest_pulls, rest_strength
+from .objective import normal_length, rest_pulls, rest_strength, seen_error
 from .rest_surface import RestSurface
 from .trajectories import Array, Trajectories
 
@@ -121,7 +121,7 @@ def optimise_some(
     _, gram, gram4, reduced = transform_sums(data, model.transforms)
     some, part = model.select_vertices(rows), constraints.select_vertices(rows)
     for _ in range(times):
-        length, error = normal_length(data, model), model.weighted_error(data)
+        length, error = normal_length(data, model), seen_error(data, model)
         if data.surface is not None:
             error *= surface.factor(model.rest) / data.surface.factor(model.rest)
         newton_vertices(
