@@ -6,7 +6,7 @@ import numpy as np
 
 from .policy import kernel
 from .simplex_qp import simplex_qp
-from .weights import begin_qp, pulled
+from .weight_problem import begin_qp, pulled
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Kernels of the polish apart from the vertex step: Schur complement, tangents, moves.
+"""Kernels of the bones in the polish: Schur complement, tangents, and what a step moves.
 
 The tangent (ω, τ) of a bone changes its transform by δM = M [[ω]× τ; 0 0].
 """

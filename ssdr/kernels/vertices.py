@@ -9,7 +9,7 @@ import numpy as np
 
 from .policy import inline, kernel
 from .simplex_qp import cholesky_solve, simplex_qp
-from .weights import (
+from .weight_problem import (
     all_pulled,
     begin_qp,
     close_gaps,

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..common.parallel import chunk_bounds, run_chunks, serial_blas
-from ..kernels.newton import polish_vertices
-from ..kernels.polish import choose_influences
+from ..kernels.influence_choice import choose_influences
+from ..kernels.vertex_polish import polish_vertices
 from ..solver.alternation import bone_costs, free_gauge, repeat_alternation, vertex_step
 from ..solver.gauss_newton import GaussNewton
 from ..solver.initialization import by_motion, fit_patches

@@ -1,4 +1,4 @@
-"""Schedules: what a call does, step by step.  What depends on size is in :mod:`.efforts`.
+"""Schedules: what a call does, step by step.  What depends on size is in :mod:`.effort_numbers`.
 
     fast       a first model; then more bones, merged and moved on a sample of the vertices; polish
     balanced   the same; then relax and polish
@@ -12,7 +12,7 @@ from __future__ import annotations
 from functools import partial
 
 from .descent import Descent
-from .efforts import (
+from .effort_numbers import (
     MANY_BONES,
     NUMBERS,
     RELAXED_VERTICES,

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.parallel import chunk_bounds, run_chunks, serial_blas
-from ..kernels.newton import polish_vertices
-from ..kernels.polish import choose_influences
+from ..kernels.influence_choice import choose_influences
+from ..kernels.vertex_polish import polish_vertices
 from .model import CHUNK, FREE, SOLVED, Constraints, Model
 from .moments import transform_sums
 from .objective import normal_length, rest_pulls, rest_strength, seen_error

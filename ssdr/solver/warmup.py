@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from ..common.parallel import get_threads
-from ..kernels.newton import polish_vertices
+from ..kernels.influence_choice import choose_influences
 from ..kernels.policy import SHIPPED, is_cached
-from ..kernels.polish import choose_influences
+from ..kernels.vertex_polish import polish_vertices
 from ..mesh.sequence import MeshSequence
 from ..model.drawn_normals import drawn_angles, with_fitted_normals
 from ..model.frame_error import squared_error

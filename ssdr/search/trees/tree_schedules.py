@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..descent import Descent, Schedule
-from ..efforts import NUMBERS, TREE_ROUNDS, TRIALS_OF_A_TREE, rebuilds
+from ..effort_numbers import NUMBERS, TREE_ROUNDS, TRIALS_OF_A_TREE, rebuilds
 from ..problem import Effort
 from ..starts import first_model, merged_start, polish_model, start_from_model
 from ..steps import (

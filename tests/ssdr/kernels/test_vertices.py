@@ -10,9 +10,9 @@ from scipy.optimize import minimize
 
 import ssdr
 from helpers import motions, naive, terms
+from ssdr.kernels.influence_choice import choose_influences
 from ssdr.kernels.lanes import LANES
-from ssdr.kernels.newton import polish_vertices
-from ssdr.kernels.polish import choose_influences
+from ssdr.kernels.vertex_polish import polish_vertices
 from ssdr.kernels.vertices import solve_vertices
 from ssdr.solver.model import Model
 from ssdr.solver.moments import transform_sums

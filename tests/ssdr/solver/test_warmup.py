@@ -48,7 +48,7 @@ def signatures() -> dict[str, int]:
 def test_nothing_is_left_to_compile(effort: str, rng: np.random.Generator) -> None:
     warmup.compile_kernels()
     before = signatures()
-    assert before["ssdr.kernels.newton.polish_vertices"] >= 1
+    assert before["ssdr.kernels.vertex_polish.polish_vertices"] >= 1
     ssdr.decompose(rng.standard_normal((5, 40, 3)), [[0, 1, 2]], bones=4, effort=effort)
     assert signatures() == before
 

@@ -7,7 +7,14 @@ import numpy as np
 from .policy import kernel
 from .simplex_qp import cheapest_to_drop, simplex_qp
 from .vertices import load_points, read_influences, store
-from .weights import all_pulled, begin_qp, close_gaps, gradient_of_all, hessian_row, take_columns
+from .weight_problem import (
+    all_pulled,
+    begin_qp,
+    close_gaps,
+    gradient_of_all,
+    hessian_row,
+    take_columns,
+)
 
 
 @kernel
