@@ -150,7 +150,7 @@ def toy_files() -> tuple[np.ndarray, dict[str, bytes]]:
     """Positions (14, 5, 3) and files: the first, frames 1 to 12, the rest pose."""
     places = np.random.default_rng(0).standard_normal((14, 5, 3)).astype(np.float32)
     names = ["first", *(f"toy/{k}" for k in range(1, 13)), "rest"]
-    faces = "f 1 2 3 4\nf 1 2 5"
+    faces = "f 1 2 3\nf 1 3 4\nf 1 2 5"
     files = {f"models/{n}.obj": obj(p, faces) for n, p in zip(names, places, strict=True)}
     return places, files | {"models/toy/notes.txt": b"no frame"}
 
