@@ -12,7 +12,17 @@ import numpy as np
 import pytest
 
 import ssdr
-from ssdr.kernels import bones, lbs, newton, normals, polish, removal, schur, vertices
+from ssdr.kernels import (
+    bones,
+    coupling,
+    influence_choice,
+    lbs,
+    normals,
+    removal,
+    schur,
+    vertex_polish,
+    vertices,
+)
 from ssdr.solver import warmup
 
 _REPORT = """
@@ -35,7 +45,10 @@ print(json.dumps({"compiled": names.found, "seconds": seconds}))
 
 
 def signatures() -> dict[str, int]:
-    modules = (bones, lbs, newton, normals, polish, removal, schur, vertices)
+    modules = (
+        *(bones, coupling, influence_choice, lbs, normals, removal, schur, vertex_polish),
+        vertices,
+    )
     return {
         f"{m.__name__}.{name}": len(value.signatures)
         for m in modules
