@@ -1,9 +1,10 @@
-"""Reading of scene files (glTF, USD): baked to vertices or as a skinning, and lists of contents."""
+"""Reading of scenes (glTF, USD, FBX, Alembic): baked or as a skinning, and lists of contents."""
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from .sampling import Sample
 from .scene import join_sequence, join_skinning
 
 
-class SceneFile:
+class SceneFile(ABC):
     """An open file of one format, and the functions that read files of that format.
 
     A format derives a class that opens a file, given its path, a limit of memory in bytes (or None)
@@ -41,12 +42,12 @@ class SceneFile:
     clip_names: Sequence[str]
     driven = False
 
-    def __init__(self, path: Path, max_bytes: int | None = None, meshes: Any = None) -> None:
-        raise NotImplementedError
+    @abstractmethod
+    def __init__(self, path: Path, max_bytes: int | None = None, meshes: Any = None) -> None: ...
 
+    @abstractmethod
     def sample(self, index: int, fps: float | None, joints_alone: bool = False) -> Sample:
         """One clip and the parts to show in it, which are the same in all clips of the file."""
-        raise NotImplementedError
 
     def samples(
         self, indices: Sequence[int], fps: float | None, joints_alone: bool = False
@@ -57,11 +58,13 @@ class SceneFile:
         """All clips, of which only rates and numbers of frames are known."""
         return [self.sample(k, fps).clip for k in range(len(self.clip_names))]
 
+    @abstractmethod
     def mesh_names(self) -> Sequence[str]:
-        raise NotImplementedError
+        """Names of the meshes that are shown, or of the nodes that hold them."""
 
+    @abstractmethod
     def materials(self, parts: Sequence[Any]) -> list[Material]:
-        raise NotImplementedError
+        """Materials of the file, or of parts of it, in the order of their indices."""
 
     @classmethod
     def read(

@@ -199,7 +199,7 @@ def couple_vertices(
 def add_patches(
     points, indices, weights, importance, turns, diagonal, start, ends, edges, first, last, total
 ):
-    """Add up what it costs to move each bone in all frames, and its share of the rest pose back.
+    """Add up the cost of one change of a bone in all frames, if the rest pose follows the bones.
 
     points      (V, P, 4)     float64  points p̃ of each vertex, in
     indices     (V, K)        int32    bone of each influence, in

@@ -15,6 +15,7 @@ from scipy.sparse import coo_array, csr_array, dia_array
 
 from ..common.checks import LARGEST, check_faces, check_floats, check_squarable, check_whole
 from ..common.errors import check_choice
+from ..mesh.edges import triangle_edges
 
 MassKind = Literal["barycentric", "voronoi"]
 
@@ -52,8 +53,7 @@ def uniform_laplacian(faces: ArrayLike, n_vertices: int) -> csr_array:
     """
     n = check_whole(n_vertices, "n_vertices", 1, np.iinfo(np.int32).max)
     triangles = check_faces(faces, n)
-    ends = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    ends = np.unique(ends[ends[:, 0] != ends[:, 1]], axis=0)
+    ends = triangle_edges(triangles, n).astype(triangles.dtype)
     return _assemble(ends[:, 0], ends[:, 1], np.ones(len(ends)), n)
 
 

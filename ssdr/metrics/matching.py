@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..common.checks import LARGEST
 from ..common.errors import InputError
 from ..common.parallel import chunk_bounds
+from ..mesh.edges import triangle_edges
 from ..mesh.sequence import MeshSequence
 from ..model.shapes import Skinned
 from ..model.skinning import skinning_in
@@ -124,8 +125,7 @@ def check_finite(first: MeshSequence, second: MeshSequence | Skinned, *results: 
 def edges_of(first: MeshSequence, second: MeshSequence) -> NDArray[np.int32]:
     """Edges ``(E, 2)`` of the first sequence, or of the second if only the second has faces."""
     faces = first.faces if len(first.faces) else second.faces
-    ends = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    return np.unique(ends[ends[:, 0] != ends[:, 1]], axis=0)
+    return triangle_edges(faces, first.n_vertices).astype(np.int32)
 
 
 def chunk_size(sequence: MeshSequence | Skinned, per_frame: int = 0) -> int:

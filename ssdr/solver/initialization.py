@@ -12,10 +12,11 @@ from scipy.spatial import cKDTree
 from ..common.checks import BoneModel
 from ..common.parallel import chunk_bounds, run_chunks, serial_blas
 from ..kernels.bones import sweep_bones
+from ..mesh.edges import triangle_edges
 from .affine_fit import PATCH_RIDGE, solve_affine
 from .model import CHUNK, Model
 from .moments import transform_sums
-from .rest_surface import SHORT, distinct_edges
+from .rest_surface import SHORT
 from .trajectories import Array, Trajectories
 
 _FEW = 64  # frames among which the central one is chosen
@@ -322,7 +323,7 @@ def central_frame(data: Trajectories, *, first: bool = False) -> int:
     unless parts of the mesh have no size in it.
     """
     few = np.unique(np.linspace(0, data.n_frames - 1, _FEW).round().astype(int))
-    ends = distinct_edges(data.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), data.n_vertices)
+    ends = triangle_edges(data.faces, data.n_vertices)
     if not len(ends):
         ends = _nearest(data, few[:: max(1, len(few) // _FEWER)])
     if not len(ends):

@@ -49,6 +49,7 @@ from scipy.sparse import csr_array, diags_array
 
 from ..common.checks import LARGEST
 from .model import FREE, Constraints, Model
+from .rest_surface import RestSurface
 from .trajectories import Array, Trajectories
 
 # Relative overlap at which the overlap's centroid and the midpoint have equal weight.
@@ -218,22 +219,27 @@ def rest_pulls(
     They are 0 if the rest pose is free or locked, and for a start, which has no errors yet.
     `penalty` is what the objective adds to the error.
     """
-    known = np.isfinite(model.error).all()  # a start has no error yet
-    if data.surface is None or constraints.rest or not known:
+    surface = _surface_of(data, model, constraints)
+    if surface is None:
         return np.zeros((len(model.rest), 4))
     error = seen_error(data, model) + penalty
-    return data.surface.pulls(model.rest, error, data.importance)
+    return surface.pulls(model.rest, error, data.importance)
 
 
 def rest_strength(data: Trajectories, model: Model, constraints: Constraints) -> float:
     """λ of the edges that :func:`rest_pulls` bounds; 0 where there are no pulls."""
-    if data.surface is None or constraints.rest or not np.isfinite(model.error).all():
-        return 0.0
-    return data.surface.strength(model.rest, seen_error(data, model))
+    surface = _surface_of(data, model, constraints)
+    return 0.0 if surface is None else surface.strength(model.rest, seen_error(data, model))
+
+
+def _surface_of(data: Trajectories, model: Model, constraints: Constraints) -> RestSurface | None:
+    """Surface that pulls on the rest pose; None if it is free or locked, or has no errors yet."""
+    known = np.isfinite(model.error).all()
+    return None if constraints.rest or not known else data.surface
 
 
 def seen_error(data: Trajectories, model: Model) -> float:
-    """Squared error of a model with the slack of the data."""
+    """Squared error of a model plus the slack of its data."""
     return model.weighted_error(data) + data.slack
 
 

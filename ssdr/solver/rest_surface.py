@@ -33,6 +33,7 @@ from scipy.spatial import cKDTree
 
 from ..common.parallel import serial_blas
 from ..kernels.normals import normals_range
+from ..mesh.edges import distinct_pairs, triangle_edges
 from ..mesh.normals import triangle_normals
 
 Array = NDArray[np.float64]
@@ -67,12 +68,10 @@ class RestSurface:
     @serial_blas()
     def build(faces: NDArray[np.int32], pose: Array) -> RestSurface | None:
         """The surface of `pose` with the triangles `faces`; None if no edge has a length."""
-        ends = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-        return RestSurface._of_edges(pose.copy(), ends)
+        return RestSurface._of_edges(pose.copy(), triangle_edges(faces, len(pose)))
 
     @staticmethod
-    def _of_edges(pose: Array, ends: NDArray[np.integer]) -> RestSurface | None:
-        ends = distinct_edges(ends, len(pose))
+    def _of_edges(pose: Array, ends: NDArray[np.int64]) -> RestSurface | None:
         squared = ((pose[ends[:, 0]] - pose[ends[:, 1]]) ** 2).sum(axis=1)
         if not squared.any():
             return None
@@ -92,9 +91,8 @@ class RestSurface:
         other.
         """
         nearest = np.asarray(cKDTree(self.pose[chosen]).query(self.pose)[1])
-        return RestSurface._of_edges(
-            self.pose[chosen], nearest[np.stack(self.edges.nonzero(), axis=1)]
-        )
+        pairs = nearest[np.stack(self.edges.nonzero(), axis=1)]
+        return RestSurface._of_edges(self.pose[chosen], distinct_pairs(pairs, len(chosen)))
 
     def factor(self, rest: Array) -> float:
         """The factor 1 + c·S of a rest pose (V, 3)."""
@@ -146,7 +144,7 @@ class RestSurface:
 
     def stiffened(self, faces: NDArray[np.int32], factor: float) -> RestSurface:
         """A copy in which the edges of the triangles `faces` have `factor` times the weight."""
-        ends = distinct_edges(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), len(self.pose))
+        ends = triangle_edges(faces, len(self.pose))
         i, j = np.concatenate([ends, ends[:, ::-1]]).T
         mask = coo_array((np.ones(len(i)), (i, j)), shape=self.edges.shape).tocsr()
         mask.data[:] = factor - 1.0
@@ -160,13 +158,6 @@ class RestSurface:
         for _ in range(_RINGS):
             reached += self.edges @ reached
         return np.flatnonzero(reached)
-
-
-def distinct_edges(ends: NDArray[np.integer], n: int) -> NDArray[np.int64]:
-    """Distinct pairs (P, 2) i < j among index pairs `ends` of n vertices, in ascending order."""
-    i, j = np.sort(ends, axis=1).astype(np.int64).T
-    code = np.unique((i * n + j)[i < j])
-    return np.stack([code // n, code % n], axis=1)
 
 
 def _turned(points: Array, faces: NDArray[np.int32]) -> NDArray[np.bool_]:

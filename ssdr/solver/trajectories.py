@@ -308,14 +308,14 @@ def find_parts(faces: NDArray[np.int32], x: Array) -> NDArray[np.intp] | None:
     if count - small.sum() < 2:
         return None
     out = np.where(small[part], -1, -2 - part.astype(np.intp))
-    order = np.argsort(part, kind="stable")
-    for k, rows in enumerate(np.split(order, np.cumsum(sizes)[:-1])):
+    order, ends_at = np.argsort(part, kind="stable"), np.cumsum(sizes)
+    for k in np.flatnonzero(~small):
+        rows = order[ends_at[k] - sizes[k] : ends_at[k]]
         frames = np.ascontiguousarray(x[rows].swapaxes(0, 1))
         here, _ = centred(frames, None)
         here = here @ rotations_onto(here, here[0], None)
         motion, square = ((frames - frames[0]) ** 2).sum(), (frames**2).sum()
-        rigid = ((here - here[0]) ** 2).sum() <= _RIGID * motion + _ROUNDING * square
-        if rigid and not small[k]:
+        if ((here - here[0]) ** 2).sum() <= _RIGID * motion + _ROUNDING * square:
             out[rows] = k
     return out
 

@@ -109,7 +109,7 @@ class Reader:
             waiting += [(child, names, hidden) for child in each(node.children)[::-1]]
 
     def read(self) -> dict[str, Any]:
-        """Names of all meshes, stacks and nodes and, if frames are wanted, what meshes are."""
+        """Names, stacks and materials of the file and, if frames are wanted, records of meshes."""
         walked, wanted, moments = list(self.walk()), self.job["meshes"], self.job["moments"]
         held = [one for one in walked if kept(one[0].mesh) and one[0].mesh.num_vertices]
         shown = [(node, [*names, node.mesh.name]) for node, names, hidden in held if not hidden]

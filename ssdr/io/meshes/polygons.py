@@ -89,7 +89,10 @@ def cut(
 
 
 def _ears(points: NDArray[Any], area: NDArray[np.float64]) -> list[list[int]]:
-    """Triangles (N - 2) of a polygon that faces along `area`; the rest without ears is a fan."""
+    """Triangles (N - 2, 3) of one polygon with the vector area `area`, cut off as ears.
+
+    What has no ear left, in a polygon that crosses itself, is cut into a fan.
+    """
     axis = int(np.abs(area).argmax())
     flat = np.delete(np.asarray(points, dtype=np.float64), axis, axis=1)
     if (area[axis] < 0) != (axis == 1):  # seen from the other side

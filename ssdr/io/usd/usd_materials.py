@@ -42,7 +42,7 @@ def read_materials(meshes: Sequence[MeshPrim]) -> list[Material]:
 
 
 def write_materials(stage: Any, top: Any, mesh: Any, surface: Surface) -> None:
-    """Define a material without a shader below `top` for each of a surface, bound to a mesh."""
+    """Define the materials of a surface by name alone, below `top`, and bind them to a mesh."""
     names = unique_names([identifier(m.name) for m in surface.materials])
     places = [top.AppendChild("Looks").AppendChild(name) for name in names]
     looks = [UsdShade.Material.Define(stage, place) for place in places]

@@ -10,8 +10,9 @@ import threadpoolctl
 
 import ssdr
 from helpers import motions, surfaces, terms
+from ssdr.mesh.edges import distinct_pairs
 from ssdr.solver.initialization import central_frame
-from ssdr.solver.rest_surface import RestSurface, distinct_edges
+from ssdr.solver.rest_surface import RestSurface
 from ssdr.solver.trajectories import Trajectories, gather
 
 
@@ -80,8 +81,8 @@ def test_without_edges_there_is_no_surface(rng: np.random.Generator) -> None:
 def test_edges_are_distinct_pairs_in_order(rng: np.random.Generator) -> None:
     ends = rng.integers(0, 9, (60, 2)).astype(np.int32)
     want = sorted({(min(a, b), max(a, b)) for a, b in ends.tolist() if a != b})
-    np.testing.assert_array_equal(distinct_edges(ends, 9), want)
-    assert distinct_edges(ends[:0], 9).shape == (0, 2)
+    np.testing.assert_array_equal(distinct_pairs(ends, 9), want)
+    assert distinct_pairs(ends[:0], 9).shape == (0, 2)
 
 
 def test_stiffer_edges_count_so_many_times_as_much(rng: np.random.Generator) -> None:
