@@ -2,8 +2,8 @@
 # Sets up everything that the Makefile's targets need, in .venv beside this folder.
 # Usage: .ci/setup.sh
 # Environment: PYTHON (interpreter to build on), SSDR_NO_SYSTEM=1 (install no system package),
-# EXTRAS (more of pyproject's extras, such as dask,docs; garmentnet and scenes are the second
-# distribution and its extra: tests of what is not installed skip).
+# EXTRAS (more of pyproject's extras, such as dask,docs; garmentnet is the second distribution,
+# scenes what makes bodies beside it: tests of what is not installed skip).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -87,7 +87,7 @@ wanted=${EXTRAS:-}
 for extra in ${wanted//,/ }; do
     case $extra in
         garmentnet) [ ${#editable[@]} -gt 0 ] || editable=(-e ./garmentnet) ;;
-        scenes) editable=(-e "./garmentnet[scenes]") ;;
+        scenes) editable=(-e ./garmentnet "anny>=0.6,<0.7") ;;
         *) extras+=,$extra ;;
     esac
 done

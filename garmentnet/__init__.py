@@ -4,7 +4,6 @@ Pan et al., "Predicting Loose-Fitting Garment Deformations Using Bone-Driven Mot
 SIGGRAPH 2022.
 
 =========================  ==========================================================
-``garmentnet.scenes``      simulates data: body, dance, garment, cloth
 ``garmentnet.importing``   stores of cloth and rigs of other programs
 ``garmentnet.data``        clips, motion, skeletons, motion capture, virtual bones
 ``garmentnet.collision``   distances to the body, vertices moved out of it

@@ -77,6 +77,10 @@ def blocks(step: Callable[[int], Any], frames: int) -> list[float]:
 def measure(preset: str, hidden: int, rank: int) -> common.Row:
     import torch
 
+    from benchmarks.garment.scenes.cloth import Cloth
+    from benchmarks.garment.scenes.dance.choreography import dance
+    from benchmarks.garment.scenes.scene_file import load_data_set
+    from benchmarks.garment.scenes.simulator import simulate
     from garmentnet.collision.outward import OutwardPush
     from garmentnet.configs.config import load_config, override
     from garmentnet.data.parameters import SimulationParameters
@@ -85,10 +89,6 @@ def measure(preset: str, hidden: int, rank: int) -> common.Row:
     from garmentnet.networks.features import Normaliser, PoseFeatures
     from garmentnet.networks.network import MotionNetwork
     from garmentnet.runtime import load_live
-    from garmentnet.scenes.cloth import Cloth
-    from garmentnet.scenes.dance.choreography import dance
-    from garmentnet.scenes.scene_file import load_data_set
-    from garmentnet.scenes.simulator import simulate
 
     torch.set_num_threads(1)
     data_set = load_data_set(preset)

@@ -5,7 +5,7 @@ The one that ships is what this makes without arguments::
     python benchmarks/garment/make_body.py mine.npz weight=0.6
 
 A scene file names it by ``body = "mine.npz"``.  Arguments are phenotype parameters of anny, each
-from 0 to 1: gender, age, muscle, weight, height, proportions.  Needs the extra ``scenes``.
+from 0 to 1: gender, age, muscle, weight, height, proportions.  Needs ``anny``.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 
+from benchmarks.garment.scenes.body import Body, save_body
 from garmentnet.data.skeleton import Skeleton
 from garmentnet.data.skin_weights import strongest
-from garmentnet.scenes.body import Body, save_body
 from ssdr.common.errors import InputError
 from ssdr.io.optional import import_optional as require
 from ssdr.model.skinning import Skinning
@@ -76,8 +76,8 @@ def make_body(**build: float) -> Body:
     for name, value in build.items():
         if name not in _BUILD or not 0 <= value <= 1:
             raise InputError(name, f"{', '.join(_BUILD)}, each from 0 to 1", value)
-    anny = require("anny", "garmentnet[scenes]", "a body")
-    torch = require("torch", "garmentnet[scenes]", "a body")
+    anny = require("anny", "anny>=0.6", "a body")
+    torch = require("torch", "anny>=0.6", "a body")
     model = anny.Anny(topology=_TOPOLOGY)
     with torch.no_grad():
         out = model(phenotype_kwargs=_BUILD | build)

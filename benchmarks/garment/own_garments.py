@@ -22,14 +22,14 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import ssdr
+from benchmarks.garment.scenes.body import default_body
+from benchmarks.garment.scenes.cloth import Cloth, Solver
+from benchmarks.garment.scenes.cut import Cut, cut_garment
+from benchmarks.garment.scenes.dance.choreography import dance
+from benchmarks.garment.scenes.garments import Garment, follow
+from benchmarks.garment.scenes.simulator import simulate
 from garmentnet.data.motion import Motion
 from garmentnet.data.parameters import SimulationParameters
-from garmentnet.scenes.body import default_body
-from garmentnet.scenes.cloth import Cloth, Solver
-from garmentnet.scenes.cut import Cut, cut_garment
-from garmentnet.scenes.dance.choreography import dance
-from garmentnet.scenes.garments import Garment, follow
-from garmentnet.scenes.simulator import simulate
 from ssdr import MeshSequence
 
 BODY = default_body()

@@ -38,6 +38,8 @@ from benchmarks.garment.rules import (
     nearest,
     raw_parameters,
 )
+from benchmarks.garment.scenes.dataset import make_data_set, recorded_motions
+from benchmarks.garment.scenes.scene_file import load_data_set
 from garmentnet.cli.progress import progress_bar
 from garmentnet.configs.config import Config, load_config, override
 from garmentnet.data.store import ClipStore
@@ -49,8 +51,6 @@ from garmentnet.evaluation.scores import evaluate
 from garmentnet.evaluation.tables import markdown
 from garmentnet.io.files import Progress, silent, write_file
 from garmentnet.networks.checkpoint import Checkpoint, load_checkpoint
-from garmentnet.scenes.dataset import make_data_set, recorded_motions
-from garmentnet.scenes.scene_file import load_data_set
 from garmentnet.training.batches import load_tracks
 from garmentnet.training.ensemble import train_ensemble
 from garmentnet.training.run import choose_clips, train, with_mirrored

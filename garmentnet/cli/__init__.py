@@ -1,4 +1,4 @@
-"""The command ``garmentnet``: simulate, train, evaluate, predict, demo."""
+"""The command ``garmentnet``: import, train, evaluate, predict, view, export, demo."""
 
 from .app import app, main
 

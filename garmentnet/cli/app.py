@@ -1,4 +1,4 @@
-"""The command ``garmentnet``: every step from simulation to pictures.
+"""The command ``garmentnet``: every step from clips to pictures.
 
 Commands import what they need when they run: ``--help`` is fast, and a command works without the
 extras that only others need.
@@ -18,18 +18,17 @@ from .exporting import export
 from .importing import import_clips
 from .learning import demo, evaluate, predict, train
 from .models import models
-from .simulating import simulate
 from .viewing import view
 
 app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
-    help="Loose garments on a moving body: simulate, learn, predict.",
+    help="Loose garments on a moving body: import clips, learn, predict.",
 )
 
 
 _COMMANDS = (
-    simulate, train, evaluate, predict, view, export, demo, models
+    train, evaluate, predict, view, export, demo, models
 )  # fmt: skip
 for _command in _COMMANDS:
     app.command()(_command)

@@ -17,7 +17,7 @@ def export(
     output: Annotated[Path, typer.Option("--output", "-o", help="dress.onnx, .glb or .gltf")],
     bits: Annotated[int, typer.Option(help="Of an .onnx: of stored weights, 32, 16 or 8.")] = 32,
     motion: Annotated[
-        Path | None, typer.Option(help="Of a .glb: a file as for predict; else a made dance.")
+        Path | None, typer.Option(help="Of a .glb: a file as for predict; else the one that ships.")
     ] = None,
     shapes: Annotated[int, typer.Option(help="Of a .glb: morph targets, at most.")] = 8,
     push_out: Annotated[
@@ -42,12 +42,12 @@ def export(
     from ..prediction.motion_file import read_motion
     from ..prediction.prediction import chosen_parameters, predict
     from ..prediction.rigged import rigged, save_rigged
-    from .demo import made_dance
+    from .demo import DANCE
 
     checkpoint = load_checkpoint(model)
     parameters = chosen_parameters(checkpoint, entered_parameters(bending, density, time_scale))
     subject = checkpoint.subject
-    joints = read_motion(motion, subject)[0] if motion else made_dance(subject).joints
+    joints, _ = read_motion(motion or DANCE, subject)
     name = motion.stem if motion else "dance"
     result = predict(checkpoint, joints, parameters, push_out=push_out, name=name)
     typer.echo(f"{output}: {save_rigged(rigged(result, subject.skeleton, shapes=shapes), output)}")

@@ -174,16 +174,10 @@ def predict(
         typer.echo(f"{path}: {text}")
 
 
-def demo(
-    output: Folder = None,
-    train: Annotated[
-        bool, typer.Option("--train", help="Simulate, decompose and train first, all small.")
-    ] = False,
-) -> None:
+def demo(output: Folder = None) -> None:
     """Dress a dance with the garment that ships: pictures, film and meshes within a minute."""
-    from .demo import run_demo, run_pipeline
+    from .demo import run_demo
 
-    folder, run = output or output_folder() / "demo", run_pipeline if train else run_demo
     with progress_bar() as show:
-        files = run(folder, progress=show)
+        files = run_demo(output or output_folder() / "demo", progress=show)
     typer.echo("\n".join(map(str, files)))

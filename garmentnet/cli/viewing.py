@@ -15,17 +15,8 @@ from .learning import entered_parameters
 
 if TYPE_CHECKING:
     from ..data.parameters import SimulationParameters
-    from ..data.subject import Subject
     from ..runtime import LiveGarment
     from ..viewer import Take
-
-# Name, seed and classes of motion of the dances that a page shows by default, and their length.
-_DANCES = (
-    ("dance", 1, None),
-    ("walk and spin", 2, ("walk", "spin")),
-    ("kick and jump", 3, ("kick", "jump")),
-)
-_SECONDS = 12
 
 
 def view(
@@ -34,7 +25,7 @@ def view(
     ],
     motions: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[MOTION...]", help="Files as for predict; else three dances."),
+        typer.Argument(metavar="[MOTION...]", help="As for predict; else the one that ships."),
     ] = None,
     output: Annotated[
         Path | None,
@@ -56,9 +47,10 @@ def view(
     The body dances or is turned by hand, the garment follows; a garment that reads the
     simulation's parameters has sliders for them.
     """
-    from ..data.parameters import SimulationParameters, warn_beyond
+    from ..data.parameters import warn_beyond
     from ..runtime import load_live
     from ..viewer import write_page
+    from .demo import DANCE
 
     if output is not None and output.suffix.lower() != ".html":
         raise InputError("--output", "a file .html", str(output))
@@ -66,11 +58,7 @@ def view(
     entered = entered_parameters(bending, density, time_scale)
     if entered and not garment.reads_parameters:
         raise InputError("model", "one that reads the simulation's parameters", str(model))
-    subject = garment.subject
-    if motions:
-        takes, parameters = _read(garment, motions, entered, truth)
-    else:
-        takes, parameters = _dances(subject), SimulationParameters(**entered)
+    takes, parameters = _read(garment, motions or [DANCE], entered, truth)
     warn_beyond(parameters, ())
     path = output or Path(tempfile.mkdtemp(prefix="garmentnet-")) / "page.html"
     size = write_page(
@@ -85,16 +73,6 @@ def view(
     typer.echo(f"{path}: {size / 1e6:.1f} MB, {len(takes)} motion(s), {frames} frames")
     if show or output is None:
         webbrowser.open(path.resolve().as_uri())
-
-
-def _dances(subject: Subject) -> list[Take]:
-    from ..viewer import Take
-    from .demo import made_dance
-
-    return [
-        Take(name, made_dance(subject, seed=seed, seconds=_SECONDS, classes=classes).joints)
-        for name, seed, classes in _DANCES
-    ]
 
 
 def _read(

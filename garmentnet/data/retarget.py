@@ -54,7 +54,7 @@ def retarget(bvh: Bvh, skeleton: Skeleton, *, fps: float = 30.0) -> Motion:
     ----------
     bvh : Bvh
     skeleton : Skeleton
-        Skeleton of :mod:`garmentnet.scenes.body`, or one with the same names.
+        Skeleton of :mod:`benchmarks.garment.scenes.body`, or one with the same names.
     fps : float
         Frame rate of the result.
 

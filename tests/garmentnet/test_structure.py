@@ -14,8 +14,8 @@ LAYERS = (
     ("io",),
     ("configs",),
     ("data",),
-    ("networks", "scenes/dance", "scenes/xpbd", "drawing", "collision"),
-    ("training", "scenes", "importing", "runtime"),
+    ("networks", "drawing", "collision"),
+    ("training", "importing", "runtime"),
     ("evaluation", "prediction", "viewer"),
     ("cli",),
     ("",),
@@ -57,12 +57,6 @@ def test_folders_import_lower_folders_only() -> None:
         for other in imports(name):
             target = MODULES[other].parent.relative_to(ROOT).as_posix().replace(".", "")
             assert target == folder or level[target] < level[folder], f"{name} imports {other}"
-
-
-def test_only_commands_import_the_simulation() -> None:
-    for name in MODULES:
-        if not name.startswith(("garmentnet.scenes", "garmentnet.cli")):
-            assert not any(m.startswith("garmentnet.scenes") for m in imports(name)), name
 
 
 def test_folders_and_modules_stay_small() -> None:

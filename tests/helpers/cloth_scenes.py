@@ -7,10 +7,10 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from benchmarks.garment.scenes.body import Body
+from benchmarks.garment.scenes.garments import Garment
 from garmentnet.data.motion import Motion
 from garmentnet.data.skeleton import Skeleton
-from garmentnet.scenes.body import Body
-from garmentnet.scenes.garments import Garment
 from ssdr.model.skinning import Skinning
 
 

@@ -198,8 +198,7 @@ def test_wheel_holds_the_package_and_nothing_else(package: str, tmp_path: Path) 
             "py.typed",
             "configs/tiny.toml",
             "importing/smplh.toml",
-            "scenes/presets/tiny.toml",
-            "scenes/body.npz",
+            "models/dance.npz",
         ),
     }
     for name in data[package]:

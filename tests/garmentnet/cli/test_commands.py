@@ -114,7 +114,7 @@ def test_every_failure_is_one_line(toy_run, toy_store, tmp_path, capfd):
     ]
     (tmp_path / "m.bvh").write_text(BVH)
     exporting = [
-        (2, "motion: expected a file", checkpoint, "-o", tmp_path / "x.glb"),
+        (3, "joints: expected shape", checkpoint, "-o", tmp_path / "x.glb"),
         (2, "x.obj", checkpoint, "-o", tmp_path / "x.obj"),
     ]
     store = ("--store", toy_store.path)

@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 
 pytest.importorskip("zarr")
 
+from benchmarks.garment.scenes.body import default_body
 from garmentnet.data.bvh import find_bvh, read_bvh
 from garmentnet.data.retarget import retarget
-from garmentnet.scenes.body import default_body
 from ssdr.common.errors import FormatError, InputError
 
 BODY = default_body()

@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation
 
 pytest.importorskip("zarr")
 
+from benchmarks.garment.scenes.body import default_body
 from garmentnet.data.motion import Motion, interpolate, lead_in
 from garmentnet.data.parameters import RANGES, SimulationParameters
 from garmentnet.data.skeleton import REFLECTION, Skeleton, mirror_transforms
-from garmentnet.scenes.body import default_body
 from helpers import toy_store as toy
 from ssdr.common.errors import InputError
 

@@ -9,14 +9,14 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+from benchmarks.garment.scenes.body import default_body
+from benchmarks.garment.scenes.dance.choreography import dance
 from garmentnet.configs.config import load_config, override
 from garmentnet.data.skeleton import mirror_transforms
 from garmentnet.networks.checkpoint import load_checkpoint
 from garmentnet.networks.features import Normaliser, PoseFeatures, PoseReader
 from garmentnet.networks.gru import GRU
 from garmentnet.networks.symmetry import reflected_inputs, tie_mirrored
-from garmentnet.scenes.body import default_body
-from garmentnet.scenes.dance.choreography import dance
 from garmentnet.training.run import train
 from ssdr.common.errors import InputError
 

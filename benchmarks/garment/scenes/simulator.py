@@ -1,0 +1,109 @@
+"""Simulation of a clip: cloth on a moving body, pushed out of it, with its quality measured.
+
+A clip runs on one core and gives the same bits every time.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from garmentnet.data.motion import Motion, lead_in
+from garmentnet.data.outfit import neighbours
+from garmentnet.data.parameters import SimulationParameters
+from ssdr.common.errors import InputError
+
+from .cloth import Cloth
+from .garments import Garment
+from .quality import Gate, Quality, judge, outside
+
+# Version of the simulator, raised when a scene gives another clip; part of a clip's provenance.
+VERSION = 2
+# Number of averages with the neighbours that make a perturbation smooth over a few edges.
+_SMOOTHINGS = 20
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Simulated:
+    """A simulated clip.
+
+    Attributes
+    ----------
+    vertices : (F, V, 3) float32
+        The garment in every frame of the motion.
+    quality : Quality
+    """
+
+    vertices: NDArray[np.float32]
+    quality: Quality
+
+
+def simulate(
+    cloth: Cloth,
+    motion: Motion,
+    parameters: SimulationParameters,
+    *,
+    gate: Gate | None = None,
+    seed: int = 0,
+    perturbation: float = 0.0,
+) -> Simulated:
+    """Simulate a garment on a moving body.
+
+    The body moves from rest to its first pose and waits there before the first frame.  Vertices
+    that are inside the body in a finished frame are pushed out.
+
+    Parameters
+    ----------
+    cloth : Cloth
+    motion : Motion
+    parameters : SimulationParameters
+    gate : Gate, optional
+    seed : int
+        Seed of the perturbation.
+    perturbation : float
+        RMS length, metres, of smooth random displacements of the settled garment before the first
+        frame; the difference of the resulting clip from the unperturbed one measures chaos.
+
+    Returns
+    -------
+    Simulated
+
+    Raises
+    ------
+    InputError
+        If the motion is that of another skeleton or a number is not usable.
+    """
+    body, garment, solver = cloth.body, cloth.garment, cloth.solver
+    if motion.joints.shape[1] != body.skeleton.n_joints:
+        raise InputError("motion", f"{body.skeleton.n_joints} joints", motion.joints.shape[1])
+    if not (math.isfinite(perturbation) and 0 <= perturbation <= 0.1):
+        raise InputError("perturbation", "0 to 0.1 m", perturbation)
+    before = lead_in(body.skeleton, motion.joints, solver.approach, solver.settle)
+    joints = np.concatenate([before, motion.joints])
+    # Rounded to float32 as in the store, so that a clip can be simulated again from its store.
+    joints = joints.astype(np.float32).astype(np.float64)
+    moved = perturbation_field(garment, perturbation, seed) if perturbation > 0 else None
+    vertices = cloth.simulate(joints, motion.fps, parameters, first=len(before), moved=moved)
+    vertices, depth = outside(body, garment, motion, vertices)
+    return Simulated(vertices, judge(garment, motion, vertices, depth, gate))
+
+
+def perturbation_field(garment: Garment, size: float, seed: int) -> NDArray[np.float32]:
+    """Smooth random displacements ``(V, 3)`` of free vertices; their RMS length is `size`."""
+    rng = np.random.default_rng([seed, 0xC4A05])
+    n = garment.n_vertices
+    noise = rng.normal(size=(n, 3))
+    starts, others = neighbours(garment.faces, n)
+    near, degree = csr_array((np.ones(len(others)), others, starts), (n, n)), np.diff(starts)
+    free = ~garment.pinned
+    for _ in range(_SMOOTHINGS):
+        # Displacements of single vertices would only stretch edges and vanish at once; smooth ones
+        # change folds.
+        noise = 0.5 * noise + 0.5 * np.asarray(near @ noise) / degree[:, None]
+        noise[~free] = 0.0
+    noise *= size / math.sqrt(float((noise[free] ** 2).sum(axis=1).mean()))
+    return noise.astype(np.float32)

@@ -1,4 +1,0 @@
-"""Simulation of data: body, dance, garment, cloth simulator, data sets.
-
-Making another body than the one that ships needs the extra ``scenes``.
-"""
