@@ -48,21 +48,22 @@ def start(d: Descent, *, factor: float = 1.0, influences: int | None = None) -> 
 def quick_start(d: Descent, *, influences: int | None = None) -> Iterator[None]:
     """Make a first model.
 
-    If there are 128 frames or more, and the caller gave no bones, the model is made from 64 frames
-    and then fitted to all.
+    If there are 128 frames or more, not compressed, and the caller gave no bones, the model is made
+    from 64 frames and then fitted to all.
     """
     data, initial = d.data, d.initial.beside_model()
-    if data.n_frames < 2 * _FEW_FRAMES or initial.transforms is not None:
+    few = data.n_frames < 2 * _FEW_FRAMES
+    if few or data.q is not None or initial.transforms is not None:
         d.model = _first_model(d, 1.0, influences, quick=True)
         vertex_step(data, d.model, constraints=d.constraints)
         yield
         return
     chosen = np.linspace(0, data.n_frames - 1, _FEW_FRAMES).round().astype(np.intp)
-    few, rest = data.select_frames(chosen), initial.first_pose(data)
+    sample, rest = data.select_frames(chosen), initial.first_pose(data)
     k, kind = influences or d.influences, d.constraints.bone_model
-    model = start_model(few, rest, d.bones, k, d.rng, kind, quick=True)
-    vertex_step(few, model, constraints=d.constraints)
-    repeat_alternation(few, model, _FEW_ALTERNATIONS, d.constraints)
+    model = start_model(sample, rest, d.bones, k, d.rng, kind, quick=True)
+    vertex_step(sample, model, constraints=d.constraints)
+    repeat_alternation(sample, model, _FEW_ALTERNATIONS, d.constraints)
     between = 0.5 * (chosen[1:] + chosen[:-1])
     nearest = np.searchsorted(between, np.arange(data.n_frames))
     model.transforms = np.ascontiguousarray(model.transforms[nearest])

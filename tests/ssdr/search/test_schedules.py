@@ -83,3 +83,13 @@ def test_no_piece_is_torn_where_two_share_a_bone(rest_pose: str) -> None:
     assert (owner == owner[:, :1]).all()
     assert len(np.unique(owner)) == 9
     assert found.rmse > 0
+
+
+def test_smooth_weights_of_many_frames_of_low_rank() -> None:
+    """The search without the penalty, amid one with it, begins from compressed frames."""
+    few = ssdr.samples.load("dancer_small").vertices[:3, ::4]
+    way = np.abs(np.linspace(-2, 2, 130))[:, None, None]
+    frames = few[0] * (1 - way) + few[1] * way
+    faces = np.arange(3 * (few.shape[1] // 3)).reshape(-1, 3)
+    result = ssdr.decompose(frames, faces, bones=2, smoothness=0.01)
+    assert np.isfinite(result.rmse)
