@@ -12,7 +12,7 @@ PYTEST ?=
 # A Python that runs from elsewhere must not shadow the environment.
 unexport PYTHONPATH PYTHONHOME
 
-.PHONY: help setup demo test test-all lint format docs wheel blender release bench bench-full clean
+.PHONY: help setup demo test test-all lint format docs wheel blender release bench clean
 
 help:
 	@echo 'make demo    decompose the sample that ships with the package: out/'
@@ -23,8 +23,8 @@ help:
 	@echo 'make wheel   build dist/ and try ssdr in a new environment without a compiler'
 	@echo 'make release the same, and garmentnet beside it (PYTHONS="python3.12 ..." tries more of them)'
 	@echo 'make blender build the Blender extension with the tool of Blender itself: dist/'
-	@echo 'make bench   ssdr beside Dem Bones and others in ten minutes: out/bench-short/'
-	@echo 'make bench-full  all of it, hours: the tables and charts of docs/benchmarks.md'
+	@echo 'make bench   40 minutes of two idle cores: tables and charts of the benchmarks (ANEW=1 starts over;'
+	@echo '             SOLVER=mine.py ONLY=samba-20 has a solver of your own race, into out/bench/)'
 	@echo 'make clean   remove what the others made'
 
 setup: $(READY)
@@ -75,13 +75,9 @@ blender: $(READY)
 release: $(READY)
 	@.ci/release.sh
 
-# Both go on where they were stopped.
+# Goes on where it was stopped.
 bench: $(VENV)/.bench
-	$(BIN)/python benchmarks/peers/race.py --short --limit 480
-
-bench-full: $(VENV)/.bench
-	$(BIN)/python benchmarks/peers/race.py
-	$(BIN)/python benchmarks/tools/pages.py
+	$(BIN)/python benchmarks/bench.py $(if $(ANEW),--anew) $(if $(ONLY),--only $(ONLY)) $(if $(SOLVER),--solver $(SOLVER))
 
 $(VENV)/.bench: $(READY)
 	@$(BIN)/python -m pip install -q --disable-pip-version-check -c .ci/constraints.txt -e ".[bench]"

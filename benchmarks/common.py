@@ -1,38 +1,40 @@
 """What the benchmarks share: data, errors, fresh processes, results that are kept, tables, charts.
 
-A script is its cases and how one of them is measured; ``run`` is its command line.  Each case is
-measured in a process of its own, beside the machine's rates, and its row is written at once to a
-JSON file, ``{"rows": {case: row}}``: what has a row there is not measured again, so that a run can
-be stopped and go on.  Errors are computed here from the arrays of a model, by code of this file.
+A script of a study is its cases and how one of them is measured; ``run`` is its command line.  Each
+case is measured in a process of its own, and its row is written at once to a record: what has a row
+there is not measured again.  Errors are computed here from the arrays of a model, by code of this
+file.
 """
 
 from __future__ import annotations
 
 import argparse
-import functools
 import importlib.util
 import json
 import os
-import platform
-import re
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import threadpoolctl
 
-ROOT = Path(__file__).resolve().parents[1]
-RESULTS = ROOT / "benchmarks" / "results"
+from benchmarks.record import (
+    RESULTS,
+    ROOT,
+    Record,
+    Row,
+    load_average,
+    machine,
+    read_rows,
+)
+
+__all__ = ["RESULTS", "ROOT", "Record", "Row", "machine", "read_rows"]
+
 IMAGES = ROOT / "docs" / "images"
 EFFORTS = ("fast", "balanced", "best")
-COLOURS = {"fast": "#e69f00", "balanced": "#0072b2", "best": "#009e73"}
-
-Row = dict[str, Any]
 
 # --- data and errors -----------------------------------------------------------------------------
 
@@ -150,78 +152,7 @@ def compile_kernels() -> None:
     ssdr.decompose(np.random.default_rng(0).standard_normal((4, 30, 3)), bones=2, effort="fast")
 
 
-# --- the machine ---------------------------------------------------------------------------------
-
-
-def quickest(function: Callable[[], object], repeats: int) -> float:
-    """Least seconds of several calls, after one that is not counted."""
-    function()
-    seconds = []
-    for _ in range(repeats):
-        began = time.perf_counter()
-        function()
-        seconds.append(time.perf_counter() - began)
-    return min(seconds)
-
-
-def machine() -> Row:
-    """Rates of this machine, measured now.
-
-    GFLOP/s of float64 matrix products in one thread and in two at once, GB/s read and written by a
-    copy in one thread, and the load.
-    """
-    n, repeats = 1024, 4
-    a, b = np.random.default_rng(0).standard_normal((2, n, n))
-    source = np.ones(1 << 25)
-    target = np.zeros_like(source)
-    with threadpoolctl.threadpool_limits(limits=1, user_api="blas"):
-        one = quickest(lambda: a @ b, repeats)
-        with ThreadPoolExecutor(2) as pool:
-            both = quickest(lambda: list(pool.map(lambda m: m @ b, (a, a))), repeats)
-    copy = quickest(lambda: np.copyto(target, source), repeats)
-    return {
-        "cpu": _cpu(),
-        "cores": len(os.sched_getaffinity(0)),
-        "load": round(os.getloadavg()[0], 2),
-        "gemm_1": round(2e-9 * n**3 / one, 1),
-        "gemm_2": round(4e-9 * n**3 / both, 1),
-        "memory": round(2e-9 * source.nbytes / copy, 1),
-        "revision": revision(),
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-    }
-
-
-@functools.cache
-def revision() -> str | None:
-    """Commit that is measured, with a plus if the package has been changed since."""
-    try:
-        head, changed = (
-            subprocess.run(
-                ["git", *command], cwd=ROOT, capture_output=True, text=True, check=True
-            ).stdout.strip()
-            for command in (("rev-parse", "--short", "HEAD"), ("status", "-s", "-uno", "ssdr"))
-        )
-    except (OSError, subprocess.CalledProcessError):
-        return None
-    return head + ("+" if changed else "")
-
-
-def _cpu() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor() or platform.machine()
-    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.machine()
-
-
-def tell(rates: Row) -> str:
-    return (
-        f"{rates['cpu']}, {rates['cores']} cores, load {rates['load']}; GEMM float64 "
-        f"{rates['gemm_1']} GFLOP/s in one thread, {rates['gemm_2']} in two; "
-        f"copy {rates['memory']} GB/s"
-    )
+# --- a script's command line ---------------------------------------------------------------------
 
 
 def peak_memory(what: str = "VmHWM") -> float:
@@ -229,9 +160,6 @@ def peak_memory(what: str = "VmHWM") -> float:
     text = Path("/proc/self/status").read_text()
     line = next(line for line in text.splitlines() if line.startswith(what))
     return int(line.split()[1]) / 1024
-
-
-# --- a script's command line ---------------------------------------------------------------------
 
 
 def fresh(
@@ -248,34 +176,12 @@ def fresh(
     return dict(json.loads(done.stdout.splitlines()[-1]))
 
 
-def read_rows(path: Path) -> dict[str, Row]:
-    """Rows of a results file by case; none where there is no file."""
-    return dict(json.loads(path.read_text("utf-8"))["rows"]) if path.is_file() else {}
-
-
-def write_rows(path: Path, rows: Mapping[str, Row]) -> None:
-    write_json(path, {"rows": rows})
-
-
-def write_json(path: Path, content: Any) -> None:
-    """Write a file whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(content, indent=1, ensure_ascii=False)
-    # lists of numbers, and of pairs of them, on one line each
-    flat = r"\[(?:[^\[\]{}]|\[[^\[\]{}]*\])*\]"
-    text = re.sub(flat, lambda match: re.sub(r"\s+", " ", match.group()), text)
-    part = path.with_suffix(".part")
-    part.write_text(text + "\n", encoding="utf-8")
-    part.replace(path)
-
-
 def run(
     script: str,
     doc: str,
     cases: Mapping[str, Row],
     measure: Callable[..., Row],
     columns: Sequence[str],
-    chart: Callable[[dict[str, Row], Path], None] | None = None,
     *,
     check: Callable[[list[Row]], None] | None = None,
     out: Path | None = None,
@@ -289,15 +195,15 @@ def run(
     own = own or argparse.ArgumentParser(add_help=False)
     parser = argparse.ArgumentParser(description=doc.splitlines()[0], parents=[own])
     parser.add_argument("--only", nargs="+", metavar="TEXT", help="cases whose name contains one")
-    parser.add_argument("--again", action="store_true", help="also cases that have a result")
-    parser.add_argument("--report", action="store_true", help="table and chart, no measurement")
+    parser.add_argument("--anew", action="store_true", help="forget the results that there are")
+    parser.add_argument("--report", action="store_true", help="the table, no measurement")
     parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--together", type=int, default=1, help="cases measured at a time")
     parser.add_argument(
         "--set", nargs="+", default=[], metavar="NAME=VALUE", help="effort=fast: of every case"
     )
     default = out or RESULTS / f"{Path(script).stem}.json"
     parser.add_argument("--out", type=Path, default=default, help="results")
-    parser.add_argument("--images", type=Path, default=IMAGES, help="folder of the charts")
     parser.add_argument("--case", help=argparse.SUPPRESS)  # measure one case in this process
     args = parser.parse_args()
     pairs = (pair.split("=", 1) for pair in args.set)
@@ -309,27 +215,30 @@ def run(
     names = {" ".join([c, *args.set]): c for c in cases if any(text in c for text in only)}
     if not names:
         raise SystemExit(f"--only: no case contains {' or '.join(only)}; there are: {[*cases]}")
-    rows = read_rows(args.out)
-    todo = [n for n in names if not args.report and (args.again or n not in rows)]
+    record = Record(args.out) if args.report else Record.open(args.out, anew=args.anew)
+    todo = [n for n in names if not args.report and n not in record.rows]
     if check is not None:
         check([cases[names[name]] for name in todo])
     given = vars(own.parse_known_args()[0]).items()
     mine = [word for name, value in given if value for word in (f"--{name}", str(value))]
-    for name in todo:
-        case, rates = names[name], machine()
+
+    def one(name: str) -> None:
         words = [*mine, *(["--set", *args.set] if changes else [])]
         try:
-            row = fresh([script, "--case", case, *words], threads=args.threads)
+            row = fresh([script, "--case", names[name], *words], threads=args.threads)
         except SystemExit as error:
             if "failed" not in columns:
                 raise
             row = {"failed": str(error).rpartition(": ")[2]}
-        rows[name] = {"threads": args.threads, "machine": rates, **cases[case], **changes, **row}
-        write_rows(args.out, rows)
+        asked = {"threads": args.threads, "load": load_average(), **cases[names[name]], **changes}
+        record.add(name, asked | row)
         print(name, *(f"{k} {_cell(row[k])}" for k in columns if _cell(row.get(k))), flush=True)
-    if chart is not None and importlib.util.find_spec("matplotlib"):
-        chart({case: rows[case] for case in cases if case in rows}, args.images)
-    print(table([{"case": n} | rows[n] for n in names if n in rows], ["case", *columns]))
+
+    with ThreadPoolExecutor(args.together) as pool:
+        for _ in pool.map(one, todo):
+            pass
+    rows = [{"case": n} | record.rows[n] for n in names if n in record.rows]
+    print(table(rows, ["case", *columns]))
 
 
 def table(rows: Sequence[Row], columns: Sequence[str]) -> str:

@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import ssdr
 from benchmarks import common
-from benchmarks.accuracy.errors import chain
+from benchmarks.scenes import chain
 from helpers.motions import rotation
 
 SEEDS, TIMES = 3, 10

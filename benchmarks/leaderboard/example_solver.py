@@ -1,4 +1,4 @@
-"""An example of a solver for score.py and race.py: clusters that each follow one rigid bone."""
+"""An example of a solver for score.py and bench.py: clusters that each follow one rigid bone."""
 
 import numpy as np
 from scipy.cluster.vq import kmeans2

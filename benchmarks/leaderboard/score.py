@@ -4,10 +4,10 @@
     python benchmarks/leaderboard/score.py --solver mine.py --only cat_poses "affine given"
     python benchmarks/leaderboard/score.py --solver "ssdr best" --only "horse_gallop-20 K4"
     python benchmarks/leaderboard/score.py --model mine.npz --sequence horse_gallop
-    python benchmarks/leaderboard/score.py --threads 1                 # what the page's tables show
+    python benchmarks/leaderboard/score.py --together 2 --anew         # what the page's tables show
     python benchmarks/leaderboard/score.py --report                    # those tables' rows, no runs
 
-mine.py has one function, solve (benchmarks/peers/slot.py says what it gets and returns); a model is
+mine.py has a function, solve (benchmarks/peers/slot.py says what it gets and returns); a model is
 what ssdr.load_skinning reads, or an npz with rest, weights (V, B) and transforms (F, B, 3, 4).  A
 solver may also be one of "ssdr fast", "ssdr balanced", "ssdr best", "ssdr expressions" (of faces),
 "2012" and "dembones", and is then asked what it can answer.  What is missing is named before
@@ -121,7 +121,7 @@ def cases(solver: str | None, sequence: str | None = None) -> dict[str, Row]:
             continue
         for one in of_tables(asked) if solver is None else [solver]:
             if can_answer(one, asked):
-                name = f"{describe(asked)}, {Path(one).stem if slot.is_file(one) else one}"
+                name = f"{describe(asked)}, {Path(one).stem if slot.is_own(one) else one}"
                 found[name] = asked | {"solver": one}
     return found
 
@@ -134,7 +134,7 @@ def describe(asked: Row) -> str:
 def check(chosen: list[Row]) -> None:
     """End with a word about what is missing."""
     for solver in {row["solver"] for row in chosen}:
-        if slot.is_file(solver):
+        if slot.is_own(solver):
             slot.solver_of(solver)
         elif solver == "dembones":
             common.require_package("py_dem_bones", "bench")
@@ -224,7 +224,7 @@ def score(
 
 def solver_of(name: str, sequence: str) -> Callable[..., slot.Parts]:
     """Function that is called like `solve` of a file."""
-    if slot.is_file(name):
+    if slot.is_own(name):
         return slot.solver_of(name)
     if name in OURS or name == "2012":
         common.compile_kernels()
@@ -314,7 +314,7 @@ def main() -> None:
         score_file(args.model, args.sequence)
         return
     named = (*OURS, *KEPT, "published")
-    if args.solver and not slot.is_file(args.solver) and args.solver not in named:
+    if args.solver and not slot.is_own(args.solver) and args.solver not in named:
         raise SystemExit(f"no solver {args.solver}: a Python file, or one of {', '.join(named)}")
     out = common.RESULTS / "leaderboard.json"
     if args.solver:

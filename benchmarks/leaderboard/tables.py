@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 
-from benchmarks.common import RESULTS, Row, read_rows
-from benchmarks.leaderboard.catalogue import FACES, HYPERSPECTRAL, LE_AFFINE, LE_RIGID, SEQUENCES
+from benchmarks.common import RESULTS, Record, Row
+from benchmarks.leaderboard.catalogue import HYPERSPECTRAL, LE_AFFINE, LE_RIGID, SEQUENCES
 from benchmarks.leaderboard.score import EXPRESSIONS, is_dense
 
 METRIC = "2 E / diagonal"
@@ -22,9 +22,12 @@ NAMES = {
 SEQUENCE = "{sequence}, {bones}"
 
 
-def results() -> list[Row]:
+Rows = Mapping[str, Row]
+
+
+def results(rows: Rows) -> list[Row]:
     """Rows that have an error, with the words that tables have for them."""
-    found = [r for r in read_rows(RESULTS / "leaderboard.json").values() if "E" in r]
+    found = [dict(r) for r in rows.values() if "E" in r]
     for r in found:
         r["weights"] = "dense" if is_dense(r) else f"K = {r['influences']}"
         r["by"] = r["solver"].split()[0]
@@ -42,10 +45,10 @@ def by_case(rows: Iterable[Row]) -> Iterator[Row]:
     yield from found.values()
 
 
-def published_rows() -> list[Row]:
+def published_rows(rows: Rows) -> list[Row]:
     """The sequences of which figures are published, in their metric."""
     found = []
-    for row in by_case(results()):
+    for row in by_case(results(rows)):
         key = row["sequence"], row["bones"]
         if key in HYPERSPECTRAL:
             figures = {"HIS": HYPERSPECTRAL[key], "Le": LE_AFFINE[key]}
@@ -54,30 +57,24 @@ def published_rows() -> list[Row]:
     return found
 
 
-def ea_rows() -> list[Row]:
-    return [row for row in by_case(results()) if row["sequence"] == "ea_bone"]
+def ea_rows(rows: Rows) -> list[Row]:
+    return [row for row in by_case(results(rows)) if row["sequence"] == "ea_bone"]
 
 
-def face_rows() -> list[Row]:
-    found = [r for r in results() if "MXE" in r]
+def face_rows(rows: Rows) -> list[Row]:
+    found = [r for r in results(rows) if "MXE" in r]
     for r in found:
         r["RMS"] = SEQUENCES[r["sequence"]].millimetres * r["E"] / 1000
     return found
 
 
-def published_face_rows() -> Iterator[Row]:
-    for name, figures in FACES.items():
-        for method, (largest, mean) in figures.items():
-            yield {"sequence": name, "method": method, "MXE": largest, "MAE": mean}
-
-
-def better_rows() -> Iterator[Row]:
+def better_rows(rows: Rows) -> Iterator[Row]:
     """Cases in which another method is better than ours by a measure, theirs and ours."""
     fields = ("sequence", "bones", "influences", "bone_model", "rest")
-    rows = results()
-    usual = [r for r in rows if r["by"] == "ssdr" and r["solver"] != EXPRESSIONS]
+    known = results(rows)
+    usual = [r for r in known if r["by"] == "ssdr" and r["solver"] != EXPRESSIONS]
     ours = {tuple(r[k] for k in fields): r for r in usual}
-    for r in rows:
+    for r in known:
         mine = ours.get(tuple(r[k] for k in fields))
         if mine is not None and r["by"] != "ssdr" and not r["defects"]:
             for key, measure in MEASURES.items():
@@ -91,7 +88,7 @@ def better_rows() -> Iterator[Row]:
             yield mine | words | {"theirs": theirs, "ours": mine[METRIC]}
 
 
-def sequence_rows() -> Iterator[Row]:
+def sequence_rows(rows: Rows) -> Iterator[Row]:
     for name, s in SEQUENCES.items():
         yield {"name": name, **vars(s)}
 
@@ -106,7 +103,7 @@ def three(column: str) -> str:
 
 
 # Rows and columns (head and format) of each table of the page.
-TABLES: dict[str, tuple[Callable[[], Iterable[Row]], dict[str, str]]] = {
+TABLES: dict[str, tuple[Callable[[Rows], Iterable[Row]], dict[str, str]]] = {
     "board_dense": (published_rows, {
         "sequence, bones": SEQUENCE,
         "affine, rest given: HIS": "{HIS:.3f}",
@@ -145,10 +142,6 @@ TABLES: dict[str, tuple[Callable[[], Iterable[Row]], dict[str, str]]] = {
         "RMS, mm": "{RMS:.4f}", "numbers not 0": "{numbers:,}", "STED": "{STED:.4f}",
         "defects": "{defects}",
     }),
-    "board_faces_published": (published_face_rows, {
-        "face": "{sequence}", "method": "{method}", "largest, mm": "{MXE:.2f}",
-        "mean, mm": "{MAE:.4f}",
-    }),
     "board_better": (better_rows, {
         "sequence, bones": SEQUENCE, "weights": "{weights}", "bone model": "{bone_model}",
         "rest pose": "{rest}", "measure": "{measure}", "method": "{name}",
@@ -170,8 +163,9 @@ def every_case() -> str:
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow([*columns, "revision"])
-    for r in results():
+    record = Record(RESULTS / "leaderboard.json")
+    for r in results(record.rows):
         values = [r.get(column, "") for column in columns]
         shown = [f"{value:.5g}" if isinstance(value, float) else value for value in values]
-        writer.writerow([*shown, r["machine"]["revision"]])
+        writer.writerow([*shown, record.revision])
     return file.getvalue()

@@ -51,20 +51,29 @@ def sparse(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return indices, np.take_along_axis(weights, indices, axis=1)
 
 
-def skinned_e(
+def skinned_errors(
     frames: np.ndarray, rest: np.ndarray, weights: np.ndarray, transforms: np.ndarray
-) -> float:
-    """E of weights (V, B): one matrix product a block of frames, in float64."""
+) -> tuple[float, float]:
+    """E and the largest distance of a vertex, of weights (V, B), in float64.
+
+    One matrix product a block of frames.
+    """
     homogeneous = np.concatenate([rest, np.ones((len(rest), 1))], axis=1)
     a = (weights[:, :, None] * homogeneous[:, None, :]).reshape(len(rest), -1)
-    squared = 0.0
+    squared, largest = 0.0, 0.0
     for first in range(0, len(frames), 64):
         block = np.asarray(frames[first : first + 64], dtype=np.float64)
         m = np.asarray(transforms[first : first + 64], dtype=np.float64)
         columns = m.transpose(1, 3, 0, 2).reshape(-1, 3 * len(m))  # (4B, 3f)
         skinned = (a @ columns).reshape(len(rest), len(m), 3).transpose(1, 0, 2)
-        squared += float(((block - skinned) ** 2).sum())
-    return 1000.0 * float(np.sqrt(squared / frames.size))
+        off = ((block - skinned) ** 2).sum(axis=2)
+        squared, largest = squared + float(off.sum()), max(largest, float(off.max()))
+    return 1000.0 * float(np.sqrt(squared / frames.size)), float(np.sqrt(largest))
+
+
+def skinned_e(*model: np.ndarray) -> float:
+    """E alone of `skinned_errors`."""
+    return skinned_errors(*model)[0]
 
 
 def stored(

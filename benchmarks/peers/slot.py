@@ -1,6 +1,7 @@
-"""The slot for another solver or model: a Python file with one function, or a file of a model.
+"""The slot for another solver or model: a function, or a file of a model.
 
-The function is called as
+A solver is ``module:function``, ``file.py:function``, or ``file.py`` with a function ``solve``.
+It is called as
 
     solve(frames, faces, *, bones, influences, bone_model, rest)
 
@@ -14,6 +15,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import importlib
 import importlib.util
 import os
 import sys
@@ -35,33 +37,39 @@ class Parts(NamedTuple):
     bone_model: str = "rigid"
 
 
-def is_file(solver: str) -> bool:
-    return solver.endswith(".py")
+def is_own(solver: str) -> bool:
+    """Whether a name means a solver of one's own, and none of this folder."""
+    return solver.endswith(".py") or ":" in solver
 
 
-def solver_of(path: str) -> Callable[..., Parts]:
-    """Function `solve` of a Python file; ends with a word where there is none."""
-    if not Path(path).is_file():
+def solver_of(name: str) -> Callable[..., Parts]:
+    """A solver of one's own; ends with a word where there is none."""
+    path, _, function = (name, "", "solve") if name.endswith(".py") else name.rpartition(":")
+    if path.endswith(".py") and not Path(path).is_file():
         raise SystemExit(f"no solver: {path} is not a file")
-    spec = importlib.util.spec_from_file_location("solver", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
     try:
-        spec.loader.exec_module(module)
+        if path.endswith(".py"):
+            spec = importlib.util.spec_from_file_location("solver", path)
+            assert spec is not None
+            assert spec.loader is not None
+            module = importlib.util.module_from_spec(spec)
+            spec.loader.exec_module(module)
+        else:
+            sys.path.insert(0, os.getcwd())
+            module = importlib.import_module(path)
     except ImportError as error:
         raise SystemExit(f"no solver: {path} needs what is not installed: {error}") from error
     except Exception as error:
         raise SystemExit(f"no solver: {path}: {type(error).__name__}: {error}") from error
-    solve = getattr(module, "solve", None)
+    solve = getattr(module, function, None)
     if not callable(solve):
-        raise SystemExit(f"no solver: {path} has no function solve")
+        raise SystemExit(f"no solver: {path} has no function {function}")
 
     @functools.wraps(solve)
     def checked(frames: np.ndarray, faces: np.ndarray, **options: Any) -> Parts:
         with prints_aside():
             found = solve(frames, faces, **options)
-        return parts_of(found, path, frames.shape, options["bone_model"])
+        return parts_of(found, name, frames.shape, options["bone_model"])
 
     return checked
 

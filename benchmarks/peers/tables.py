@@ -1,163 +1,178 @@
-"""Rows of the tables and points of the charts, computed from the records of race.py."""
+"""Rows of the tables, points of the charts and figures of sentences, computed from bench.json."""
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterable
+import statistics
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
-from benchmarks.common import RESULTS, Row, read_rows
+from benchmarks import bench
+from benchmarks.common import Row
 
 WITHIN = 1.01  # times of Dem Bones and ssdr are those until this times Dem Bones' best error
-# where Dem Bones returns fewer bones than it is asked for, or no usable model
-APART = ("fox-24", "ict_face_expressions-20", "morph_stress-20")
-BASE = {"V": 2000, "F": 100, "B": 20}  # each sweep changes one of these
-COLUMN = {"wall": 1, "cpu": 2}  # in a point of a curve
+CPU = 2  # in a point of a curve: iteration, wall, CPU seconds, E
+# of the race: names in the tables, and solvers
+SHORT = {"le_deng": "2012", "fast": "ssdr fast", "balanced": "ssdr balanced", "free": bench.FREE,
+         "best": "ssdr best"}  # fmt: skip
+Rows = Mapping[str, Row]
 
 
-def read(part: str) -> list[Row]:
-    return [*read_rows(RESULTS / f"{part}.json").values()]
+def find(rows: Rows, solver: str, sequence: str, bones: int, influences: int = 4) -> Row | None:
+    """Row of a job, if it has been measured and has an error."""
+    row = rows.get(bench.key_of(bench.job(solver, sequence, bones, influences)))
+    return row if row is not None and row.get("E") is not None else None
 
 
-def case_of(record: Row) -> str:
-    return f"{record['sequence']}-{record['bones']}"
+def soonest(rows: Iterable[Row], level: float) -> float | None:
+    """CPU seconds of the solver's own work until the error was first at or below a level."""
+    return min((p[CPU] for r in rows for p in r["curve"] if p[3] <= level), default=None)
 
 
-def by_case(records: Iterable[Row]) -> dict[str, list[Row]]:
-    found: dict[str, list[Row]] = defaultdict(list)
-    for record in records:
-        if record["bones"]:
-            found[case_of(record)].append(record)
-    names = sorted(found, key=lambda n: (n.rsplit("-", 1)[0], int(n.rsplit("-", 1)[1])))
-    return {name: found[name] for name in names}
-
-
-def only(records: Iterable[Row], solver: str) -> list[Row]:
-    return [r for r in records if r["solver"] == solver and r.get("E") is not None]
-
-
-def least(records: Iterable[Row], solver: str) -> float | None:
-    return min((float(r["E"]) for r in only(records, solver)), default=None)
-
-
-def divide(a: float | None, b: float | None) -> float | None:
-    return None if a is None or not b else a / b
-
-
-def soonest(records: Iterable[Row], level: float, clock: str) -> float | None:
-    """Seconds of the solver's own work until the error was first at or below a level."""
-    times = [p[COLUMN[clock]] for r in records for p in r["curve"] if p[3] <= level]
-    return min(times, default=None)
-
-
-def collapsed(records: Iterable[Row]) -> bool:
-    """True if a run of Dem Bones returned fewer bones than asked for, or nothing."""
-    peers = [r for r in records if r["solver"].startswith("dembones")]
-    return any(r.get("bones found") != r["bones"] for r in peers)
-
-
-def level_and_apart(records: Iterable[Row]) -> tuple[dict[str, list[Row]], dict[str, list[Row]]]:
-    """Cases that are compared, and cases in which Dem Bones has no comparable model."""
-    cases = by_case(records)
-    apart = {k: rs for k, rs in cases.items() if k in APART or collapsed(rs)}
-    ours = {k: rs for k, rs in cases.items() if any(r["solver"].startswith("ssdr") for r in rs)}
-    return {k: rs for k, rs in ours.items() if k not in apart}, apart
-
-
-def summary(records: list[Row]) -> Row | None:
-    """Row of a case: Dem Bones at its best, each effort of ssdr, and their ratios."""
-    peers = [r for s in ("dembones default", "dembones 0") for r in only(records, s)]
-    if not peers:
-        return None
-    best = min(peers, key=lambda r: r["E"])
-    row: Row = {
-        "case": case_of(best),
-        "sequence": best["sequence"],
-        "bones": best["bones"],
-        "Dem Bones": best["E"],
-        "setting": best["solver"].removeprefix("dembones "),
-        "SSDR 2012": least(records, "2012"),
-        "threads": ", ".join(map(str, sorted({r["threads"] for r in peers}))),
-        "machine": best["machine"],
-    }
-    for solver in ("fast", "balanced", "best"):
-        row[solver] = least(records, f"ssdr {solver}")
-        row[f"{solver} ratio"] = divide(row[solver], best["E"])
-    row["2012 ratio"] = divide(row["SSDR 2012"], best["E"])
-    for clock in COLUMN:
-        theirs = soonest(peers, WITHIN * best["E"], clock)
-        row[f"Dem Bones {clock}"] = theirs
-        ours = soonest(only(records, "ssdr balanced"), WITHIN * best["E"], clock)
-        row[f"balanced {clock}"], row[f"balanced {clock} ratio"] = ours, divide(theirs, ours)
-    return row
-
-
-def summaries(records: Iterable[Row]) -> list[Row]:
-    level, _ = level_and_apart(records)
-    return [row for records in level.values() if (row := summary(records))]
-
-
-def drawn_rows(records: Iterable[Row]) -> list[Row]:
-    """Errors of positions, and mean angles of the normals that engines draw, of each solver."""
+def race_rows(rows: Rows, own: Iterable[str] = ()) -> list[Row]:
+    """A row for each case of the race: its solvers, and ratios to Dem Bones at its best."""
     found = []
-    for mine in level_and_apart(records)[0].values():
-        mine = [r for r in mine if "normals" in r and r["threads"] == 1]
-        row = dict(next(r for r in mine if r["solver"] == "ssdr balanced"))
-        for record in mine:
-            row[f"{record['solver']} E"] = f"{record['E']:.3f}"
-            row[f"{record['solver']} normals"] = f"{record['normals']:.1f}°"
+    for sequence, bones in bench.NINE:
+        solvers = SHORT | {name: name for name in own}
+        mine = {n: r for n, s in solvers.items() if (r := find(rows, s, sequence, bones))}
+        peers = [r for s in bench.PEERS if (r := find(rows, s, sequence, bones))]
+        row: Row = {"sequence": sequence, "bones": bones, **mine}
+        if peers:
+            peer = row["peer"] = min(peers, key=lambda r: r["E"])
+            row["ratio"] = {name: r["E"] / peer["E"] for name, r in mine.items()}
+            level = WITHIN * peer["E"]
+            row["peer seconds"] = soonest(peers, level)
+            row["seconds"] = {n: soonest([r], level) for n, r in mine.items()}
+            if ours := row["seconds"].get("balanced"):
+                row["sooner"] = row["peer seconds"] / ours
+        if mine or peers:
+            found.append(row)
+    return found
+
+
+def rest_rows(rows: Rows) -> list[Row]:
+    """Each sequence with each kind of rest pose."""
+    return [
+        {"sequence": sequence, "bones": bones}
+        | {
+            head: row
+            for head, options in bench.RESTS.items()
+            if (row := find(rows, f"ssdr balanced{options}", sequence, bones))
+        }
+        for sequence, bones in bench.RESTED
+    ]
+
+
+def kind_rows(rows: Rows) -> list[Row]:
+    """E of each kind of bones, with equal numbers of bones and with equal bytes."""
+    found = []
+    for sequence, bones in bench.STRETCH:
+        row: Row = {"sequence": sequence, "bones": bones}
+        for kind, floats in bench.FLOATS.items():
+            solver = "ssdr balanced" + f" bone_model={kind}" * (kind != "rigid")
+            row[kind] = find(rows, solver, sequence, bones)
+            few = bones * bench.FLOATS["rigid"] // floats
+            row[f"{kind}, equal bytes"] = find(rows, solver, sequence, few)
         found.append(row)
     return found
 
 
-def best_known_rows(records: Iterable[Row], cases: Iterable[str] | None = None) -> list[Row]:
-    """Rows of `summaries` and `drawn_rows` in one, of some cases or all; Dem Bones at its best."""
-    records = list(records)
-    sums, drawn = ({case_of(r): r for r in f(records)} for f in (summaries, drawn_rows))
-    rows = [sums[case] | drawn[case] for case in cases or sums]
-    for row in rows:
-        for key in ("E", "normals"):
-            row[f"best peer {key}"] = row[f"dembones {row['setting']} {key}"]
-    return rows
+def dancer_rows(rows: Rows, word: str) -> list[Row]:
+    """The dancer over bones or over influences; `pruned` is the model of eight influences."""
+    found = [
+        r for r in rows.values()
+        if r["sequence"] == "dancer" and r["solver"] == "ssdr balanced" and r.get("E") is not None
+        and (r["influences"] == 4 if word == "bones" else r["bones"] == 20) and r["bones"] != 24
+    ]  # fmt: skip
+    pruned = next((r["E pruned"] for r in found if "E pruned" in r), {})
+    return [
+        r | {"mm": 3**0.5 * r["E"]} | ({"pruned": 3**0.5 * e} if (e := pruned.get(str(k))) else {})
+        for r in sorted(found, key=lambda r: r[word])
+        for k in [r["influences"]]
+    ]
 
 
-def front_of(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Pareto front of points (x, y)."""
-    out: list[tuple[float, float]] = []
-    for x, y in sorted(points):
-        if not out or y < out[-1][1]:
-            out.append((x, y))
-    return out
+def recovery_rows(rows: Rows) -> list[Row]:
+    every = ((name, effort) for name in bench.EXACT for effort in bench.EFFORTS)
+    found = ((effort, find(rows, f"ssdr {effort}", *name)) for name, effort in every)
+    return [row | {"effort": effort} for effort, row in found if row]
 
 
-def seconds_of(record: Row) -> float:
-    """Seconds of one call; of Dem Bones its start and 30 iterations, its default."""
-    if not record["solver"].startswith("dembones"):
-        return float(record["total wall"])
-    first, last = record["curve"][0], record["curve"][-1]
-    return float(first[1] + 30 * (last[1] - first[1]) / (last[0] - first[0]))
+def seen_rows(rows: Rows) -> list[Row]:
+    """Each sheet and sequence with normals counted always, and beyond a length."""
+    options = {"always": "", "length": " normals=0.05%"}
+    return [
+        {"sequence": sequence, "bones": bones}
+        | {k: find(rows, f"ssdr balanced{more}", sequence, bones) for k, more in options.items()}
+        for sequence, bones in bench.SEEN
+    ]
 
 
-def sweeps(records: Iterable[Row]) -> list[Row]:
-    """Sweeps of F, V and B through BASE: sizes, seconds, errors and the fitted exponent."""
-    sizes = [r | {"B": r["bones"]} for r in records if r.get("curve")]
-    rows = []
+def sweeps(rows: Rows) -> list[Row]:
+    """Sweeps over F, V and B: sizes, seconds of a call and the fitted exponent.
+
+    Of Dem Bones, its start and 30 iterations, its default.
+    """
+    sizes = [r | {"B": r["bones"]} for k, r in rows.items() if k.startswith("tube:") and r.get("V")]
+    found = []
     for solver in ("ssdr balanced", "dembones 0"):
         for sweep, word in {"F": "frames", "V": "vertices", "B": "bones"}.items():
-            line = [
-                r
-                for r in sorted(only(sizes, solver), key=lambda r, sweep=sweep: r[sweep])
-                if all(abs(r[k] / BASE[k] - 1) < 0.03 for k in BASE if k != sweep)
-            ]
-            if len(line) < 2:
-                continue
-            x, y = [r[sweep] for r in line], [seconds_of(r) for r in line]
-            points = zip(x, y, [r["E"] for r in line], strict=True)
-            rows.append({
-                "solver": solver, "over": word, "size": x, "seconds": y,
-                "exponent": float(np.polyfit(np.log(x), np.log(y), 1)[0]),
-                "points": ", ".join(f"{n}: {s:.1f} ({e:.1f})" for n, s, e in points),
-                "machine": line[-1]["machine"],
-            })  # fmt: skip
-    return rows
+            base = {k: size for k, size in bench.BASE.items() if k != sweep}
+            line = sorted(
+                (r[sweep], _seconds(r)) for r in sizes
+                if r["solver"] == solver and all(abs(r[k] / n - 1) < 0.03 for k, n in base.items())
+            )  # fmt: skip
+            if len(line) > 1:
+                exponent = float(np.polyfit(*np.log(line).T, 1)[0])
+                found.append({"solver": solver, "over": word, "line": line, "exponent": exponent})
+    return found
+
+
+def _seconds(row: Row) -> float:
+    if not row["solver"].startswith("dembones"):
+        return float(row["cpu"])
+    first, last = row["curve"][0], row["curve"][-1]
+    return float(first[CPU] + 30 * (last[CPU] - first[CPU]) / (last[0] - first[0]))
+
+
+# --- figures in sentences ------------------------------------------------------------------------
+
+
+def figures(rows: Rows) -> dict[str, str]:
+    """Figures by name, as the pages state them."""
+    race = race_rows(rows)
+    found: dict[str, str] = {}
+
+    def state(name: str, values: Iterable[float | None], shown: Callable[[float], str]) -> None:
+        """The least, the most and the median of some values."""
+        known = [v for v in values if v is not None]
+        if known:
+            each = {"least": min(known), "most": max(known), "median": statistics.median(known)}
+            found.update({f"{name} {which}": shown(value) for which, value in each.items()})
+
+    def percent(value: float) -> str:
+        return f"{100 * value:.0f} %"
+
+    def over(a: str, b: str, key: str = "E") -> list[float]:
+        return [r[a][key] / r[b][key] for r in race if a in r and b in r]
+
+    for name in SHORT:
+        state(name, [r["ratio"].get(name) for r in race if "ratio" in r], percent)
+    state("sooner", [r.get("sooner") for r in race], "{:.0f}".format)
+    state("fast cpu", over("fast", "balanced", "cpu"), percent)
+    state("best cpu", over("best", "balanced", "cpu"), "{:.0f}".format)
+    state("fast E", [x - 1 for x in over("fast", "balanced")], percent)
+    state("best E", [1 - x for x in over("best", "balanced")], percent)
+    state("surface E", [x - 1 for x in over("balanced", "free")], percent)
+    affine = [r["affine"]["cpu"] / r["rigid"]["cpu"] for r in kind_rows(rows)
+              if r["affine"] and r["rigid"]]  # fmt: skip
+    state("affine cpu", affine, "{:.1f}".format)
+    every = [r for row in rest_rows(rows) for r in row.values() if isinstance(r, dict)]
+    for name, is_free in {"over free": True, "over": False}.items():
+        some = [r for r in every if ("rest_pose=free" in r["solver"]) == is_free]
+        state(name, [r.get("turned over") for r in some], "{:.0f}".format)
+    seen = [r for r in seen_rows(rows) if r["always"] and r["length"]]
+    state("seen cpu", [r["length"]["cpu"] / r["always"]["cpu"] for r in seen], "{:.1f}".format)
+    state("gemm", [r.get("gemm") for r in rows.values()], "{:.0f}".format)
+    state("load", [r.get("load") for r in rows.values()], "{:.1f}".format)
+    return found

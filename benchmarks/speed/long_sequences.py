@@ -5,9 +5,8 @@
     python benchmarks/speed/long_sequences.py --only vertices clips
 
 The paper's own size, 12,273 vertices, 40,000 frames, 80 bones and 8 influences, and fewer of its
-frames; beside them Dem Bones on few.
-200,000 vertices; 1,000 clips of 20 to 60 frames.  The data, a swinging skirt (skirt.py), is made
-once in the folder that SSDR_LONG_DATA names (default: out/long).
+frames; 200,000 vertices; 1,000 clips of 20 to 60 frames.  The data, a swinging skirt (skirt.py), is
+made once in the folder that SSDR_LONG_DATA names (default: out/long).
 """
 
 from __future__ import annotations
@@ -41,10 +40,6 @@ CASES[f"{FRAMES} frames, positions alone"] = {
 CASES |= {
     "200000 vertices": {"kind": "vertices", "size": 200_000},
     "1000 clips": {"kind": "clips", "size": 1000},
-}
-CASES |= {
-    f"Dem Bones, {frames} frames": {"kind": "dem_bones", "size": frames}
-    for frames in (100, 400, 1000)
 }
 
 
@@ -162,22 +157,7 @@ def clips(size: int) -> Row:
     }
 
 
-def dem_bones(size: int) -> Row:
-    """Extrapolate Dem Bones' 30 iterations on evenly spread frames from its start and two."""
-    from benchmarks.peers import solvers
-
-    skirt, path = paper(), FOLDER / "paper.npy"
-    skirt.write(path, FRAMES, FRAMES)
-    some = np.load(path, mmap_mode="r")[spread(size, FRAMES)]
-    job = {"solver": "dembones", "bones": skirt.bones, "influences": 8, "iterations": 2}
-    pace = solvers.Pace(np.inf)
-    pace._left = np.inf  # no other solver takes turns with it
-    row = solvers.run_dem_bones(job, some, skirt.faces, pace)
-    (_, _, begin, _), _, (_, _, end, e) = row["curve"]
-    return {"bones": row["bones found"], "cpu": begin + 15 * (end - begin), "E": e}
-
-
-KINDS = {f.__name__: f for f in (frames, vertices, clips, dem_bones)}
+KINDS = {f.__name__: f for f in (frames, vertices, clips)}
 
 
 def measure(kind: str, size: int, **options: Any) -> Row:
@@ -186,5 +166,5 @@ def measure(kind: str, size: int, **options: Any) -> Row:
 
 
 if __name__ == "__main__":
-    columns = ("wall", "cpu", "anonymous MiB", "rmse", "floor", "ratio", "E")
+    columns = ("wall", "cpu", "anonymous MiB", "rmse", "floor", "ratio")
     common.run(__file__, __doc__, CASES, measure, columns)

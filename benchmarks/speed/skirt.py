@@ -15,7 +15,7 @@ from scipy.spatial import Delaunay, cKDTree
 from scipy.spatial.transform import Rotation
 
 import ssdr
-from benchmarks.common import read_rows, write_rows
+from benchmarks.record import read_rows, write_rows
 
 RINGS, REACH, SWING = 5, 0.18, 0.08
 WAVES, WAVE, NOISE = 48, 0.01, 0.0005  # waves and noise: RMS in units; the skirt is 2 units high

@@ -54,17 +54,18 @@ NAMES = "cat_poses, cow_elastic, ea_bone, horse_gallop, horse_poses, ict_face_ex
             "--sequence: cow: there",
         ),
         ("leaderboard/fetch.py", ["sheep"], "no sequence sheep: there are cat_poses"),
-        ("peers/race.py", ["--parts", "race"], "no data for cow_elastic, ea_bone, fox"),
-        ("peers/race.py", ["--only", "sheep-3"], "--only: sheep-3: there are ea_bone-10"),
-        ("peers/race.py", ["--solvers", "own"], "--solvers: own: there are dembones default"),
+        ("bench.py", [], "no data for cow_elastic, ea_bone, fox"),
+        ("bench.py", ["--only", "sheep-3"], "--only: no case contains sheep-3: ea_bone-10"),
+        ("bench.py", ["--solver", "no.py"], "no solver: no.py is not a file"),
     ],
 )
 def test_what_is_missing_is_named_at_once(
     script: str, words: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     nowhere, out = tmp_path / "nowhere", tmp_path / "results"
-    if script.startswith("peers"):
-        words = [*words, "--results", str(out), "--images", str(out)]
+    if script == "bench.py":
+        pytest.importorskip("py_dem_bones")
+        words = [*words, "--out", str(out)]
     elif script.endswith("score.py") and "--model" not in words:
         words = [*words, "--out", str(out / "rows.json")]
     monkeypatch.setenv("SSDR_TEST_DATA", str(nowhere))

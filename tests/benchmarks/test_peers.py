@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import ssdr
-from benchmarks import common
-from benchmarks.peers import model_size, race, tables
+from benchmarks import bench, common
+from benchmarks.peers import charts, model_size, tables
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -73,83 +73,71 @@ def test_pca_is_the_best_linear_model() -> None:
             assert size_ == 12 * f + rank * (2 * n + 12 * f)
 
 
-def _run(solver: str, curve: list[list[float]], **more: Any) -> dict[str, Any]:
+def _rows(*runs: tuple[str, list[list[float]]]) -> dict[str, dict[str, Any]]:
+    jobs = [(bench.job(solver, "ea_bone", 10), curve) for solver, curve in runs]
+    shared = {"normals": 1.0, "cpu": 9.0}
     return {
-        "solver": solver,
-        "sequence": "horse",
-        "bones": 5,
-        "influences": 4,
-        "threads": 1,
-        "seed": 0,
-        "curve": curve,
-        "E": curve[-1][3],
-        "bones found": 5,
-        "machine": {},
-        **more,
+        bench.key_of(job): {**job, **shared, "curve": curve, "E": curve[-1][3]}
+        for job, curve in jobs
     }
 
 
 def test_times_are_to_within_a_percent_of_dem_bones_best() -> None:
-    slow = _run("dembones default", [[0, 1.0, 0.9, 9.0], [1, 2.0, 1.8, 6.0]])
-    best = _run("dembones 0", [[0, 1.0, 0.9, 8.0], [1, 10.0, 8.0, 4.03], [2, 20.0, 16.0, 4.0]])
-    ours = _run("ssdr balanced", [[5, 0.5, 0.4, 4.05], [6, 0.8, 0.5, 4.04], [7, 0.9, 0.6, 2.0]])
-    row = tables.summary([slow, best, ours])
-    assert row is not None
-    assert row["Dem Bones"] == 4.0
-    assert row["setting"] == "0"
-    assert row["Dem Bones wall"] == 10.0
-    assert row["balanced wall"] == 0.8
-    assert row["balanced wall ratio"] == pytest.approx(12.5)
-    assert row["balanced cpu ratio"] == pytest.approx(16.0)
-    assert row["balanced ratio"] == 0.5
-    assert row["best"] is None
-    assert tables.summary([ours]) is None
+    slow = "dembones default", [[0, 1.0, 0.9, 9.0], [1, 2.0, 1.8, 6.0]]
+    best = "dembones 0", [[0, 1.0, 0.9, 8.0], [1, 10.0, 8.0, 4.03], [2, 20.0, 16.0, 4.0]]
+    ours = "ssdr balanced", [[5, 0.5, 0.4, 4.05], [6, 0.8, 0.5, 4.04], [7, 0.9, 0.6, 2.0]]
+    (row,) = tables.race_rows(_rows(slow, best, ours))
+    assert row["peer"]["solver"] == "dembones 0"
+    assert row["peer seconds"] == 8.0
+    assert row["seconds"] == {"balanced": 0.5}
+    assert row["sooner"] == pytest.approx(16.0)
+    assert row["ratio"] == {"balanced": 0.5}
+    figures = tables.figures(_rows(slow, best, ours))
+    assert figures["balanced median"] == "50 %"
+    assert figures["sooner least"] == "16"
+    assert "sooner" not in tables.race_rows(_rows(ours))[0]
 
 
 def test_front() -> None:
-    assert tables.front_of([(3, 1), (1, 5), (2, 6), (4, 1)]) == [(1, 5), (3, 1)]
+    assert charts.front_of([(3, 1), (1, 5), (2, 6), (4, 1)]) == [(1, 5), (3, 1)]
 
 
 @pytest.mark.slow
 def test_a_solver_runs_in_a_process_of_its_own_and_tells_the_truth() -> None:
-    job: dict[str, Any] = {
-        "part": "race", "solver": "ssdr fast", "sequence": "tube:200:12", "bones": 4,
-        "influences": 2, "seed": 0, "threads": 1, "iterations": 1, "slice": 0.0, "machine": {},
-    }  # fmt: skip
+    job: dict[str, Any] = bench.job("ssdr fast", "tube:200:12", 4, 2)
     done = subprocess.run(
-        [sys.executable, str(ROOT / "benchmarks" / "peers" / "solvers.py"), json.dumps(job)],
+        [sys.executable, str(ROOT / "benchmarks" / "peers" / "solvers.py"),
+         json.dumps({**job, "slice": 0.0, "core": None})],
         input="go\n" * 1000,
         capture_output=True,
         text=True,
         timeout=600,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )
+    )  # fmt: skip
     assert done.returncode == 0, done.stderr
     # with slices of no length it asks for its turn before every step
     assert done.stdout.split().count("ready") > 3
-    record = json.loads(done.stdout.splitlines()[-1])
-    assert record["defects"] == []
-    assert record["E"] == pytest.approx(record["stated E"], rel=1e-9)
-    errors = [point[3] for point in record["curve"]]
+    row = json.loads(done.stdout.splitlines()[-1])
+    assert row["defects"] == []
+    assert row["E"] == pytest.approx(row["stated E"], rel=1e-9)
+    errors = [point[3] for point in row["curve"]]
     assert errors == sorted(errors, reverse=True)
-    assert all(a[1] <= b[1] for a, b in zip(record["curve"], record["curve"][1:], strict=False))
-    assert record["curve"][-1][1] <= record["total wall"]
+    assert all(a[1] <= b[1] for a, b in zip(row["curve"], row["curve"][1:], strict=False))
+    assert row["curve"][-1][1] <= row["wall"]
 
 
 @pytest.mark.slow
-def test_solvers_take_turns_and_a_crash_is_a_record() -> None:
-    good = race.job("race", "ssdr fast", "tube:200:12", 4)
-    bad = race.job("race", "ssdr fast", "tube:200:12", -1)
-    own = race.job("race", str(ROOT / "benchmarks/leaderboard/example_solver.py"), "tube:200:12", 3)
-    old = race.job("race", "2012", "tube:200:12", 5, iterations=4)
-    records = {r["bones"]: r for r in race.take_turns([good, bad, own, old], 0.05)}
-    assert records[4]["E"] > 0
-    assert records[3]["defects"] == []
-    assert records[3]["curve"] == [
-        [1, *records[3]["curve"][0][1:3], pytest.approx(records[3]["E"])]
-    ]
-    assert [point[0] for point in records[5]["curve"]] == [*range(5)]
+def test_solvers_take_turns_and_a_crash_is_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bench, "SLICE", 0.05)
+    good = bench.job("ssdr fast", "tube:200:12", 4)
+    bad = bench.job("ssdr fast", "tube:200:12", -1)
+    own = bench.job(str(ROOT / "benchmarks/leaderboard/example_solver.py"), "tube:200:12", 3)
+    old = bench.job("2012", "tube:200:12", 5)
+    rows = {r["bones"]: r for r in bench.take_turns([good, bad, own, old])}
+    assert rows[4]["E"] > 0
+    assert rows[3]["defects"] == []
+    assert rows[3]["curve"] == [[1, *rows[3]["curve"][0][1:3], pytest.approx(rows[3]["E"])]]
     # the method's own account beside its model, skinned again
-    assert records[5]["curve"][-1][3] == pytest.approx(records[5]["E"], rel=1e-5)
-    assert "failed" in records[-1]
-    assert "bones: expected" in records[-1]["said"][0]
+    assert rows[5]["curve"][-1][3] == pytest.approx(rows[5]["E"], rel=1e-5)
+    assert "failed" in rows[-1]
+    assert "bones: expected" in rows[-1]["said"][0]

@@ -18,7 +18,7 @@ def test_the_example_has_ten_lines_and_is_that_of_the_page() -> None:
     text = EXAMPLE.read_text("utf-8")
     body = text[text.index("def solve") :].strip()
     assert len(body.splitlines()) <= 10
-    assert body in (common.ROOT / "docs" / "benchmarks.md").read_text("utf-8")
+    assert body in (common.ROOT / "docs" / "leaderboard.md").read_text("utf-8")
 
 
 @pytest.mark.parametrize(
@@ -35,6 +35,23 @@ def test_a_file_that_is_no_solver_is_refused(text: str, said: str, tmp_path: Pat
     path.write_text(text)
     with pytest.raises(SystemExit, match=said):
         slot.solver_of(str(path))
+
+
+def test_a_solver_is_a_file_or_a_function_of_a_module(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = EXAMPLE.read_text("utf-8").replace("def solve", "def mine")
+    (tmp_path / "my_solver.py").write_text(text)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    frames = np.random.default_rng(0).standard_normal((4, 9, 3))
+    asked = {"bones": 2, "influences": 2, "bone_model": "rigid", "rest": None}
+    for name in ("my_solver:mine", "my_solver.py:mine"):
+        assert slot.is_own(name)
+        assert slot.solver_of(name)(frames, None, **asked).weights.shape == (9, 2)
+    assert not slot.is_own("ssdr balanced")
+    with pytest.raises(SystemExit, match=r"my_solver has no function yours"):
+        slot.solver_of("my_solver:yours")
 
 
 def test_shapes_that_do_not_fit_are_named(tmp_path: Path) -> None:
