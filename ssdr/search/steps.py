@@ -94,7 +94,7 @@ def look_ahead(d: Descent, *, steps: int) -> Iterator[None]:
 def polish(d: Descent, *, steps: int, gain: float = 0.0) -> Iterator[None]:
     """Improve all bones together by Gauss–Newton steps with variable projection.
 
-    It ends after `steps` steps, or when six of them lower the error by less than the fraction
+    It ends after `steps` steps, or when the last ones lower the error by less than the fraction
     `gain`.
     """
     newton = GaussNewton(d.data, d.model, constraints=d.constraints)

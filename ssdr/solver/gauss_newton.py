@@ -35,12 +35,14 @@ from .trajectories import Array, Trajectories
 from .vertex_elimination import ReducedSystem
 from .vertex_newton import optimise_vertices
 
-_DAMPING, _LEAST_DAMPING = 1e-3, 1e-4  # λ of the first step, and the least
+_DAMPING = 1e-3  # λ of the first step
+# Without and with edges that hold the rest pose: the least λ, and the number of steps over which
+# the stopping test measures the gain.  With edges a step gains more, and λ has to bound it.
+_LEAST_DAMPING, _WINDOW = (1e-8, 1e-4), (8, 6)
 _STEPPED = ("transforms", *SOLVED)  # arrays that a step changes
 # In every third step, up to three bones may enter the support of a vertex: to try this in every
 # step costs more than it brings.
 _ENTERING_EVERY, _ENTERING_BONES = 3, 3
-_WINDOW = 6  # steps over which the stopping test measures the gain
 # Most steps of bones with joints, and the relative gain of a step below which no further step is
 # taken.
 _STEPS, _LEAST_GAIN = 12, 1e-3
@@ -87,6 +89,7 @@ class GaussNewton:
         # with a damping, the vertices are optimised already and need only be factored
         first = {"entering": 3, "rounds": 2} if damping is None else {"entering": -1, "rounds": 0}
         self._vertices = optimise_vertices(data, model, constraints=constraints, **first)
+        self._held = self._vertices.strength > 0  # by edges
         self._system: ReducedSystem | None = None
         self.value = self.objective.value(data, model)
 
@@ -97,23 +100,24 @@ class GaussNewton:
         ----------
         most : int
         gain : float
-            The steps end if the last six that were accepted lower the error by less than this
-            fraction of it, or if six in a row are rejected.
+            The steps end if the last six that were accepted (eight, if no edge holds the rest
+            pose) lower the error by less than this fraction of it, or if as many in a row are
+            rejected.
         entering : bool
             Whether further bones may become influences of a vertex, in the first step and in every
             third after it.
         """
-        values, rejected = [self.value], 0
+        values, rejected, window = [self.value], 0, _WINDOW[self._held]
         for k in range(most):
             enter = entering and k % _ENTERING_EVERY == 0
             self.accepted = self.step(entering=_ENTERING_BONES if enter else -1)
             if self.accepted:
-                values = [*values, self.value][-_WINDOW - 1 :]
+                values = [*values, self.value][-window - 1 :]
             rejected = 0 if self.accepted else rejected + 1
             # the objective is a square: its relative change is twice that of the error
             change = 0.5 * (values[0] - values[-1]) / max(values[0], 1e-300)
-            settled = len(values) > _WINDOW and change < gain
-            self.converged = settled or rejected == _WINDOW
+            settled = len(values) > window and change < gain
+            self.converged = settled or rejected == window
             yield
             if self.converged:
                 return
@@ -148,7 +152,7 @@ class GaussNewton:
             return False
         ratio = (self.value - value) / predicted if predicted > 0 else 1.0
         if ratio > 0.7:
-            self.damping = max(self.damping / 5.0, _LEAST_DAMPING)
+            self.damping = max(self.damping / 5.0, _LEAST_DAMPING[self._held])
         elif ratio < 0.25:
             self.damping *= 3.0
         for name in (*_STEPPED, "tree"):
