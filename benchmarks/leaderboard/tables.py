@@ -88,6 +88,17 @@ def better_rows(rows: Rows) -> Iterator[Row]:
             yield mine | words | {"theirs": theirs, "ours": mine[METRIC]}
 
 
+def better_cases(rows: Rows) -> Iterator[Row]:
+    """`better_rows`, those of a case on one line."""
+    found: dict[tuple[object, ...], Row] = {}
+    for r in better_rows(rows):
+        key = r["sequence"], r["bones"], r["weights"], r["bone_model"], r["rest"]
+        words = "{measure}: {name} {theirs:.4g} ({ours:.4g})".format_map(r)
+        found.setdefault(key, r | {"where": []})["where"].append(words)
+    for r in found.values():
+        yield r | {"where": "; ".join(r["where"])}
+
+
 def sequence_rows(rows: Rows) -> Iterator[Row]:
     for name, s in SEQUENCES.items():
         yield {"name": name, **vars(s)}
@@ -142,10 +153,9 @@ TABLES: dict[str, tuple[Callable[[Rows], Iterable[Row]], dict[str, str]]] = {
         "RMS, mm": "{RMS:.4f}", "numbers not 0": "{numbers:,}", "STED": "{STED:.4f}",
         "defects": "{defects}",
     }),
-    "board_better": (better_rows, {
+    "board_better": (better_cases, {
         "sequence, bones": SEQUENCE, "weights": "{weights}", "bone model": "{bone_model}",
-        "rest pose": "{rest}", "measure": "{measure}", "method": "{name}",
-        "theirs": "{theirs:.4g}", "ssdr": "{ours:.4g}",
+        "rest pose": "{rest}", "measure: method, theirs (ssdr's)": "{where}",
     }),
     "board_sequences": (sequence_rows, {
         "name": "{name}", "github.com/": "{repository}", "commit": "{commit:.7}",

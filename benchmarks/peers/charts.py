@@ -41,7 +41,7 @@ def draw(rows: Rows, images: Path, own: Iterable[str] = ()) -> None:
     """Draw every chart that the rows allow."""
     if cases := race_rows(rows, own):
         race_chart(rows, cases, images / "race.png", own)
-    if any(row["solver"] == "pca" for row in rows.values()):
+    if all(rows.get(f"{name}-0 K0 pca", {}).get("pca") for name in bench.FRONT):
         size_chart(rows, images / "size.png")
         bones_chart(rows, images / "bones.png")
     if any(row["rigid"] for row in kind_rows(rows)) and not own:
@@ -230,7 +230,8 @@ def kinds_chart(rows: Rows, path: Path) -> None:
             columns = (kind, f"{kind}, equal bytes")
             every = [row[c] for row in kind_rows(rows) if row["sequence"] == name for c in columns]
             line = sorted({(4 * floats * r["bones"], r["E"]) for r in every if r})
-            axis.plot(*np.array(line).T, "o-", color=KINDS[kind], label=kind, markersize=4)
+            if line:
+                axis.plot(*np.array(line).T, "o-", color=KINDS[kind], label=kind, markersize=4)
         axis.set(yscale="log", title=name, xlabel="bytes of transforms a frame")
         plain_log_ticks(axis)
     axes[0].set_ylabel("E")

@@ -182,7 +182,7 @@ def renew(text: str) -> str:
         return f"<!--{match[1]}-->{figures().get(match[1], match[2])}<!--/-->"
 
     text = re.sub(r"<!-- (\w+) -->\n.*?<!-- end \1 -->", put, text, flags=re.DOTALL)
-    return re.sub(r"<!--([\w ]+)-->(.*?)<!--/-->", state, text, flags=re.DOTALL)
+    return re.sub(r"<!--(\w[\w ]*)-->(.*?)<!--/-->", state, text, flags=re.DOTALL)
 
 
 def write(check: bool = False) -> None:

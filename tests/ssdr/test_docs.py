@@ -162,7 +162,7 @@ def test_output_is_compared_line_by_line() -> None:
 
 @pytest.mark.parametrize("page", FIRST_PAGES, ids=_name)
 def test_every_figure_is_an_output_or_comes_from_a_record(page: Path) -> None:
-    recorded = r"<!-- (\w+) -->.*?<!-- end \1 -->|<!--[\w ]+-->.*?<!--/-->"
+    recorded = r"<!-- (\w+) -->.*?<!-- end \1 -->|<!--\w[\w ]*-->.*?<!--/-->"
     text = re.sub(recorded, "", _prose(page), flags=re.DOTALL)
     text = re.sub(r"`[^`]*`|\bdoi:\S+|\(http[^)]*\)|Python 3\.11(?: to 3\.13)?", "", text)
     assert _NUMBER.findall(text) == []
