@@ -26,7 +26,7 @@ from scipy.spatial import cKDTree
 
 from ..common.parallel import serial_blas
 from ..solver.alternation import bone_costs, repeat_alternation, vertex_step
-from ..solver.initialization import by_motion
+from ..solver.initialization import by_motion, with_rest_normals
 from ..solver.model import Constraints, Lowest, Model
 from ..solver.objective import Objective, WeightSmoothness
 from ..solver.trajectories import Trajectories
@@ -185,7 +185,7 @@ class Descent:
         few.initial, few.records = self.initial.beside_model().of_vertices(chosen), []
         few.smoothness, few.objective = None, Objective(few.constraints)
         if not planned:
-            few.begin_with(self.model.select_vertices(chosen))
+            few.begin_with(self.model.select_vertices(chosen).without_normals())
             self.few, self._chosen = few, chosen
         return few
 
@@ -200,8 +200,10 @@ class Descent:
         """Model of all vertices, made by alternations from `few`, a model of the sample.
 
         Each vertex starts with the weights of the nearest vertex of the sample, and with the offset
-        from it that it has in the first pose.
+        from it that it has in the first pose.  If the sample has all vertices, nothing changes.
         """
+        if len(few.rest) == self.data.n_vertices:
+            return few.copy() if self.data.normals is None else with_rest_normals(self.data, few)
         parts, constraints = self.initial.beside_model(), self.constraints
         rest = parts.first_pose(self.data)
         nearest = np.asarray(cKDTree(rest[self._chosen]).query(rest)[1])
@@ -210,6 +212,8 @@ class Descent:
         model.restart_support()
         if parts.rest is not None:
             model.rest = rest
+        if self.data.normals is not None:
+            model = with_rest_normals(self.data, model)
         vertex_step(self.data, model, constraints=constraints)
         repeat_alternation(self.data, model, alternations, constraints)
         return model
@@ -217,13 +221,6 @@ class Descent:
     def value(self, model: Model) -> float:
         """Objective of a model."""
         return self.objective.value(self.data, model)
-
-    def below(self, limit: float, *, expected: bool) -> bool:
-        """Whether the present model's objective is below `limit`.
-
-        While steps are only planned, `expected` is returned.
-        """
-        return expected if self.planning else self.value(self.model) < limit
 
     # --- what steps change ---------------------------------------------------------------------
 
@@ -240,11 +237,6 @@ class Descent:
         """Make a copy of `model` the best model, whatever its objective."""
         self.best = Lowest()
         self.best.offer(model, self.value(model))
-
-    def drop_tree(self) -> None:
-        """Remove the tree from the present model, so that its bones move freely."""
-        if not self.planning:
-            self.model = dataclasses.replace(self.model.copy(), tree=None)
 
     @contextlib.contextmanager
     def rigid_bones(self) -> Iterator[None]:

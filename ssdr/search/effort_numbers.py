@@ -1,13 +1,11 @@
-"""Numbers by effort for given bones, trees and smooth weights; numbers of rebuilds of "best".
+"""Numbers by effort for given bones, trees and smooth weights; numbers of starts of "best".
 
-Those of free bones stand in ``schedules.py``, where they are used.  Rebuilds depend on the size of
-the problem: vertices × frames × bones.
+Those of free bones stand in ``schedules.py``, where they are used.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import math
 
 from .problem import Effort
 
@@ -47,49 +45,13 @@ NUMBERS: dict[Effort, Numbers] = {
 }
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Rebuilds:
-    """Numbers of rebuilds, starts and trials of the effort "best" for problems of one size.
-
-    Attributes
-    ----------
-    trials : int
-        Trials of the search after a start, and of the last search.
-    before, after : int
-        How often the best model is rebuilt before and after the merged start.
-    trees : int
-        Number of trees made for free bones, which start from the tree of lowest objective as well.
-    tree_searches : int
-        How many times several trees are made and the best of them is searched.
-    """
-
-    trials: int
-    before: int
-    after: int
-    trees: int
-    tree_searches: int
-
-
-# Chosen on a dozen sequences.  If a rebuild takes only seconds, the first model is rebuilt six
-# times before the merged start (error of ea_bone with 5 bones: 3.95, against 4.48 without).  Larger
-# problems have fewer rebuilds because each takes long.
-REBUILDS = (  # size below which the numbers hold, and the numbers
-    (2e6, Rebuilds(trials=10, before=6, after=6, trees=6, tree_searches=6)),
-    (1e7, Rebuilds(trials=10, before=0, after=4, trees=1, tree_searches=4)),
-    (math.inf, Rebuilds(trials=6, before=0, after=3, trees=1, tree_searches=3)),
-)
-TRIALS_OF_A_REBUILD = 6
+# How often "best" rebuilds the best model, and trials of a search after each start and rebuild.
+REBUILDS, TRIALS_OF_A_START, TRIALS_OF_A_REBUILD = 3, 4, 6
 # Fewest vertices per bone in a sample on which influences are relaxed; 60 are overfitted.
 RELAXED_VERTICES = 128
-# From this number of bones on there are several starts with few trials each, because alternations
-# alone put many bones in better places, and after some starts no rebuild helps.
-MANY_BONES, STARTS_OF_MANY_BONES, TRIALS_OF_A_START = 24, 3, 4
+# How many times several trees are made and the best of them is searched.
+TREE_SEARCHES = 4
 # The tree of lowest objective is relaxed and searched six times, each time with two trials of each
 # change.  The error E of cow_elastic with 24 bones is then 7.14, against 7.36 after one search with
 # 24 to 48 trials.
 TREE_ROUNDS, TRIALS_OF_A_TREE = 6, 12
-
-
-def rebuilds(size: float) -> Rebuilds:
-    """Numbers of rebuilds, starts and trials of the effort "best" for a problem of this size."""
-    return next(numbers for bound, numbers in REBUILDS if size < bound)

@@ -2,7 +2,7 @@
 
     fast       a first model; then more bones, merged and moved on a sample of the vertices; polish
     balanced   the same; then relax and polish
-    best       several starts, each relaxed and searched; then the best model rebuilt repeatedly
+    best       all of balanced; then a search from another start, and the best rebuilt repeatedly
 
 Those of bones with joints are in :mod:`.tree_schedules`.
 """
@@ -13,14 +13,11 @@ from functools import partial
 
 from .descent import Descent
 from .effort_numbers import (
-    MANY_BONES,
     NUMBERS,
+    REBUILDS,
     RELAXED_VERTICES,
-    STARTS_OF_MANY_BONES,
     TRIALS_OF_A_REBUILD,
     TRIALS_OF_A_START,
-    Rebuilds,
-    rebuilds,
 )
 from .problem import Effort, RigKind
 from .progress import Stop
@@ -40,6 +37,7 @@ from .steps import (
     alternate,
     beside,
     compress,
+    for_positions,
     last_polish,
     move_bones,
     on_sample,
@@ -48,24 +46,15 @@ from .steps import (
     relax_bones,
     return_to_best,
     search,
-    try_places,
     unfold,
 )
 from .trees.tree_schedules import (
     bones_of_skeleton,
     loose_from_model,
     loose_skeleton,
-    lowest_tree,
-    relax_tree,
-    search_best_trees,
-    start_of_tree,
     tree_from_model,
     tree_of_bones,
 )
-
-# Ratio of a tree's objective to the best one up to which the tree is improved.
-_PROMISING = 4.0
-
 
 # --- free bones ----------------------------------------------------------------------------------
 
@@ -95,7 +84,7 @@ def relax_and_search(d: Descent, trials: int) -> None:
 
 
 def free_bones(d: Descent, effort: Effort, *, stretching: bool) -> None:
-    """Find bones without a hierarchy, with the effort "fast" or "balanced".
+    """Find bones without a hierarchy: all of "fast", or of "balanced".
 
     If bones may stretch (`stretching`), a start from rigid bones is tried too.  In every step a
     bone that stretches must keep det > 0; where the mesh is thin, this can trap a start with
@@ -164,93 +153,55 @@ def bones_that_turn(d: Descent, effort: Effort) -> None:
     if effort == "fast":
         return
     relax(d, polish_steps=4)
-    if effort == "best":
-        search(d, steps=TRIALS_OF_A_START)
     polish(d, steps=200, gain=0.016)
 
 
-def best_bones(d: Descent, size: float, *, stretching: bool) -> None:
-    """Find bones without a hierarchy with the effort "best".
+def bones_of_effort(d: Descent, effort: Effort, *, stretching: bool) -> None:
+    """Find bones without a hierarchy.
 
-    The search runs on a sample if that is less than half of the vertices.  On horse_gallop this
-    halves the time at least; the error is 2 % higher with 10 bones and 3 % lower with 20 bones.
+    The effort "best" makes all steps of "balanced" first.  What it finds after them is the result
+    only if both its objective and its error are lower.
     """
-    n = rebuilds(size)
-    searches = partial(first_search, n=n), partial(search_from_starts, n=n, stretching=stretching)
-    first_model(d)
-    if on_sample(d, *searches, least=RELAXED_VERTICES, most=2 * RELAXED_VERTICES, free=False):
-        polish(d, steps=40, gain=0.01)
-        relax_and_search(d, TRIALS_OF_A_START)
-        return_to_best(d)
-        search(d, steps=TRIALS_OF_A_START)
-    return_to_best(d)
-    last_polish(d, steps=200, gain=0.002)
-
-
-def first_search(d: Descent, n: Rebuilds) -> None:
-    """Relax and search from the first model or, with many bones, from several starts."""
-    if d.bones >= MANY_BONES:
-        for _ in range(STARTS_OF_MANY_BONES):
-            start(d)
-            alternate(d, steps=12)
-            try_places(d, steps=10, patience=8)
-            relax_and_search(d, TRIALS_OF_A_START)
-    else:
-        relax_and_search(d, n.trials)
-
-
-def search_from_starts(d: Descent, n: Rebuilds, *, stretching: bool) -> None:
-    """Relax and search from further starts; then rebuild the best model repeatedly."""
-    many = d.bones >= MANY_BONES
+    free_bones(d, effort, stretching=stretching)
     if not stretching:
-        start_from_tree(d, n.trees)
-    elif n.before:
-        relax_from_rigid(d)
-    for _ in range(n.before):
-        rebuild(d, n.trials)
-    search_merged(d, TRIALS_OF_A_START if many else n.trials)
-    if stretching and not n.before:
-        relax_from_rigid(d)
-    for _ in range(n.after):
-        rebuild(d, n.trials)
+        bones_that_turn(d, effort)
+    whole_parts(d)
+    if effort == "best":
+        unfold(d)
+        beside(d, search_further)
+
+
+def search_further(d: Descent) -> None:
+    """Search for positions alone, then polish with normals; for normals, if only they count."""
     return_to_best(d)
-    search(d, steps=n.trials)
+    if d.data.slack:
+        search(d, steps=2 * TRIALS_OF_A_REBUILD)
+    else:
+        for_positions(d, search_positions)
+    polish(d, steps=200, gain=0.002)
+    whole_parts(d)
+    unfold(d)
 
 
-def search_merged(d: Descent, trials: int) -> None:
-    """Search from the start of "balanced", with its moves of bones.
+def search_positions(d: Descent) -> None:
+    """Search on a sample; then relax and search on all vertices, so that nothing is overfitted."""
+    n = RELAXED_VERTICES
+    if on_sample(d, search_from_starts, least=n, most=n, free=False):
+        relax_and_search(d, TRIALS_OF_A_START)
 
-    On small smooth motions, such as a beam's, the other starts end with far more error.
+
+def search_from_starts(d: Descent) -> None:
+    """Search from another start, merged and moved; then rebuild the best model repeatedly.
+
+    A rebuild has bones in new places, which are judged once influences and weights have adapted.
     """
     merged_start(d)
     move_bones(d)
-    relax_and_search(d, trials)
-
-
-def rebuild(d: Descent, trials: int) -> None:
-    """Rebuild the best model with several bones in new places, then search."""
-    return_to_best(d)
-    add_and_merge(d)
-    relax_and_search(d, min(trials, TRIALS_OF_A_REBUILD))
-
-
-def start_from_tree(d: Descent, trees: int) -> None:
-    """Make a tree, improve it, drop it and improve the freed bones.
-
-    If the animation comes from a skeleton, a tree leads to models that free bones do not find.  If
-    the tree's objective is below the best one, better trees are therefore searched before the tree
-    is dropped.  If it is more than four times the best one, the tree is given up at once.
-    """
-    lowest_tree(d, *trees * (start_of_tree,))
-    best = d.best.value
-    if not d.below(_PROMISING * best, expected=True):
-        d.model = d.best.model.with_restarted_support()
-        return
-    relax_tree(d)
-    if d.below(best, expected=False):
-        search_best_trees(d)
-    d.drop_tree()
     relax_and_search(d, TRIALS_OF_A_START)
+    for _ in range(REBUILDS):
+        return_to_best(d)
+        add_and_merge(d)
+        relax_and_search(d, TRIALS_OF_A_REBUILD)
 
 
 def nothing_to_place(d: Descent, effort: Effort) -> None:
@@ -333,7 +284,6 @@ def follow_effort(
     tries_model : bool
         Whether a complete model was given that is only tried beside other starts.
     """
-    size = float(d.data.n_vertices) * d.data.n_frames * d.bones
     starts_from_model = d.initial.is_model and not tries_model
     stretching = d.constraints.bone_model != "rigid" and d.initial.beside_model().transforms is None
     if starts_from_model and d.smoothness is not None:
@@ -347,20 +297,13 @@ def follow_effort(
     elif d.initial.beside_model().tree is not None:
         loose_skeleton(d, effort)
     elif rig == "rigid":
-        tree_of_bones(d, effort, size)
+        tree_of_bones(d, effort)
     elif d.smoothness is not None:
         smooth(d, effort, bones_placed=bones_placed, stretching=stretching)
     elif bones_placed:
         nothing_to_place(d, effort)
     else:
-        if effort == "best":
-            best_bones(d, size, stretching=stretching)
-        else:
-            free_bones(d, effort, stretching=stretching)
-        if not stretching:
-            bones_that_turn(d, effort)
-        if d.influences == 1 and d.data.parts is not None:
-            whole_parts(d)
+        bones_of_effort(d, effort, stretching=stretching)
     if tries_model:
         beside(d, partial(polish_model, effort=effort))
     unfold(d)

@@ -222,7 +222,8 @@ def whole_parts(d: Descent, *, steps: int = _WHOLE_ROUNDS) -> Iterator[None]:
     its error is higher.  With several influences, weights hold such a part together.
     """
     data, parts = d.data, d.data.parts
-    assert parts is not None
+    if parts is None or d.influences > 1:
+        return
     model, rigid = d.best.model.with_restarted_support(), parts >= 0
     owner = np.unique(np.stack([parts, model.indices[:, 0]])[:, rigid], axis=1)
     if (np.diff(owner[0]) > 0).all():

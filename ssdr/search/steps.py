@@ -236,6 +236,14 @@ def on_sample(
     return True
 
 
+def for_positions(d: Descent, schedule: Schedule) -> None:
+    """Follow a schedule on a copy without normals; make its best model the present one."""
+    bare = d.sample(d.data.n_vertices, free=False)
+    schedule(bare)
+    d.few = None
+    all_vertices(d, bare.best)
+
+
 @step("all vertices", cost=8)
 def all_vertices(d: Descent, best: Lowest, *, alternations: int = 8) -> Iterator[None]:
     """Fit the best model of the sample to all vertices, and make it the present one.
@@ -329,16 +337,6 @@ def add_and_merge(d: Descent, *, alternations: int = 3) -> Iterator[None]:
     d.model = add_and_merge_bones(d.data, d.model, d.rng, d.constraints, alternations=alternations)
     d.work.iteration += alternations
     yield
-
-
-@step("add and merge", cost=20)
-def try_places(d: Descent, *, steps: int, patience: int, alternations: int = 3) -> Iterator[None]:
-    """Add several bones and merge down to the previous number; keep the better model.
-
-    It ends after `steps` trials, or `patience` trials in a row that do not lower the objective.
-    """
-    change = partial(add_and_merge_bones, alternations=alternations)
-    return tried(d, [change], steps=steps, iterations=alternations, patience=patience)
 
 
 @step("search", cost=60)

@@ -99,6 +99,11 @@ class Model:
         arrays = {k: np.ascontiguousarray(getattr(self, k)[chosen]) for k in ARRAYS[1:]}
         return Model(transforms=self.transforms.copy(), **arrays, tree=self.tree)
 
+    def without_normals(self) -> Model:
+        """This model (a view) without rest normals."""
+        none = self.normals[:, :0], np.zeros(len(self.rest))
+        return dataclasses.replace(self, normals=none[0], normal_error=none[1])
+
     @staticmethod
     def start(
         transforms: Array, rest: Array, label: NDArray[np.signedinteger[Any]], influences: int

@@ -147,16 +147,15 @@ class Trajectories:
         )
 
     def select_vertices(self, chosen: NDArray[np.intp]) -> Trajectories:
-        """A copy with the chosen vertices and the same basis, without triangles and surface."""
-        normals, n2 = self.normals, self.n2
+        """A copy of the chosen vertices in the same basis: no triangles, surface or normals."""
         return dataclasses.replace(
             self,
             z=np.ascontiguousarray(self.z[chosen]),
             x2=self.x2[chosen],
             importance=self.importance[chosen],
             faces=self.faces[:0],
-            normals=None if normals is None else np.ascontiguousarray(normals[chosen]),
-            n2=None if n2 is None else n2[chosen],
+            normals=None,
+            n2=None,
             surface=None,
             parts=None if self.parts is None else self.parts[chosen],
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..descent import Descent, Schedule
-from ..effort_numbers import NUMBERS, TREE_ROUNDS, TRIALS_OF_A_TREE, rebuilds
+from ..effort_numbers import NUMBERS, TREE_ROUNDS, TREE_SEARCHES, TRIALS_OF_A_TREE
 from ..problem import Effort
 from ..starts import first_model, merged_start, polish_model, start_from_model
 from ..steps import (
@@ -27,7 +27,7 @@ from .tree_steps import (
 )
 
 
-def tree_of_bones(d: Descent, effort: Effort, size: float) -> None:
+def tree_of_bones(d: Descent, effort: Effort) -> None:
     """Find bones with joints and their tree: trees from several starts, then a search.
 
     Influences are added once the bones are attached.  There are several starts because a search
@@ -47,7 +47,7 @@ def tree_of_bones(d: Descent, effort: Effort, size: float) -> None:
     relax_tree(d)
     search_trees(d, steps=10)
     if effort == "best":
-        for _ in range(rebuilds(size).tree_searches - 1):
+        for _ in range(TREE_SEARCHES - 1):
             lowest_tree(d, *starts)
             relax_tree(d)
             search_trees(d, steps=10)

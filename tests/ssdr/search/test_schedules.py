@@ -11,7 +11,8 @@ import ssdr
 from helpers import motions
 from helpers.measures import descent_of
 from ssdr.search.descent import Descent
-from ssdr.search.schedules import best_bones, follow_effort
+from ssdr.search.effort_numbers import REBUILDS
+from ssdr.search.schedules import follow_effort
 from ssdr.solver.trajectories import gather
 
 
@@ -23,9 +24,10 @@ def planning(bones: int) -> Descent:
     return d
 
 
-def best_schedule(bones: int, size: float) -> list[tuple[str, int]]:
+def planned(effort: Any, rig: Any = "none", bones: int = 6) -> list[tuple[str, int]]:
+    """The steps of an effort."""
     d = planning(bones)
-    best_bones(d, size, stretching=False)
+    follow_effort(d, effort=effort, rig=rig, bones_placed=False, tries_model=False)
     assert d.work.plan is not None
     return d.work.plan
 
@@ -34,43 +36,29 @@ def phases(listed: list[tuple[str, int]]) -> list[str]:
     return [phase for phase, _ in listed]
 
 
-def trials(listed: list[tuple[str, int]]) -> int:
-    return sum(count for phase, count in listed if phase == "search")
+def test_best_makes_all_steps_of_balanced_before_others() -> None:
+    first, best = planned("balanced"), planned("best")
+    assert best[: len(first)] == first
+    assert phases(best)[-3:] == ["whole parts", "unfold", "unfold"]
 
 
-@pytest.mark.parametrize("size", [1e5, 8e6, 1.5e7, 1e9])
-def test_best_rebuilds_and_begins_with_several_starts_where_bones_are_many(size: float) -> None:
-    few, many = best_schedule(23, size), best_schedule(24, size)
-    for listed, starts in ((few, 0), (many, 3)):
-        added = [k for k, (phase, _) in enumerate(listed) if phase == "add and merge"]
-        assert sum(listed[k][1] > 1 for k in added) == starts
-        rebuilt = [k for k in added if listed[k][1] == 1]
-        for k in rebuilt:
-            # of the best model, and judged only once influences and weights have followed
-            expected = ["return to best", "add and merge", "relax", "polish", "search"]
-            assert phases(listed)[k - 1 : k + 4] == expected
-        assert len(rebuilt) == phases(few).count("add and merge")
-        assert phases(listed)[-3:] == ["return to best", "normals", "polish"]
-    assert trials(few) >= trials(best_schedule(23, 2 * size))
-
-
-@pytest.mark.parametrize(("size", "rebuilt"), [(1e5, True), (3e6, False), (1e9, False)])
-def test_small_models_are_rebuilt_before_another_start_is_set_beside_them(
-    size: float, rebuilt: bool
-) -> None:
-    listed = phases(best_schedule(5, size))
-    merged = len(listed) - listed[::-1].index("merge")
-    assert ("add and merge" in listed[:merged]) == rebuilt
-    assert "add and merge" in listed[merged:]
+def test_a_rebuild_is_of_the_best_model_and_judged_once_weights_have_followed() -> None:
+    listed = phases(planned("best"))
+    rebuilt = [k for k, phase in enumerate(listed) if phase == "add and merge"]
+    assert len(rebuilt) == REBUILDS
+    for k in rebuilt:
+        expected = ["return to best", "add and merge", "relax", "polish", "search"]
+        assert listed[k - 1 : k + 4] == expected
 
 
 @pytest.mark.parametrize("effort", ["fast", "balanced", "best"])
 @pytest.mark.parametrize("rig", ["none", "rigid"])
 def test_normals_count_from_the_last_polish_on(effort: Any, rig: Any) -> None:
-    d = planning(6)
-    follow_effort(d, effort=effort, rig=rig, bones_placed=False, tries_model=False)
-    assert phases(d.work.plan)[-3:] == ["normals", "polish", "unfold"]
-    assert phases(d.work.plan).count("normals") == 1
+    """With "best" from the last polish of "balanced" on, but for its search on a sample."""
+    listed = phases(planned(effort, rig))
+    assert listed.count("normals") == 1
+    after = [p for p in listed[listed.index("normals") + 1 :] if p != "whole parts"]
+    assert after[:2] == ["polish", "unfold"]
 
 
 @pytest.mark.parametrize("rest_pose", ["surface", "free"])
