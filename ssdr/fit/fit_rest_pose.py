@@ -16,6 +16,8 @@ from ..solver.model import Constraints, Model
 from ..solver.objective import Objective
 from ..solver.rest_surface import RestPose, RestSurface
 from ..solver.trajectories import Trajectories
+from ..solver.vertex_elimination import ReducedSystem
+from ..solver.vertex_newton import optimise_vertices
 from .fit import Fit, checked, fit_of
 
 _STEPS, _GAIN = 40, 1e-6  # most steps, and relative decrease of the objective that ends them
@@ -31,7 +33,7 @@ def fit_rest_pose(
     bone_model: BoneModel | None = None,
     rest_pose: RestPose = "surface",
 ) -> Fit:
-    """Fit the rest position of every vertex of a model by least squares, a 3×3 solve each.
+    """Fit the rest position of every vertex of a model by least squares.
 
     For each vertex it minimises Σ_t |v^t − Σ_j w_j (R_j^t p + T_j^t)|² over the rest position p,
     where v^t is the vertex in frame t of the sequence, w_j its weight for bone j, and R_j^t and
@@ -99,16 +101,20 @@ def fit_rest_pose(
 def _solve_rest_pose(data: Trajectories, model: Model, constraints: Constraints) -> None:
     """Solve the rest pose (in place).
 
-    Without a reference surface, one step solves it.  Otherwise steps follow until the objective
-    settles.
+    Without a reference surface, one step solves it.  Otherwise steps of all rest positions together
+    follow until the objective settles.
     """
-    vertex_step(
-        data, model, constraints=dataclasses.replace(constraints, rest=True)
-    )  # sets the errors
-    objective, before = Objective(constraints), np.inf
-    for _ in range(_STEPS if data.surface is not None else 1):
+    held = dataclasses.replace(constraints, rest=True)
+    vertex_step(data, model, constraints=held)  # sets the errors
+    if data.surface is None:
         vertex_step(data, model, constraints=constraints)
+        return
+    objective, before, still = Objective(constraints), np.inf, None
+    for _ in range(_STEPS):
+        vertices = optimise_vertices(data, model, constraints=constraints, entering=-1, rounds=0)
         value = objective.value(data, model)
         if not value < (1 - _GAIN) * before:
             return
-        before = value
+        before, still = value, np.zeros_like(vertices.stacked)
+        system = ReducedSystem(data, model, constraints, vertices, np.float64)
+        system.move_vertices(model, still)
