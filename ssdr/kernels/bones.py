@@ -276,20 +276,12 @@ def sweep_bones(transforms, c, u, start, neighbour, scaled, sweeps):
                 for q in range(start[j], start[j + 1]):
                     k = neighbour[q]
                     for e in range(3):
-                        m0, m1, m2, m3 = (
-                            bones[k, e, 0],
-                            bones[k, e, 1],
-                            bones[k, e, 2],
-                            bones[k, e, 3],
-                        )
+                        of = bones[k, e]
+                        m0, m1, m2, m3 = of[0], of[1], of[2], of[3]
                         for f in range(4):
                             row = d[e, f]
-                            v0, v1, v2, v3 = (
-                                u[j, k, 0, f],
-                                u[j, k, 1, f],
-                                u[j, k, 2, f],
-                                u[j, k, 3, f],
-                            )
+                            w = u[j, k, :, f]
+                            v0, v1, v2, v3 = w[0], w[1], w[2], w[3]
                             for t in range(n_frames):
                                 row[t] = row[t] - m0[t] * v0 - m1[t] * v1 - m2[t] * v2 - m3[t] * v3
                 extent = 0.0

@@ -39,12 +39,8 @@ def forms(blocks, along, p, first, last, h, f):
         pair = 0
         for q in range(n_keep):
             out = f[q]
-            y0, y1, y2, y3 = (
-                along[q, t, 0],
-                along[q, t, 1],
-                along[q, t, 2],
-                along[q, t, 3],
-            )
+            of = along[q, t]
+            y0, y1, y2, y3 = of[0], of[1], of[2], of[3]
             for k in range(LANES):
                 out[k] += y0[k] * x[k] + y1[k] * y[k] + y2[k] * z[k]
             if t == 0:
@@ -181,12 +177,7 @@ def joint_system(along, pull, w, free, p, fixed, h, f, turned, mean, slope, a, g
                 for k in range(LANES):
                     out[k] += m[k] * (u[k] - v[k])
             for q in range(1, n_keep):
-                out, u, v, m = (
-                    a[z + c, q - 1],
-                    turned[t, q, c],
-                    turned[t, 0, c],
-                    free[q],
-                )
+                out, u, v, m = a[z + c, q - 1], turned[t, q, c], turned[t, 0, c], free[q]
                 for k in range(LANES):
                     out[k] = m[k] * (u[k] - v[k])
             for q in range(n_keep - 1, z):

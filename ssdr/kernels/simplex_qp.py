@@ -107,20 +107,6 @@ def simplex_qp(h, f, w, alive, n, a, b):
 
 
 @inline
-def equilibrate(a, n, scale):
-    """Scale the lower triangle of a to a unit diagonal (in place); `scale` receives the factors.
-
-    Entries of weights and of rest positions differ in magnitude.
-    """
-    for q in range(n):
-        scale[q] = 1.0 / np.sqrt(a[q, q]) if a[q, q] > 0.0 else 0.0
-    for q in range(n):
-        for s in range(q):
-            a[q, s] *= scale[q] * scale[s]
-        a[q, q] = 1.0
-
-
-@inline
 def invert(a, n, full, row):
     """Invert a positive definite matrix with unit diagonal.
 
@@ -167,7 +153,10 @@ def cheapest_to_drop(h, w, n, a, full, row, scale):
     for q in range(last):
         for s in range(q + 1):
             a[q, s] = h[q, s] - h[last, s] - h[q, last] + h[last, last]
-    equilibrate(a, last, scale)
+        scale[q] = 1.0 / np.sqrt(a[q, q]) if a[q, q] > 0.0 else 0.0
+        a[q, q] = 1.0
+        for s in range(q):
+            a[q, s] *= scale[q] * scale[s]
     invert(a, last, full, row)
     first = second = -1
     least = next_least = np.inf

@@ -157,15 +157,7 @@ def polish_vertices(
             # at the end also the error of each point alone
             for t in range(0 if final else n_points, n_points + 1):
                 alone = t < n_points
-                forms(
-                    blocks,
-                    along,
-                    p,
-                    t if alone else 0,
-                    t + 1 if alone else n_points,
-                    h,
-                    f,
-                )
+                forms(blocks, along, p, t if alone else 0, t + 1 if alone else n_points, h, f)
                 errors(h, f, w, squares[t], e)
                 for i in range(first, last if alone else first):
                     if t == 0:

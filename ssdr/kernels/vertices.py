@@ -15,7 +15,6 @@ from .weight_problem import (
     close_gaps,
     gradient_of_all,
     hessian_row,
-    monomials,
     take_columns,
 )
 
@@ -41,15 +40,6 @@ def store_points(p, length, rest, normals):
         for t in range(1, p.shape[0]):
             for c in range(3):
                 normals[t - 1, c] = p[t, c] / length
-
-
-@inline
-def pull_error(pull, p):
-    """Error μ |p − m|² that the pull (μ, m) adds at the rest position."""
-    value = 0.0
-    for c in range(3):
-        value += (p[0, c] - pull[1 + c]) ** 2
-    return pull[0] * value
 
 
 @inline
@@ -89,13 +79,12 @@ def best_point(form, last, g, pull, p, a, b):
 
 
 @inline
-def place(x2, y, pairs, pull, ids, w, n, move_rest, p, form, g, m, a, b):
-    """Move the points p to their best places under the weights; return the error with the pull.
+def place(y, pairs, pull, ids, w, n, move_rest, p, form, g, a, b):
+    """Move the points p to their best places under the weights, the first only if `move_rest`.
 
-    The rest position moves only if `move_rest`.
+    `form` is set to the coefficients of :func:`form_of`.
     """
     form_of(pairs, ids, w, n, form)
-    e = 0.0
     for t in range(p.shape[0]):
         for c in range(4):
             value = 0.0
@@ -104,13 +93,6 @@ def place(x2, y, pairs, pull, ids, w, n, move_rest, p, form, g, m, a, b):
             g[c] = value
         if t > 0 or move_rest:
             best_point(form, p[t, 3], g, pull, p[t], a, b)
-        e += x2[t]
-        for c in range(4):
-            e -= 2.0 * g[c] * p[t, c]
-    monomials(p, m)
-    for d in range(10):
-        e += form[d] * m[d]
-    return e + pull_error(pull, p)
 
 
 @inline
@@ -286,7 +268,7 @@ def solve_vertices(
                 for q in range(n):
                     alive[q] = q
                 simplex_qp(h, f, w, alive, n, a, b)
-        place(x2[i], y[i], pairs, hold[i], ids, w, n, move_rest, p, form, g, m, a, b)
+        place(y[i], pairs, hold[i], ids, w, n, move_rest, p, form, g, a, b)
         error[i] = point_error(x2[i, 0], y[i, 0], form, ids, w, n, p[0])
         if p.shape[0] > 1 and length > 0.0:
             more = point_error(x2[i, 1], y[i, 1], form, ids, w, n, p[1])

@@ -80,7 +80,8 @@ def check_problem(
     start = start if isinstance(start, Skeleton) else skinning_in(start)
     if not (start is None or isinstance(start, (Skinning, Start))):
         raise InputError("start", "None, a Skinning or a result, or a Start", type(start).__name__)
-    if not (rig is None or isinstance(rig, Skeleton) or _is_kind(rig)):
+    kinds = isinstance(rig, str) and rig in ("loose", "rigid")
+    if not (rig is None or isinstance(rig, Skeleton) or kinds):
         raise InputError("rig", "None, 'loose', 'rigid' or a Skeleton", repr(rig))
     by_default = bones is None and most_bones is not None
     bones = _count_bones(min(n, most_bones or n) if by_default else bones, n, rig, start)
@@ -137,10 +138,6 @@ def check_problem(
         rng=check_rng(rng),
         monitor=Monitor(check_callback(callback), time_limit=time_limit, checkpoint=checkpoint),
     )
-
-
-def _is_kind(rig: Any) -> bool:
-    return isinstance(rig, str) and rig in ("loose", "rigid")
 
 
 def _count_bones(bones: Any, n_vertices: int, rig: Any, start: Any) -> int:

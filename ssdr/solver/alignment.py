@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.checks import LARGEST, check_squarable
-from ..common.parallel import chunk_bounds, run_chunks
-from ..kernels.alignment import inward_range
+from ..common.parallel import chunk_bounds
 from ..model.rigid import nearest_rotation
 
 Array = NDArray[np.float64]
@@ -95,19 +94,10 @@ class Alignment:
         Each is multiplied by its entry of `frame_scale` (F,), unless that is None.
         """
         some = slice(first, first + len(block))
-        factor = np.full(len(block), 1 / self.scale)
+        turn = self.rotation[some] / self.scale
         if frame_scale is not None:
-            factor *= frame_scale[some]
-        block = np.ascontiguousarray(block)
-        out = np.empty((block.shape[1], len(block), 3))
-        centre, rotation = self.centre[some], self.rotation[some]
-
-        def work(_: int, i: int, k: int) -> None:
-            inward_range(block, centre, rotation, factor, out, i, k)
-
-        # few vertices, so that what is written frame by frame stays in the cache
-        run_chunks(work, chunk_bounds(len(out), 32))
-        return out
+            turn = turn * frame_scale[some, None, None]
+        return np.ascontiguousarray(((block - self.centre[some, None]) @ turn).swapaxes(0, 1))
 
 
 def centred(frames: NDArray[np.floating], share: Array | None) -> tuple[Array, Array]:

@@ -143,7 +143,8 @@ class Objective:
         value = seen_error(data, model)
         if self.smoothness is not None:
             value += self.smoothness.penalty(model)
-        value *= _rest_factor(data, model, self.constraints)
+        if data.surface is not None and not self.constraints.rest:
+            value *= data.surface.factor(model.rest)
         value *= math.pow(1.0 + mean_normal_error(data, model) / _UNSEEN, _NORMALS)
         if self.constraints.near_skin and model.tree is not None:
             _, squared = joint_offsets(model)
@@ -241,10 +242,6 @@ def _surface_of(data: Trajectories, model: Model, constraints: Constraints) -> R
 def seen_error(data: Trajectories, model: Model) -> float:
     """Squared error of a model plus the slack of its data."""
     return model.weighted_error(data) + data.slack
-
-
-def _rest_factor(data: Trajectories, model: Model, constraints: Constraints) -> float:
-    return 1.0 if data.surface is None or constraints.rest else data.surface.factor(model.rest)
 
 
 def mean_normal_error(data: Trajectories, model: Model) -> float:

@@ -62,19 +62,6 @@ class _Groups(NamedTuple):
     gradient: Array
 
 
-class _Coupling(NamedTuple):
-    """Arguments of :func:`couple_vertices` that stay: edges, and the vertices' blocks."""
-
-    column: NDArray[np.intp]
-    response: Array
-    matrix: Array
-    inverted: Array
-    shift: Array
-    start: NDArray[np.int32]
-    ends: NDArray[np.uint32]
-    edges: Array
-
-
 class ReducedSystem:
     """Normal equations of a model's transforms, with the unknowns of the vertices eliminated.
 
@@ -279,8 +266,11 @@ def _couple(
     keep: NDArray[np.bool_],
     vertices: VertexSystem,
     precision: type[np.floating[Any]],
-) -> _Coupling | None:
-    """What :func:`couple_vertices` needs, or None if no edge holds the rest pose."""
+) -> tuple[Any, ...] | None:
+    """Arguments of :func:`couple_vertices` that stay, from `column` to `edges`.
+
+    None if no edge holds the rest pose.
+    """
     surface, strength = data.surface, vertices.strength
     if surface is None or not strength > 0:
         return None
@@ -291,8 +281,7 @@ def _couple(
     begin_coupling(vertices.inverse, column, data.importance, hold, diagonal, *blocks)
     start, ends, edges = surface.rows(strength)
     shift = data.importance * hold - diagonal
-    arrays: Any = column, *blocks, shift.astype(precision), start, ends, edges.astype(precision)
-    return _Coupling(*arrays)
+    return column, *blocks, shift.astype(precision), start, ends, edges.astype(precision)
 
 
 def product(left: Array, right: Array) -> Array:

@@ -226,54 +226,25 @@ def split_bone(
 def remove_cheapest_bone(data: Trajectories, model: Model, constraints: Constraints) -> Model:
     """A copy without the bone whose removal costs least.
 
-    The neighbours of that bone are attached to one among them.
+    The neighbours of that bone are attached to one among them, its successor.  The cost is the rise
+    of the objective from the bone's vertices and from closing its neighbours' gaps.
     """
-    losses = removal_losses(data, model)
-    bone = int(np.argmin([loss.cost for loss in losses]))
-    loss = losses[bone]
-    smaller = model.without(np.array([bone]))
-    smaller.tree = model.hierarchy.contract(bone, loss.successor, loss.points)
-    snap_to_joints(data, smaller, constraints)
-    return smaller
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Loss:
-    """Cost of removing a bone from a tree.
-
-    Attributes
-    ----------
-    cost : float
-        Rise of the objective from the bone's vertices and from closing its neighbours' gaps.
-    successor : int
-        Index of the neighbour to which the others would be attached; −1 if there are no neighbours.
-    points : dict
-        For each other neighbour's index, its joint with `successor`.
-    """
-
-    cost: float
-    successor: int
-    points: dict[int, Array]
-
-
-def removal_losses(data: Trajectories, model: Model) -> list[Loss]:
-    """Loss of each bone with its cheapest successor; the cost is inf if it has no neighbours."""
-    tree = model.hierarchy
-    mass = model.bone_masses()
+    tree, mass = model.hierarchy, model.bone_masses()
     beyond, total = tree.subtree_sums(mass), float(mass.sum())
-    losses = []
-    for bone, cost in enumerate(bone_costs(data, model)):
-        neighbours = tree.neighbours(bone)
-        best = Loss(np.inf, -1, {})
-        for successor in neighbours:
-            price, points = float(cost), {}
-            for k in neighbours:
+    least, bone, heir, joints = np.inf, 0, -1, {}
+    for j, cost in enumerate(bone_costs(data, model).tolist()):
+        for successor in tree.neighbours(j):
+            points: dict[int, Array] = {}
+            price = cost
+            for k in tree.neighbours(j):
                 if k == successor:
                     continue
-                points[k], gap = fit_joint(model, k, successor, tree.joint(bone, k))
-                mass_beyond = beyond[k] if tree.parents[k] == bone else total - beyond[bone]
+                points[k], gap = fit_joint(model, k, successor, tree.joint(j, k))
+                mass_beyond = beyond[k] if tree.parents[k] == j else total - beyond[j]
                 price += min(mass_beyond, total - mass_beyond) * gap
-            if price < best.cost:
-                best = Loss(price, successor, points)
-        losses.append(best)
-    return losses
+            if price < least:
+                least, bone, heir, joints = price, j, successor, points
+    smaller = model.without(np.array([bone]))
+    smaller.tree = tree.contract(bone, heir, joints)
+    snap_to_joints(data, smaller, constraints)
+    return smaller
