@@ -7,6 +7,7 @@ import functools
 import inspect
 import math
 import re
+import sys
 import warnings
 from collections.abc import Callable
 from typing import Any, Literal, ParamSpec, TypeVar
@@ -154,16 +155,33 @@ def names_arguments(function: Callable[P, R]) -> Callable[P, R]:
 def as_array(value: Any, argument: str, expected: str) -> NDArray[Any]:
     """Convert a value to an array.
 
+    A tensor may lie on any device and have a gradient; a ``trimesh.Trimesh`` stands for its
+    vertices.  Both may come in lists.
+
     Raises
     ------
     InputError
-        If NumPy cannot make an array of the value: rows of different lengths, or a tensor with a
-        gradient.
+        If NumPy cannot make an array of the value, such as of rows of different lengths.
     """
     try:
-        return np.asarray(value)
+        several = isinstance(value, (list, tuple))
+        return np.asarray(list(map(_here, value)) if several else _here(value))
     except (TypeError, ValueError, RuntimeError) as error:
         raise InputError(argument, expected, str(error)) from error
+
+
+def _here(value: Any) -> Any:
+    """Vertices of a mesh, a tensor in this memory; any other value unchanged."""
+    if are_meshes([value]):
+        return value.vertices
+    return value.detach().cpu().numpy() if hasattr(value, "detach") else value
+
+
+def are_meshes(values: Any) -> bool:
+    """Whether a list holds objects ``trimesh.Trimesh`` alone; trimesh is not imported for it."""
+    kind = getattr(sys.modules.get("trimesh"), "Trimesh", ())
+    listed = isinstance(values, (list, tuple)) and len(values) > 0
+    return listed and all(isinstance(value, kind) for value in values)
 
 
 def check_floats(
@@ -228,16 +246,17 @@ def check_squarable(array: NDArray[np.floating], argument: str, expected: str = 
 
 
 def check_frames(frames: Any, n_frames: int) -> Any:
-    """Check a slice, a mask or indices of frames, and return an index into an array."""
+    """Check an integer, slice, mask or indices of frames, and return an index into an array."""
     if isinstance(frames, slice):
         return frames
-    index = np.atleast_1d(np.asarray(frames))
+    given = np.asarray(frames)
+    index = np.atleast_1d(given)
     if index.dtype == bool and index.shape == (n_frames,):
         return index
     usable = index.ndim == 1 and (index.dtype.kind in "iu" or index.size == 0)
     if not usable or (index.size and not -n_frames <= index.min() <= index.max() < n_frames):
         raise InputError("frames", f"indices below {n_frames}, a slice or a mask", frames)
-    return index.astype(np.intp)
+    return index.astype(np.intp) if given.ndim else int(given)
 
 
 def check_mask(

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..common.errors import FormatError, InputError, SsdrWarning, is_real
 from ..mesh.clips import Clip, pick
-from ..mesh.sequence import MeshSequence
+from ..mesh.sequence import MeshSequence, sequence_in
 from ..mesh.surface import Space, Up
 from .arrays.npy import reads
 from .file_clips import bake
@@ -298,7 +298,7 @@ def save(
 
     Parameters
     ----------
-    thing : MeshSequence, Skinning, ShapedSkinning or a result
+    thing : MeshSequence, Skinning, ShapedSkinning, a result, or meshes of trimesh
         Of a result, such as a Decomposition, the model is written.
     path : path
         File to write, whose suffix chooses the format. For numbered meshes, a pattern such as
@@ -340,7 +340,7 @@ def save(
     target = as_path(path)
     format_ = format_to_write(target, "path")
     check_beside(target)
-    thing = skinning_in(thing)
+    thing = sequence_in(skinning_in(thing))
     if not isinstance(thing, (MeshSequence, Skinning, ShapedSkinning)):
         raise InputError("thing", "a MeshSequence, Skinning or Decomposition", type(thing).__name__)
     if not (format_.writes_sequences or isinstance(thing, Skinned)):

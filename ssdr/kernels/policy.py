@@ -120,7 +120,15 @@ def kernel(function: Function) -> Function:
     compiled: Any = numba.njit(nogil=True, cache=True, error_model="numpy")(function)
     if hasattr(compiled, "_cache"):  # not with NUMBA_DISABLE_JIT
         compiled._cache._cache_file = CheckedFiles(compiled._cache._cache_file)
+        typed = compiled.typeof_pyval
+        compiled.typeof_pyval = lambda value: _writable(typed(value))
     return compiled  # type: ignore[no-any-return]
+
+
+def _writable(kind: Any) -> Any:
+    """The type with which a kernel is compiled: read-only arrays need no code of their own."""
+    array = hasattr(kind, "layout") and not kind.mutable
+    return kind.copy(readonly=False) if array else kind
 
 
 @_decorator

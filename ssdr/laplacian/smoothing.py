@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csc_matrix
 
-from ..common.checks import LARGEST
+from ..common.checks import LARGEST, as_array
 from ..common.errors import InputError, check_choice, is_real, is_whole
 from ..common.short_repr import short_repr
 from ..mesh.sequence import MeshSequence
@@ -115,12 +115,20 @@ class LaplacianSmoother:
         self._mass = diagonal.diagonal()
         # Scaled to masses around 1, since the solvers have absolute thresholds.
         scale = 1.0 / self._mass.max()
-        system = csc_matrix(diagonal * scale + laplacian * (scale * self.length**2))
+        self._system = csc_matrix(diagonal * scale + laplacian * (scale * self.length**2))
         try:
-            self._solve, self.backend = factor_spd(system, backend=backend)
+            self._solve, self.backend = factor_spd(self._system, backend=backend)
         except ArithmeticError as error:
             raise InputError("length", "a length comparable to the mesh", length) from error
         self._mass = self._mass * scale
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the factor, which no library can pickle or copy: it is made again."""
+        return {name: value for name, value in vars(self).items() if name != "_solve"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._solve, self.backend = factor_spd(self._system, backend=self.backend)
 
     def __repr__(self) -> str:
         return (
@@ -147,7 +155,7 @@ class LaplacianSmoother:
         InputError
             If the shape does not fit the mesh or a number is not finite.
         """
-        x = np.asarray(values)
+        x = as_array(values, "values", "numbers")
         axis = 0 if x.ndim <= 2 else x.ndim - 2
         if x.ndim == 0 or x.shape[axis] != self.n_vertices:
             wanted = f"({self.n_vertices},), ({self.n_vertices}, C) or (F, {self.n_vertices}, C)"
@@ -261,7 +269,7 @@ def split_frequencies(
             raise InputError("rest", f"a frame below {frames.n_frames} or a (V, 3) pose", rest)
         pose = frames.frames(int(rest) % frames.n_frames)
     else:
-        pose = np.asarray(rest)
+        pose = as_array(rest, "rest", "a frame or a (V, 3) pose")
         if pose.shape != (frames.n_vertices, 3):
             raise InputError("rest", f"shape ({frames.n_vertices}, 3)", f"shape {pose.shape}")
     smoother = LaplacianSmoother(pose, triangles, length, kind=kind, mass=mass, backend=backend)

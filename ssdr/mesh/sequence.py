@@ -18,7 +18,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from ..common.checks import as_array, check_faces, check_range, remedy_of_shape
+from ..common.checks import are_meshes, as_array, check_faces, check_range, remedy_of_shape
 from ..common.errors import InputError, is_real
 from ..common.short_repr import notebook_html
 from .surface import (
@@ -26,10 +26,12 @@ from .surface import (
     Selected,
     Space,
     Surface,
+    as_trimesh,
     check_space,
     check_surface,
     coincident,
     distinct,
+    protect,
 )
 
 _CHUNK_BYTES = 64 << 20  # bytes of frames that are read at a time
@@ -65,10 +67,11 @@ class MeshSequence:
 
     Parameters
     ----------
-    vertices : (F, V, 3) float array
+    vertices : (F, V, 3) float array, or meshes of trimesh
         float32 and float64 are kept as they are; integers become float64.  Any
         object with ``shape``, ``dtype`` and slicing along the first axis will
-        do (``numpy.memmap``, zarr, dask) and is not read as a whole.
+        do (``numpy.memmap``, zarr, dask) and is not read as a whole.  Of a ``trimesh.Trimesh``, or
+        a list of them with a frame each, triangles and texture coordinates are taken, too.
     faces : (T, 3) int array, optional
         Triangles; none (a point cloud) by default.
     fps : float
@@ -114,6 +117,10 @@ class MeshSequence:
 
     def __post_init__(self, validate: bool) -> None:
         put = object.__setattr__
+        if are_meshes([self.vertices]):  # of one frame
+            put(self, "vertices", [self.vertices])
+        if are_meshes(self.vertices):
+            self._take_surface(self.vertices)
         put(self, "vertices", _check_vertices(self.vertices, "vertices", validate))
         put(self, "faces", check_faces(self.faces, self.vertices.shape[1]))
         if not (is_real(self.fps) and self.fps > 0):
@@ -124,6 +131,20 @@ class MeshSequence:
         if self.surface is not None:
             put(self, "surface", check_surface(self.surface, len(self.faces)))
         check_space(self.space)
+        protect(self)
+
+    def _take_surface(self, meshes: Sequence[Any]) -> None:
+        """Take triangles and texture coordinates of meshes of trimesh, unless others are given."""
+        first = meshes[0]
+        for k, mesh in enumerate(meshes):
+            if not np.array_equal(mesh.faces, first.faces):
+                raise InputError("vertices", "meshes with the same faces", f"others in mesh {k}")
+        uv = getattr(first.visual, "uv", None)
+        if self.faces is None:
+            object.__setattr__(self, "faces", first.faces)
+            if uv is not None and self.surface is None:
+                surface = Surface(uv=np.asarray(uv, dtype=np.float32)[first.faces])
+                object.__setattr__(self, "surface", surface)
 
     @property
     def n_frames(self) -> int:
@@ -140,6 +161,26 @@ class MeshSequence:
 
     def __len__(self) -> int:
         return self.n_frames
+
+    def __iter__(self) -> Iterator[NDArray[np.floating]]:
+        """Frames ``(V, 3)``, read by chunks."""
+        return itertools.chain.from_iterable(block for _, block in self.chunks())
+
+    def __getitem__(self, index: int | slice | ArrayLike) -> Any:
+        """The frame ``(V, 3)`` of an integer, or the sequence of several frames, in memory."""
+        frames = self.frames(index)
+        if frames.ndim == 2:
+            return frames
+        return dataclasses.replace(self, vertices=frames, validate=False)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[np.floating]:
+        """All vertices ``(F, V, 3)``."""
+        whole = np.asarray(self.frames(slice(None)), dtype=dtype)
+        return whole.copy() if copy else whole
+
+    def mesh(self, frame: int) -> Any:
+        """One frame as a ``trimesh.Trimesh``, with copies of vertices and triangles."""
+        return as_trimesh(self.frames(int(frame)), self.faces)
 
     def __repr__(self) -> str:
         name = f"{self.name!r}, " if self.name else ""
@@ -376,6 +417,11 @@ def as_sequences(sequence: Any, faces: Any = None) -> list[MeshSequence]:
         if not np.array_equal(shot.faces, shots[0].faces):
             raise InputError(f"sequence[{k}].faces", "the faces of the first shot", "others")
     return shots
+
+
+def sequence_in(thing: Any) -> Any:
+    """The sequence of a ``trimesh.Trimesh`` or a list of them; any other object unchanged."""
+    return MeshSequence(thing) if are_meshes([thing]) or are_meshes(thing) else thing
 
 
 def joined(shots: Sequence[MeshSequence]) -> MeshSequence:

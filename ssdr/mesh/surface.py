@@ -88,6 +88,25 @@ class Surface:
     __repr__ = short_repr
 
 
+def protect(thing: Any) -> None:
+    """Make the arrays of a frozen dataclass read-only views: nobody writes through it by mistake.
+
+    The arrays that they view, such as the caller's, stay as they are.
+    """
+    for name, value in list(vars(thing).items()):
+        if type(value) is np.ndarray and value.flags.writeable:
+            view = value.view()
+            view.flags.writeable = False
+            object.__setattr__(thing, name, view)
+
+
+def as_trimesh(points: NDArray[np.floating], faces: NDArray[np.int32]) -> Any:
+    """A ``trimesh.Trimesh`` of copies of the vertices and triangles, in their order."""
+    import trimesh
+
+    return trimesh.Trimesh(np.array(points, dtype=np.float64), faces.copy(), process=False)
+
+
 def check_surface(surface: Surface, n_faces: int) -> Surface:
     if not isinstance(surface, Surface):
         raise InputError("surface", "a Surface or None", type(surface).__name__)

@@ -18,11 +18,16 @@ from ..kernels.lbs import pull_back_to_bones, pull_back_to_vertices, skin_range
 _VERTEX_CHUNK = 1024
 
 
+def skinning_in(thing: Any) -> Any:
+    """The model of a result that has one; any other object, such as a model itself, unchanged."""
+    return thing if hasattr(thing, "skin") else getattr(thing, "skinning", thing)
+
+
 def skin(
-    rest: ArrayLike,
-    indices: ArrayLike,
-    weights: ArrayLike,
-    transforms: ArrayLike,
+    rest: Any,
+    indices: ArrayLike | None = None,
+    weights: ArrayLike | None = None,
+    transforms: ArrayLike | None = None,
     *,
     dtype: Any = None,
 ) -> NDArray[np.floating]:
@@ -30,7 +35,7 @@ def skin(
 
     Parameters
     ----------
-    rest : (V, 3) array
+    rest : (V, 3) array, or a model or result in place of all four arrays
     indices : (V, K) int array
     weights : (V, K) array
     transforms : (F, B, 3, 4) or (B, 3, 4) array
@@ -59,6 +64,11 @@ def skin(
     >>> np.allclose(posed, [1, 2, 3])
     True
     """
+    model = skinning_in(rest)
+    if hasattr(model, "skin"):
+        _refuse_beside_model(indices=indices, weights=weights, transforms=transforms)
+        posed: NDArray[np.floating] = model.skin(dtype=dtype)
+        return posed
     parts = _checked(rest, indices, weights, transforms, dtype=dtype)
     out = np.empty((len(parts.transforms), len(parts.rest), 3), dtype=parts.rest.dtype)
 
@@ -120,11 +130,11 @@ class SkinGradients:
 
 
 def skin_gradients(
-    rest: ArrayLike,
-    indices: ArrayLike,
-    weights: ArrayLike,
-    transforms: ArrayLike,
-    gradient: ArrayLike,
+    rest: Any,
+    indices: ArrayLike | None = None,
+    weights: ArrayLike | None = None,
+    transforms: ArrayLike | None = None,
+    gradient: ArrayLike | None = None,
     *,
     dtype: Any = None,
 ) -> SkinGradients:
@@ -138,7 +148,7 @@ def skin_gradients(
     Parameters
     ----------
     rest, indices, weights, transforms
-        As in :func:`skin`.
+        As in :func:`skin`; a model in their place must have no shapes.
     gradient : (F, V, 3) or (V, 3) array
         Gradient with respect to the result of :func:`skin`, of the same shape.
     dtype : float32 or float64, optional
@@ -168,6 +178,15 @@ def skin_gradients(
     >>> np.allclose(gradients.rest, rest - target)
     True
     """
+    model = skinning_in(rest)
+    if hasattr(model, "skin"):
+        _refuse_beside_model(indices=indices, weights=weights, transforms=transforms)
+        if not hasattr(model, "rest"):
+            raise InputError("rest", "a model without shapes", type(model).__name__)
+        rest, indices, weights, transforms = (
+            getattr(model, name) for name in ("rest", "indices", "weights", "transforms")
+        )
+    gradient = as_array(gradient, "gradient", "shape (F, V, 3)")
     parts = _checked(rest, indices, weights, transforms, gradient=gradient, dtype=dtype)
     frames, (n, k) = len(parts.transforms), parts.weights.shape
     shape = (frames, n, 3) if np.ndim(transforms) == 4 else (n, 3)
@@ -192,6 +211,12 @@ def skin_gradients(
         weights=to_weights.astype(kind, copy=False),
         transforms=to_transforms.reshape(np.shape(transforms)).astype(kind, copy=False),
     )
+
+
+def _refuse_beside_model(**arrays: Any) -> None:
+    for name, value in arrays.items():
+        if value is not None:
+            raise InputError(name, "None beside a model, which has its own", "an array")
 
 
 class _Parts(NamedTuple):

@@ -13,7 +13,7 @@ from ..common.errors import InputError
 from ..common.parallel import serial_blas
 from ..common.short_repr import notebook_html, short_repr
 from ..mesh.clips import Clip, unique_names
-from ..mesh.surface import Space, Surface
+from ..mesh.surface import Space, Surface, as_trimesh, protect
 from .lbs import skin_each
 from .skinning import Skinning
 
@@ -64,6 +64,7 @@ class Shapes:
         object.__setattr__(self, "displacements", moved)
         object.__setattr__(self, "amounts", amounts)
         object.__setattr__(self, "names", unique_names([str(name) for name in names], "shape"))
+        protect(self)
 
     __repr__ = short_repr
 
@@ -182,13 +183,20 @@ class ShapedSkinning:
     _repr_html_ = notebook_html
 
     def skin(self, frames: Any = None, *, dtype: Any = None) -> NDArray[np.floating]:
-        """Vertex positions ``(f, V, 3)`` in the given frames, by default in all."""
+        """Vertex positions ``(f, V, 3)`` in some frames, by default all; ``(V, 3)`` in one frame."""
         model = self.skinning
         if not len(self.shapes):
             return model.skin(frames, dtype=dtype)
         index = slice(None) if frames is None else check_frames(frames, model.n_frames)
+        if isinstance(index, int):
+            return np.asarray(self.skin([index], dtype=dtype)[0])
         rests, moves = model.rest + self.shapes.added(index), model.transforms[index]
         return skin_each(rests, model.indices, model.weights, moves, dtype=dtype)
+
+    def mesh(self, frame: int | None = None) -> Any:
+        """One frame, or the rest pose, as a ``trimesh.Trimesh`` of copies."""
+        points = self.skinning.rest if frame is None else self.skin(int(frame))
+        return as_trimesh(points, self.faces)
 
     def select(self, *clips: str | int) -> ShapedSkinning:
         """A copy with only the given clips, as :meth:`Skinning.select` has them."""

@@ -21,15 +21,19 @@ from ..common.errors import InputError, check_choice, is_whole
 from ..common.short_repr import notebook_html
 from ..mesh.clips import Clip, check_clips, in_order, pick
 from ..mesh.sequence import check_vertex_map
-from ..mesh.surface import UNKNOWN, Space, Surface, check_space, check_surface
+from ..mesh.surface import (
+    UNKNOWN,
+    Space,
+    Surface,
+    as_trimesh,
+    check_space,
+    check_surface,
+    protect,
+)
 from .articulated import Articulated
 from .lbs import skin
+from .lbs import skinning_in as skinning_in
 from .transforms import check_parents
-
-
-def skinning_in(thing: Any) -> Any:
-    """The model of a result that has one; any other object, such as a model itself, unchanged."""
-    return thing if hasattr(thing, "skin") else getattr(thing, "skinning", thing)
 
 
 def check_skinning(model: Any) -> Skinning:
@@ -158,6 +162,7 @@ class Skinning(Articulated):
         parts = {"rest": rest, "indices": indices, "weights": weights, "transforms": transforms}
         for field, value in {**parts, "faces": faces, "fps": fps, "clips": clips}.items():
             put(self, field, value)
+        protect(self)
 
     @classmethod
     def from_dense(
@@ -238,9 +243,13 @@ class Skinning(Articulated):
         return self.bone_names or tuple(f"bone_{j}" for j in range(self.n_bones))
 
     def skin(self, frames: Any = None, *, dtype: Any = None) -> NDArray[np.floating]:
-        """Vertex positions ``(f, V, 3)`` in the given frames, by default in all."""
+        """Vertex positions ``(f, V, 3)`` in some frames, by default all; ``(V, 3)`` in one frame."""
         index = slice(None) if frames is None else check_frames(frames, self.n_frames)
         return skin(self.rest, self.indices, self.weights, self.transforms[index], dtype=dtype)
+
+    def mesh(self, frame: int | None = None) -> Any:
+        """One frame, or the rest pose, as a ``trimesh.Trimesh`` of copies."""
+        return as_trimesh(self.rest if frame is None else self.skin(int(frame)), self.faces)
 
     def select(self, *clips: str | int) -> Skinning:
         """A copy of the model with only the given clips (names or indices), in the given order.

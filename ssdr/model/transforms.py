@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..common.checks import as_array
 from ..common.errors import InputError
 from .rigid import matrix_from_quaternion
 
@@ -25,7 +26,7 @@ Array = NDArray[np.float64]
 
 def check_parents(parents: ArrayLike, n_bones: int) -> NDArray[np.int32]:
     """Check parents (B,) for cycles and indices out of range; return them as int32, −1 at roots."""
-    array = np.asarray(parents)
+    array = as_array(parents, "parents", "integers")
     if array.shape != (n_bones,) or array.dtype.kind not in "iu":
         raise InputError(
             "parents", f"integers of shape ({n_bones},)", f"{array.dtype} of shape {array.shape}"
@@ -164,7 +165,7 @@ def local_of_pose(
     """
     n_bones = len(parents)
     wanted = f"shape (f, {n_bones}, 3, 3) or (f, {n_bones}, 4)"
-    turn = np.asarray(rotations)
+    turn = as_array(rotations, "local_rotations", "rotations of the joints")
     if turn.dtype.kind not in "fiu":
         raise InputError("local_rotations", "real numbers", f"dtype {turn.dtype}")
     if turn.shape in ((n_bones, 4), (n_bones, 3, 3)):
@@ -186,7 +187,7 @@ def local_of_pose(
     local[..., :3] = turn
     local[..., 3] = rest_offsets(parents, positions)
     if root is not None:
-        where = np.asarray(root)
+        where = as_array(root, "root", "positions of the roots")
         shape = (len(turn), int((~hung).sum()), 3)
         if where.shape not in (shape, shape[1:] if len(turn) == 1 else shape):
             raise InputError("root", f"shape {shape}", f"shape {where.shape}")

@@ -88,7 +88,7 @@ class Decomposition:
         return share_of(self.rmse, self.motion)
 
     def reconstruct(self, frames: Any = None) -> NDArray[np.floating]:
-        """Vertex positions ``(f, V, 3)`` of the model in the given frames, by default in all."""
+        """Vertex positions of the model in the given frames, by default in all: as its ``skin``."""
         return self.skinning.skin(frames)
 
     def __repr__(self) -> str:

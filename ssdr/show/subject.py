@@ -15,7 +15,7 @@ from .. import metrics
 from ..common.checks import check_mask
 from ..common.errors import InputError
 from ..mesh.normals import NormalHolders, normal_holders, surface_normals
-from ..mesh.sequence import MeshSequence
+from ..mesh.sequence import MeshSequence, sequence_in
 from ..metrics.matching import matched
 from ..model.drawn_normals import posed, rest_vectors
 from ..model.shapes import ShapedSkinning, Skinned, skinning_and_shapes
@@ -60,7 +60,7 @@ class Scene:
         InputError
             If the subject is of an unknown type, or another argument does not match it.
         """
-        subject = skinning_in(subject)
+        subject, reference = sequence_in(skinning_in(subject)), sequence_in(reference)
         if not isinstance(subject, (MeshSequence, Skinning, ShapedSkinning)):
             kind = type(subject).__name__
             raise InputError("subject", "a MeshSequence, Skinning or Decomposition", kind)
@@ -152,7 +152,7 @@ class Scene:
         """Vertices of a frame, ``(V, 3)`` float64."""
         if isinstance(self.subject, MeshSequence):
             return np.asarray(self.subject.frames(frame), dtype=np.float64)
-        return np.asarray(self.subject.skin(frame)[0], dtype=np.float64)
+        return np.asarray(self.subject.skin(frame), dtype=np.float64)
 
     @functools.cached_property
     def distances(self) -> metrics.Distances:

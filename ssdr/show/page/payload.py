@@ -21,7 +21,7 @@ from ...common.checks import check_whole
 from ...common.errors import InputError
 from ...io.corners import rest_normals
 from ...mesh.clips import Clip
-from ...mesh.sequence import MeshSequence, as_sequences, joined
+from ...mesh.sequence import MeshSequence, as_sequences, joined, sequence_in
 from ...mesh.surface import Surface
 from ...metrics.matching import matched
 from ...metrics.normal_angles import known_errors
@@ -80,7 +80,7 @@ def payload(
         If an argument is not valid, the reference does not match the model, or even one frame is
         too large for a page.
     """
-    subject = skinning_in(model)
+    subject = sequence_in(skinning_in(model))
     if not isinstance(subject, (Skinning, ShapedSkinning, MeshSequence)):
         expected = "a Skinning, Decomposition or MeshSequence"
         raise InputError("model", expected, type(model).__name__)

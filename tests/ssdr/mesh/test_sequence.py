@@ -180,8 +180,9 @@ def test_weld_twice_maps_back_to_the_first_mesh(seam):
     soup = MeshSequence(
         seam.vertices[:, seam.faces.ravel()], np.arange(seam.faces.size).reshape(-1, 3)
     )
-    jittered = dataclasses.replace(soup, vertices=soup.vertices.astype(np.float64))
-    jittered.vertices[:, ::2] += 1e-9
+    moved = soup.vertices.astype(np.float64)
+    moved[:, ::2] += 1e-9
+    jittered = dataclasses.replace(soup, vertices=moved)
     once, first = jittered.weld(0.0)
     twice, second = once.weld(1e-6)
     assert first.before > first.after > second.after == 15

@@ -15,7 +15,7 @@ from ssdr.show.skeleton import octahedra
 def test_bones_are_drawn_from_joint_to_joint():
     model = creature(frames=3)
     model = dataclasses.replace(model, transforms=model.transforms[:1], clips=None)
-    camera = Camera.fit(model.skin(0)[0], azimuth=20, elevation=5)
+    camera = Camera.fit(model.skin(0), azimuth=20, elevation=5)
     options = {"size": (400, 400), "azimuth": 20, "elevation": 5}
     bones, plain = (
         np.asarray(render.render_frame(model, style=style, **options), dtype=int)
