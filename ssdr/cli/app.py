@@ -5,9 +5,10 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from ..common.parallel import set_threads
 from ..io.references import trusting
@@ -15,6 +16,17 @@ from . import file_commands, show_commands, solve_commands
 from .output import Output
 from .parameters import command
 from .shell import run_app
+
+
+class _Command(TyperCommand):
+    """A command whose help does not name the type of ``--help``, as it does of no other flag."""
+
+    def get_help_option(self, ctx: Any) -> Any:
+        option = super().get_help_option(ctx)
+        if option is not None:
+            option.metavar = " "
+        return option
+
 
 _COMMANDS = {
     "decompose": solve_commands.decompose,
@@ -83,7 +95,7 @@ def _program(given: Sequence[str]) -> typer.Typer:
     app.callback()(_root)
     named = [name for name in given[:1] if name in _COMMANDS]
     for name in named or _COMMANDS:
-        app.command(name)(command(_COMMANDS[name]))
+        app.command(name, cls=_Command)(command(_COMMANDS[name]))
     return app
 
 

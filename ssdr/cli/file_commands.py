@@ -142,7 +142,8 @@ def convert(source: Path, target: Path, *, bake: bool = False, **options: Any) -
         "clips": clips_document(thing.clips if isinstance(thing, Skinned) else ()),
         "output": report,
     }
-    rows = [("read", f"{source}: {thing!r}"), ("wrote", saved_line(report))]
+    size = rest_diagonal(thing.skinning.rest) if isinstance(thing, Skinned) else thing.diagonal()
+    rows = [("read", f"{source}: {thing!r}"), ("wrote", saved_line(report, size, 1e-6 * size))]
     Output.current.result(document, rows)
 
 

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from ..common.errors import InputError
-from ..io import in_space, load, load_any, load_clips
+from ..io import in_space, load, load_any, load_clips, load_skinning
 from ..io.arrays.npy import read as read_vertices
 from ..io.blender.fbx_writing import write_skinning as write_fbx
+from ..io.formats import format_to_read, option_names
 from ..io.gltf.gltf_writing import write_skinning as write_gltf
 from ..io.inputs import clips_in
 from ..io.outputs import check_file
@@ -18,6 +19,7 @@ from ..io.references import trust
 from ..io.scene_file import SceneFile
 from ..mesh.sequence import MeshSequence, joined
 from ..model.shapes import Skinned
+from ..model.skinning import Skinning
 from .output import Output
 
 PAGES = (".html", ".htm")
@@ -56,6 +58,16 @@ def files_of(
     if not placed:
         writing |= {"templates": inputs} | {k: v for k, v in reading.items() if k == "meshes"}
     return reading, writing
+
+
+def load_rig(path: Path, shots: Sequence[MeshSequence]) -> Skinning:
+    """The model of a file, or its joints alone, in frames like those of the inputs."""
+    read = format_to_read(path).functions().read_skinning
+    if read is None or "joints_alone" not in option_names(read):
+        return load_skinning(path).skinning
+    model = load_skinning(path, joints_alone=True)
+    bare = not len(model.faces) and model.fps != shots[0].fps
+    return (load_skinning(path, joints_alone=True, fps=shots[0].fps) if bare else model).skinning
 
 
 def check_page(path: Path, others: Sequence[Path]) -> None:

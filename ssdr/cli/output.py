@@ -130,12 +130,15 @@ def in_words(document: Mapping[str, Any], texts: Mapping[str, str]) -> list[tupl
     return [(name, text.format_map(said)) for name, text in texts.items()]
 
 
-def saved_line(report: Any, diagonal: float = 0.0) -> str:
-    """Line of text on a written file or page, with errors also in percent of a diagonal > 0."""
+def saved_line(report: Any, diagonal: float = 0.0, least: float = 0.0) -> str:
+    """Line of text on a written file or page, with errors also in percent of a diagonal > 0.
+
+    Errors up to `least` are left out.
+    """
     parts = [str(report.path), decimal(report.bytes)]
     for name, field in (("error of storage", "error"), ("between frames", "between_frames")):
         length = getattr(report, field, None)
-        if length:
+        if length and length > least:
             share = f" ({100 * length / diagonal:.3g} %)" if diagonal else ""
             parts.append(f"{name} {length:.4g}{share}")
     return ", ".join([*parts, *report.notes])

@@ -21,6 +21,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from ..common.errors import InputError
 from .output import Output
 
 _SHORT = {
@@ -83,7 +84,13 @@ def command(function: Any) -> Callable[..., None]:
     def call(**given: Any) -> None:
         output = Output.current
         output.json, output.quiet = given.pop("json"), given.pop("quiet")
-        function(**{k: v for k, v in given.items() if k in kept or v != found[k].default})
+        try:
+            function(**{k: v for k, v in given.items() if k in kept or v != found[k].default})
+        except InputError as error:
+            name = re.split(r"[.\[]", error.argument)[0]
+            if name not in found or _is_argument(found[name]):
+                raise
+            raise InputError(_flag(name), error.expected, error.got) from error
 
     def place(name: str) -> tuple[bool, int]:
         """Sorting key: arguments, then the first options, then others as they were found."""
@@ -103,7 +110,7 @@ def _parameter(p: inspect.Parameter, hint: Any, text: str) -> inspect.Parameter:
     if p.kind is p.POSITIONAL_OR_KEYWORD:
         info = typer.Argument(help=text, metavar=p.name.upper())
     else:
-        flags = [_FLAGS.get(p.name, "--" + p.name.replace("_", "-"))]
+        flags = [_flag(p.name)]
         flags += [_SHORT[p.name]] if p.name in _SHORT else []
         if kind is bool and (p.default is not False):
             flags[0] += "/--no-" + flags[0][2:]
@@ -114,6 +121,10 @@ def _parameter(p: inspect.Parameter, hint: Any, text: str) -> inspect.Parameter:
             kind, info.parser, info.metavar = str, kind, "TEXT"
     annotation: Any = Annotated[kind | None if optional else kind, info]
     return p.replace(kind=p.KEYWORD_ONLY, annotation=annotation)
+
+
+def _flag(name: str) -> str:
+    return _FLAGS.get(name, "--" + name.replace("_", "-"))
 
 
 def _is_argument(p: inspect.Parameter) -> bool:

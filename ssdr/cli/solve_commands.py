@@ -22,7 +22,7 @@ from ..mesh.clips import names_of
 from ..mesh.sequence import MeshSequence, joined
 from ..model.start import JointKind
 from ..parsimony.smallest import smallest as _smallest
-from .files import PAGES, READ, WRITTEN, files_of
+from .files import PAGES, READ, WRITTEN, files_of, load_rig
 from .output import Output, clips_document, clips_text, in_words, saved_line
 from .parameters import passes
 
@@ -31,9 +31,8 @@ _ROWS = {
     "input": "{input}: {frames:,} frames, {vertices:,} vertices, {triangles:,} triangles, "
     "diagonal {diagonal:.4g}",
     "model": "{bones} bones, {influences} influences",
-    "RMSE": "{rmse:.4g} in the mesh's units, {rmse_percent:.3g} % of the diagonal{of_motion}",
-    "largest": "{max_error:.4g}, {max_error_percent:.3g} % of the diagonal, of any vertex",
-    "E": "{E:.4g} = 1000 RMSE / sqrt(3)",
+    "RMSE": "{of_motion}{length}, {rmse_percent:.3g} % of the diagonal",
+    "largest": "{largest}, {max_error_percent:.3g} % of the diagonal, of any vertex",
     "time": "{total_seconds:.1f} s: compiling {compile_seconds:.1f}, solving {seconds:.1f}",
 }
 _PARSIMONY = {
@@ -77,8 +76,9 @@ def decompose(
     rig : str, optional
         Connect the bones by joints that may come apart (loose) or not (rigid), or keep the joints,
         parents and names of a file.
-    joints : {"rigid", "loose"}
-        Whether the joints of a file given as --rig may come apart.
+    joints : {"rigid", "loose", "kept"}, optional
+        Whether the joints of --rig FILE may come apart, or move as in that file, which is the
+        default where it holds joints that move and no mesh.
     extra_bones : int
         Bones to add to those of --rig FILE.
     keep_weights : bool
@@ -96,16 +96,20 @@ def decompose(
             if value:
                 raise InputError(f"--{name}", "the file of a rig beside it (--rig FILE)", rig)
         if options.get("bones") is None and start is None:
-            raise InputError("--bones", "a number of bones, --rig FILE or --start MODEL", "none")
-        _fit(ssdr.decompose, inputs, output, start, options, lambda space: {"rig": rig})
+            found = f"ssdr smallest {inputs[0]} -o {output[0]} --tolerance 0.5%"
+            wanted = f"a number of bones ({found} finds it), --rig FILE or --start MODEL"
+            raise InputError("--bones", wanted, "none")
+        _fit(ssdr.decompose, inputs, output, start, options, lambda shots: {"rig": rig})
         return
-    model = ssdr.load_skinning(str(rig)).skinning
     if keep_weights and start is not None:
         raise InputError("--start", "none beside --keep-weights", start)
 
-    def kept(space: ssdr.Space) -> dict[str, Any]:
-        there = in_space(model, space)
-        skeleton = ssdr.Skeleton(there, joints=joints or "rigid", extra_bones=extra_bones)
+    def kept(shots: list[MeshSequence]) -> dict[str, Any]:
+        there, how = in_space(load_rig(Path(rig), shots), shots[0].space), joints
+        if how is None:
+            bare = there.n_vertices == there.n_bones and there.n_frames > 1
+            how = "kept" if bare and not len(there.faces) else "rigid"
+        skeleton = ssdr.Skeleton(there, joints=how, extra_bones=extra_bones)
         same = {name: getattr(there, name) for name in ("rest", "indices", "weights")}
         return {"rig": skeleton} | ({"start": ssdr.Start(**same)} if keep_weights else {})
 
@@ -138,7 +142,7 @@ def smallest(
         A model to begin from, such as a checkpoint.
     """
     parse_tolerance(options["tolerance"], 1.0)
-    _fit(ssdr.smallest, inputs, output, start, options, lambda space: {"rig": rig})
+    _fit(ssdr.smallest, inputs, output, start, options, lambda shots: {"rig": rig})
 
 
 def _fit(
@@ -147,11 +151,11 @@ def _fit(
     output: list[Path],
     start: Path | None,
     options: dict[str, Any],
-    arguments: Callable[[ssdr.Space], dict[str, Any]],
+    arguments: Callable[[list[MeshSequence]], dict[str, Any]],
 ) -> None:
     """Read the inputs, solve, save and print the result.
 
-    `arguments` gives the arguments of `solve` that only one command has, in the inputs' space.
+    `arguments` gives the arguments of `solve` that only one command has, from the inputs.
 
     Raises
     ------
@@ -179,7 +183,7 @@ def _fit(
     model: Any
     with Output.current.waiting(f"loading {', '.join(map(str, inputs))}"):
         shots = load_clips(inputs, **reading)
-        options |= arguments(shots[0].space)
+        options |= arguments(shots)
         if start is not None:
             model = in_space(load_any(start), shots[0].space)
             bare = isinstance(model, MeshSequence)
@@ -244,7 +248,6 @@ def _measured(result: Any, shots: Sequence[MeshSequence]) -> dict[str, Any]:
         "percent_of_motion": 100 * result.motion_lost,
         "max_error": largest,
         "max_error_percent": percent * largest,
-        "E": 1000 * result.rmse / math.sqrt(3),
         "diagonal": diagonal,
         "stop_reason": result.stop_reason,
     }
@@ -260,9 +263,12 @@ def _rows(
     document: dict[str, Any], result: Any, shots: Sequence[MeshSequence]
 ) -> list[tuple[str, str]]:
     """Rows of the table about a result."""
-    motion = f", {document['percent_of_motion']:.3g} % of the motion"
+    motion, units = f"{document['percent_of_motion']:.3g} % of the motion, ", shots[0].space.units
     given = document["input"] if isinstance(document["input"], list) else [document["input"]]
     said = {"input": given, "of_motion": motion if document["motion"] > 0 else ""}
+    for name, length in (("length", result.rmse), ("largest", document["max_error"])):
+        metres = f"{1000 * length * units:.4g} mm" if units else f"{length:.4g} in the mesh's units"
+        said[name] = metres
     clips, rows = names_of(shots)["clips"], in_words(document | said, _ROWS)
     rows[1:1] = [
         ("clips", clips_text(clips) if len(clips) > 1 else ""),
@@ -275,7 +281,8 @@ def _rows(
         found = document["parsimony"]["prunings"]
         rows += [(pruning["what"], _PRUNING.format_map(pruning)) for pruning in found]
     rows.append(("ended", result.stop_reason))
-    return [*rows, *(("wrote", saved_line(r, document["diagonal"])) for r in document["outputs"])]
+    size = document["diagonal"], 0.01 * result.rmse  # less adds nothing to that
+    return [*rows, *(("wrote", saved_line(r, *size)) for r in document["outputs"])]
 
 
 def _draw(

@@ -116,7 +116,7 @@ class SsdrWarning(UserWarning):
     ...     warnings.simplefilter("ignore", ssdr.SsdrWarning)
     ...     result = ssdr.decompose(np.ones((2, 4, 3)), bones=2, effort="fast")
     >>> result.warnings
-    ('2 of 2 bones could each go at no loss...',)
+    ('nothing moves, but for the mesh as a whole: one bone would do',)
     """
 
     __module__ = "ssdr"

@@ -65,16 +65,14 @@ class Comparison(Distances):
 
     def __str__(self) -> str:
         rows: list[tuple[str, str]] = [
-            ("RMSE", f"{self.rmse:.6g}"),
-            ("RMSE per coordinate", f"{self.coordinate_rmse:.6g}"),
-            ("RMSE, % of diagonal", f"{self.percent_of_diagonal:.4g}"),
             ("RMSE, % of motion", f"{self.percent_of_motion:.4g}"),
-            ("E", f"{self.E:.6g}"),
+            ("RMSE", f"{self.rmse:.6g}"),
+            ("RMSE, % of diagonal", f"{self.percent_of_diagonal:.4g}"),
             ("mean distance", f"{self.mean:.6g}"),
             ("max distance", f"{self.max:.6g}  (frame {self.max_frame}, vertex {self.max_vertex})"),
         ]
         if math.isnan(self.percent_of_motion):
-            del rows[3]
+            del rows[0]
         if self.normals is not None:
             kind = "of the surface" if self.normals.surface is None else "as engines draw them"
             rows.append(("normals", f"{self.normals}, {kind}"))

@@ -25,9 +25,9 @@ def skinning_in(thing: Any) -> Any:
 
 def skin(
     rest: Any,
-    indices: ArrayLike | None = None,
-    weights: ArrayLike | None = None,
-    transforms: ArrayLike | None = None,
+    indices: Any = None,
+    weights: Any = None,
+    transforms: Any = None,
     *,
     dtype: Any = None,
 ) -> NDArray[np.floating]:
@@ -131,10 +131,10 @@ class SkinGradients:
 
 def skin_gradients(
     rest: Any,
-    indices: ArrayLike | None = None,
-    weights: ArrayLike | None = None,
-    transforms: ArrayLike | None = None,
-    gradient: ArrayLike | None = None,
+    indices: Any = None,
+    weights: Any = None,
+    transforms: Any = None,
+    gradient: Any = None,
     *,
     dtype: Any = None,
 ) -> SkinGradients:

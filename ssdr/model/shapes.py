@@ -183,7 +183,7 @@ class ShapedSkinning:
     _repr_html_ = notebook_html
 
     def skin(self, frames: Any = None, *, dtype: Any = None) -> NDArray[np.floating]:
-        """Vertex positions ``(f, V, 3)`` in some frames, by default all; ``(V, 3)`` in one frame."""
+        """Vertex positions ``(f, V, 3)`` in some frames, by default all; ``(V, 3)`` in one."""
         model = self.skinning
         if not len(self.shapes):
             return model.skin(frames, dtype=dtype)

@@ -243,7 +243,7 @@ class Skinning(Articulated):
         return self.bone_names or tuple(f"bone_{j}" for j in range(self.n_bones))
 
     def skin(self, frames: Any = None, *, dtype: Any = None) -> NDArray[np.floating]:
-        """Vertex positions ``(f, V, 3)`` in some frames, by default all; ``(V, 3)`` in one frame."""
+        """Vertex positions ``(f, V, 3)`` in some frames, by default all; ``(V, 3)`` in one."""
         index = slice(None) if frames is None else check_frames(frames, self.n_frames)
         return skin(self.rest, self.indices, self.weights, self.transforms[index], dtype=dtype)
 

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from ..common.short_repr import short_repr
 from .skinning import Skinning
 
-JointKind = Literal["rigid", "loose"]
+JointKind = Literal["rigid", "loose", "kept"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -51,9 +51,10 @@ class Skeleton:
     skinning : Skinning, or a result that has one
         A model with a hierarchy, such as :func:`load_skinning` reads.  If it moves another mesh,
         its joints are taken to lie in the rest frame and its weights are not used.
-    joints : {"rigid", "loose"}
+    joints : {"rigid", "loose", "kept"}
         "rigid": bone and parent move the joint to the same point in every frame.  "loose": they
-        may move it to different points.
+        may move it to different points.  "kept": bones move as those of the model do, which has
+        the frames of the sequence; weights and rest pose alone are found.
     extra_bones : int or mapping
         Number of bones to add to the skeleton where the error is largest, or a mapping of bone
         names to the number to add below each: ``{"chest": 2, "hips": 1}``.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -24,11 +25,12 @@ from ..common.checks import (
     check_whole,
     parse_normals,
 )
-from ..common.errors import InputError, check_choice, is_real, is_whole
+from ..common.errors import InputError, SsdrWarning, check_choice, is_real, is_whole
 from ..mesh.sequence import MeshSequence, as_sequences, labels_of, without_copies
 from ..mesh.surface import told_apart
 from ..model.skinning import Skinning, skinning_in
 from ..model.start import JointKind, Skeleton, Start
+from ..model.transforms import rest_diagonal
 from ..model.tree import Tree
 from ..solver.model import Constraints, Skin
 from ..solver.rest_surface import RestPose
@@ -75,6 +77,9 @@ def check_problem(
     n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
     influences = check_influences(influences)
     bone_model = check_bone_model(bone_model)
+    if isinstance(rig, Skeleton) and rig.joints == "kept":
+        check_skeleton(rig)
+        bone_model = rig.skinning.bone_model
     check_choice(effort, "effort", Effort)
     check_choice(rest_pose, "rest_pose", RestPose)
     start = start if isinstance(start, Skeleton) else skinning_in(start)
@@ -91,6 +96,9 @@ def check_problem(
         if initial.rest is not None:
             raise InputError("rest_frame", "None beside a start that has a rest pose", frame)
         initial = dataclasses.replace(initial, rest_frame=frame)
+    for name, model in (("rig", getattr(rig, "skinning", None)), ("start", start)):
+        if isinstance(model, Skinning):
+            _compare_sizes(name, model, sequences)
     names: tuple[str, ...] = ()
     kind: RigKind = "none"
     if isinstance(rig, Skeleton):
@@ -140,6 +148,19 @@ def check_problem(
     )
 
 
+def _compare_sizes(name: str, model: Skinning, sequences: list[MeshSequence]) -> None:
+    """Warn if a model is so much larger or smaller than the mesh that its unit may be another."""
+    same = model.n_vertices == sequences[0].n_vertices or model.joint_positions is None
+    points = model.rest if same else model.joint_positions
+    own, mesh = rest_diagonal(points), rest_diagonal(_frame(sequences, 0))
+    if min(own, mesh) > 0 and not 1 / _ALIKE < mesh / own < _ALIKE:
+        text = (
+            f"the {name} is {own:.4g} across, the mesh {mesh:.4g}, {mesh / own:.4g} times as "
+            "much: if their units differ, state that of the mesh (load(..., units=), --units)"
+        )
+        warnings.warn(text, SsdrWarning, stacklevel=5)
+
+
 def _count_bones(bones: Any, n_vertices: int, rig: Any, start: Any) -> int:
     """Check the number of bones and return it.
 
@@ -170,7 +191,7 @@ def _check_rig(
     if kind == "none":
         return
     beside = "beside a Skeleton" if initial.keeps_tree else f"beside rig={kind!r}"
-    if constraints.bone_model != "rigid":
+    if constraints.bone_model != "rigid" and kind != "kept":
         raise InputError("bone_model", f"'rigid' {beside}", repr(constraints.bone_model))
     if kind == "loose" and not initial.keeps_tree:
         return
@@ -180,6 +201,7 @@ def _check_rig(
         raise InputError("smoothness", f"0 {beside}", smoothness)
 
 
+_ALIKE = 8.0  # largest ratio of the sizes of a model and a mesh in one unit
 # Largest joint gaps, relative to the mesh's size, that are rounding errors: of double precision,
 # and of single precision or a file's keys.  Gaps between these two bounds are closed at once.
 _EXACTLY, _NEARLY = 1e-12, 1e-4
@@ -254,7 +276,7 @@ def check_skeleton(rig: Skeleton) -> None:
     model = rig.skinning
     if not isinstance(model, Skinning) or model.parents is None:
         came = "one without parents" if isinstance(model, Skinning) else type(model).__name__
-        raise InputError("rig.skinning", "a Skinning with a hierarchy", came)
+        raise InputError("rig.skinning", "a model whose bones have parents", came)
     check_choice(rig.joints, "rig.joints", JointKind)
 
 
@@ -269,28 +291,40 @@ def with_skeleton(
     """Copies of the initial and kept parts with tree, extra bones and joints of a skeleton."""
     n = sequences[0].n_vertices
     skeleton, extra = rig.skinning, extra_parents(rig, n)
-    if extra and rig.joints == "loose":
-        raise InputError("rig.extra_bones", "0 beside loose joints", rig.extra_bones)
+    if extra and rig.joints != "rigid":
+        raise InputError("rig.extra_bones", f"0 beside {rig.joints} joints", rig.extra_bones)
     constraints = dataclasses.replace(constraints, joints=constraints.rest)
     if isinstance(start, Skinning):
+        if rig.joints == "kept":
+            raise InputError("start", "None or a Start beside joints that are kept", "a Skinning")
         tree = _same_tree(initial, skeleton)
         return dataclasses.replace(initial, tree=tree, keeps_tree=True), constraints
     if extra and initial.skin is not None:
         expected = "0 beside start.indices and start.weights"
         raise InputError("rig.extra_bones", expected, rig.extra_bones)
-    points = np.asarray(skeleton.joint_positions, dtype=np.float64)
+    points, moves = np.asarray(skeleton.joint_positions, dtype=np.float64), None
+    pose: Array | None = _frame(sequences, initial.rest_frame or 0)
+    nearest, skin = None, None
+    if rig.joints == "kept":
+        count = sum(map(len, sequences))
+        if skeleton.n_frames != count:
+            wanted = f"joints that move in the {count} frames of the sequence"
+            raise InputError("rig.skinning", wanted, f"{skeleton.n_frames} frames")
+        kind = constraints.bone_model
+        moves = check_transforms(skeleton.transforms, count, kind, "rig.skinning.")
     tree = Tree(skeleton.parents.astype(np.int64), points, rigid=False)
-    pose, nearest, skin = _frame(sequences, initial.rest_frame or 0), None, None
     if skeleton.n_vertices == n:
         pose = np.asarray(skeleton.rest, dtype=np.float64)
         skin = _largest(skeleton, influences)
+    elif moves is not None:
+        pose = None  # that in which the joints rest, which is not known
     else:
-        nearest = limb_distances(pose if initial.rest is None else initial.rest, tree).argmin(
-            axis=1
-        )
+        there = pose if initial.rest is None else initial.rest
+        nearest = limb_distances(there, tree).argmin(axis=1)
     return dataclasses.replace(
         initial,
         tree=tree,
+        transforms=moves,
         keeps_tree=True,
         tree_pose=pose,
         nearest_bone=nearest,

@@ -22,7 +22,7 @@ from .progress import Monitor
 from .scan import needs_streaming, subset
 
 Effort = Literal["fast", "balanced", "best"]
-RigKind = Literal["none", "loose", "rigid"]
+RigKind = Literal["none", "loose", "rigid", "kept"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -137,7 +137,8 @@ class Problem:
         every frame.
     bones, influences : int
     effort : {"fast", "balanced", "best"}
-    rig : {"none", "loose", "rigid"}
+    rig : {"none", "loose", "rigid", "kept"}
+        "kept" stands for joints whose motion is given.
     names : tuple of str
         Names of the bones of a given skeleton.
     constraints : Constraints

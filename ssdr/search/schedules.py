@@ -52,6 +52,7 @@ from .trees.tree_schedules import (
     bones_of_skeleton,
     loose_from_model,
     loose_skeleton,
+    skin_of_joints,
     tree_from_model,
     tree_of_bones,
 )
@@ -277,7 +278,7 @@ def follow_effort(
     ----------
     d : Descent
     effort : {"fast", "balanced", "best"}
-    rig : {"none", "loose", "rigid"}
+    rig : {"none", "loose", "rigid", "kept"}
         Kind of joints.
     bones_placed : bool
         Whether weights or all bones are locked.
@@ -286,6 +287,9 @@ def follow_effort(
     """
     starts_from_model = d.initial.is_model and not tries_model
     stretching = d.constraints.bone_model != "rigid" and d.initial.beside_model().transforms is None
+    if rig == "kept":
+        skin_of_joints(d)
+        return
     if starts_from_model and d.smoothness is not None:
         smooth_from_model(d, effort)
     elif starts_from_model and rig == "rigid":

@@ -72,7 +72,7 @@ def solve(problem: Problem, schedule: Schedule | None = None) -> Decomposition:
         bones_placed=problem.bones_placed,
         tries_model=problem.tries_model,
     )
-    if schedule is None and needs_streaming(problem.sequences):
+    if schedule is None and problem.rig != "kept" and needs_streaming(problem.sequences):
         return _solve_streamed(problem, usual)
     d, reason = _descended(problem, schedule or usual)
     alignment, steps = d.data.alignment, list(d.records)
@@ -191,7 +191,7 @@ def skinning_of(
     """
     skin = dataclasses.replace(model, transforms=model.transforms[:0])
     padded = skin.with_influences(problem.influences)
-    if problem.constraints.bone_model != "rigid":
+    if problem.constraints.bone_model != "rigid" and problem.rig != "kept":
         model = model.copy()
         importance = problem.vertex_importance
         equal = np.ones(len(model.rest))
@@ -261,7 +261,10 @@ def outcome_of(
 def _warnings(d: Descent, model: Model) -> tuple[str, ...]:
     """Warnings about bones that are not needed, and about folds of the rest pose of `model`."""
     found, surface = [], d.data.surface
-    if removable := d.removable_bones:
+    removable = d.removable_bones
+    if removable == d.bones > 1:
+        found.append("nothing moves, but for the mesh as a whole: one bone would do")
+    elif removable:
         found.append(
             f"{removable} of {d.bones} bones could each go at no loss: fewer bones would do"
         )
@@ -331,13 +334,16 @@ def _with_tree(
     They are those of the given skeleton if there is one; otherwise they are found from the motion.
     """
     tree, n_bones = problem.initial.tree, skinning.n_bones
-    if problem.rig == "loose" and tree is not None:
+    if problem.rig == "kept" and tree is not None:
+        joints = tree.points
+    elif problem.rig == "loose" and tree is not None:
         tree = refit_joints(skinning.transforms, tree)
         joints = tree.points
     else:
         tree = model.hierarchy if problem.rig == "rigid" else spanning_tree(model, by_gap=True)
         joints = alignment.points_to_world(tree.points)
-    joints[tree.roots] = skinning.centroids()[tree.roots]
+    if problem.rig != "kept":
+        joints[tree.roots] = skinning.centroids()[tree.roots]
     digits = len(str(n_bones - 1))
     numbered = [f"joint_{k:0{digits}d}" for k in range(len(problem.names), n_bones)]
     return dataclasses.replace(

@@ -56,6 +56,7 @@ class Browser:
         for domain in ("Page", "Runtime", "Network", "Log"):
             self.send(f"{domain}.enable")
         self.resize(*size)
+        self.scheme("light")
 
     def __enter__(self) -> Browser:
         return self
@@ -92,10 +93,11 @@ class Browser:
         screen = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": mobile}
         self.send("Emulation.setDeviceMetricsOverride", **screen)
 
-    def scheme(self, name: str) -> None:
-        """Set the colour scheme that the user prefers: "light" or "dark"."""
-        feature = {"name": "prefers-color-scheme", "value": name}
-        self.send("Emulation.setEmulatedMedia", features=[feature])
+    def scheme(self, name: str, motion: str = "reduce") -> None:
+        """Set the colour scheme that the user prefers, "light" or "dark", and whether to move."""
+        wanted = {"color-scheme": name, "reduced-motion": motion}
+        features = [{"name": f"prefers-{k}", "value": value} for k, value in wanted.items()]
+        self.send("Emulation.setEmulatedMedia", features=features)
 
     def open(self, page: Path) -> None:
         """Open a file and wait until it is loaded."""

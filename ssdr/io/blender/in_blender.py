@@ -27,7 +27,7 @@ def run(act: Callable[[dict[str, Any]], None]) -> None:
     try:
         act(job)
     except (ValueError, RuntimeError) as error:  # a problem of the file, found here or by Blender
-        said = str(error).strip()
+        said = (str(error).strip().splitlines() or [""])[-1]  # the end of a traceback
         if isinstance(error, RuntimeError):
             said = f"Blender says: {said.removeprefix('Error: ')}"
         np.savez(job["out"], error=np.array(" ".join(said.split())))

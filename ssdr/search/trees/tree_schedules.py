@@ -16,6 +16,7 @@ from ..steps import (
     relax,
     relax_bones,
     return_to_best,
+    solve_normals,
 )
 from .tree_steps import (
     add_bones,
@@ -23,6 +24,8 @@ from .tree_steps import (
     attach_unattached,
     search_trees,
     search_weights,
+    solve_skin,
+    start_on_joints,
     start_on_skeleton,
 )
 
@@ -115,6 +118,15 @@ def loose_skeleton(d: Descent, effort: Effort) -> None:
         polish(d, steps=8)
         relax_bones(d)
     last_polish(d, steps=NUMBERS[effort].polish, gain=1e-3)
+
+
+def skin_of_joints(d: Descent) -> None:
+    """Find weights and rest pose, then with normals, for joints whose motion is given."""
+    compress(d)
+    start_on_joints(d)
+    solve_skin(d)
+    solve_normals(d)
+    solve_skin(d)
 
 
 def tree_from_model(d: Descent, effort: Effort) -> None:

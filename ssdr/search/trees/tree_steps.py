@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...solver.alternation import vertex_step
-from ...solver.initialization import fit_patches
+from ...solver.initialization import fit_patches, nearest_bones
 from ...solver.model import Model
+from ...solver.rest_surface import RestSurface
+from ...solver.trajectories import Array, Trajectories
+from ...solver.vertex_newton import optimise_vertices
 from ..descent import Descent, step
 from ..moves import exchange_influences, polish_steps
 from ..steps import STEPS_OF_A_TRIAL, Change, tried
@@ -31,6 +36,7 @@ _MOST_POLISH = 48  # most steps of a trial that still approaches the objective i
 # objective.
 _AHEAD = 4
 _POLISH_STEPS = 6  # after a bone is added or removed
+_FREE_STEPS = 40  # of weights and rest pose that nothing holds, under a given motion of joints
 
 _WEIGHTS: tuple[Change, ...] = (move_bone_to_error, exchange_influences)
 _TREES: tuple[Change, ...] = (
@@ -99,6 +105,63 @@ def start_on_skeleton(d: Descent, *, by_motion: bool = False) -> Iterator[None]:
     d.model.tree = tree if d.rigid_joints else None
     vertex_step(data, d.model, constraints=d.constraints)
     yield
+
+
+@step("start", cost=_FREE_STEPS)
+def start_on_joints(d: Descent) -> Iterator[None]:
+    """Start with the given motion of joints; a vertex without weights follows its best bone.
+
+    Where the pose in which the joints rest is that of no frame and of no known mesh, each vertex is
+    taken back to it from the rest frame, first by one bone, then by free solves of weights and rest
+    pose.  The surface of the result is the one that holds the rest pose from then on.
+    """
+    data, initial, bones, surface = d.data, d.initial, d.initial.transforms, d.data.surface
+    assert bones is not None
+    rest = initial.tree_pose if initial.rest is None else initial.rest
+    skin, known = initial.skin or initial.skeleton_skin, rest is not None
+    if rest is None:
+        d.data = dataclasses.replace(data, surface=None)
+        label, rest = _unposed(data, bones, initial.rest_frame or 0)
+    elif skin is None:
+        label = nearest_bones(data, rest, bones)
+    if skin is None:
+        d.model = Model.start(bones, rest, label, d.influences)
+    else:
+        d.model = Model.with_weights(bones, rest, *skin, d.influences)
+    vertex_step(d.data, d.model, constraints=d.constraints)
+    if not known:
+        for _ in range(_FREE_STEPS):
+            optimise_vertices(d.data, d.model, constraints=d.constraints)
+        if surface is not None:
+            surface = RestSurface.build(data.faces, d.model.rest)
+        d.data = dataclasses.replace(data, surface=surface)
+    yield
+
+
+def _unposed(data: Trajectories, bones: Array, frame: int) -> tuple[NDArray[np.intp], Array]:
+    """Bone (V,) that alone moves each vertex best from a frame, and its place (V, 3) at rest."""
+    back, shift, points = (
+        np.linalg.inv(bones[frame, :, :, :3]),
+        bones[frame, :, :, 3],
+        data.frame(frame),
+    )
+    turned = bones[..., :3] @ back
+    moved = bones[..., 3] - np.einsum("tbij,bj->tbi", turned, shift)
+    label = nearest_bones(data, points, np.concatenate([turned, moved[..., None]], axis=-1))
+    return label, np.einsum("vij,vj->vi", back[label], points - shift[label])
+
+
+@step("skin")
+def solve_skin(d: Descent, *, steps: int = 60, gain: float = 1e-4) -> Iterator[None]:
+    """Solve weights and rest pose together, until a step gains less than the fraction `gain`."""
+    for _ in range(steps):
+        before = d.value(d.model)
+        optimise_vertices(d.data, d.model, constraints=d.constraints)
+        d.work.iteration += 1
+        d.converged = not d.value(d.model) < (1 - gain) * before
+        yield
+        if d.converged:
+            return
 
 
 @step("add bones", cost=40)

@@ -15,6 +15,7 @@ from PIL import Image
 import ssdr
 from helpers import trees
 from helpers.command import fake_decompose, model_of, start
+from helpers.glb import rebuild
 from helpers.page import Held
 from helpers.rig_model import largest_distance
 from ssdr import cli
@@ -89,8 +90,12 @@ def test_a_word_is_a_flag_a_number_or_a_share(faked, done, clip, word, value):
 def test_the_table_tells_the_error_and_quiet_tells_nothing(faked, run, clip):
     code, out, err = run("decompose", clip, "-o", clip.with_name("a.npz"), "-b", 2)
     assert (code, err) == (0, "")
-    for text in ("RMSE", "largest ", "E ", "converged", "a.npz", "2 bones"):
+    for text in ("% of the motion, 0.25 in the mesh's units", "largest ", "converged", "2 bones"):
         assert text in out
+    assert out.endswith(" kB\n")  # what rounding adds is far below the error
+    metres = ("decompose", clip, "-o", clip.with_name("a.npz"), "-b", 2, "--units", 1)
+    assert "% of the motion, 250 mm, " in run(*metres)[1]
+    assert "<bool>" not in run("decompose", "--help")[1]
     quiet = ("decompose", clip, "-o", clip.with_name("b.npz"), "-b", 2, "--quiet")
     assert run(*quiet) == (0, "", "")
 
@@ -126,6 +131,42 @@ def test_a_rig_is_kept_and_gets_bones(done, tmp_path):
     assert np.array_equal(ssdr.load_skinning(out).parents, made.parents)
     done(*line, "rigid", "--bones", 4)
     assert ssdr.load_skinning(out).joint_gaps().max() < 1e-6
+
+
+def walking_tree(rigged, path):
+    model = ssdr.load_skinning(rigged).select("walk")
+    tree = dataclasses.replace(model, parents=[-1, 0, 1], joint_positions=model.centroids())
+    ssdr.save(tree, path, units=1, up="y")
+    return tree
+
+
+def test_joints_without_a_mesh_keep_their_motion(done, run, rigged, tmp_path):
+    model = walking_tree(rigged, tmp_path / "rig.glb")
+
+    def without_mesh(document, _):
+        del document["meshes"], document["skins"]
+        for node in document["nodes"]:
+            node.pop("mesh", None), node.pop("skin", None)
+
+    rebuild(tmp_path / "rig.glb", tmp_path / "joints.glb", without_mesh)
+    line = ("decompose", rigged, "--clip", "walk", "-o", tmp_path / "out.npz", "-e", "fast")
+    done(*line, "--rig", tmp_path / "joints.glb")
+    found = ssdr.load_skinning(tmp_path / "out.npz")
+    assert found.parents.tolist() == [-1, 0, 1]
+    assert ssdr.metrics.rmse(model, found) < 1e-5
+    code, _, err = run(*line, "--fps", 12, "--rig", tmp_path / "rig.glb", "--joints", "kept")
+    assert (code, "--rig: expected joints that move in the 5 frames" in err) == (2, True), err
+
+
+def test_a_rig_of_another_size_is_told(run, rigged, tmp_path):
+    model = walking_tree(rigged, tmp_path / "rig.glb")
+    large = ssdr.MeshSequence(100 * model.skin(), model.faces, model.fps)
+    ssdr.save(large, tmp_path / "cm.npz")
+    line = ("decompose", tmp_path / "cm.npz", "-o", tmp_path / "out.npz", "-e", "fast", "--rig")
+    code, _, err = run(*line, tmp_path / "rig.glb")
+    assert (code, "times as much: if their units differ" in err) == (0, True)
+    assert re.search(r"the rig is [\d.]+ across, the mesh [\d.]+, [\d.]+ times", err)
+    assert "across" not in run(*line, tmp_path / "rig.glb", "--units", 0.01)[2]
 
 
 def test_a_rig_comes_into_the_space_of_the_input(done, rigged, tmp_path):

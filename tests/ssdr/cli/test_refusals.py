@@ -35,10 +35,12 @@ TABLE = [
     (("info", "rigged.glb", "--clip", "run"), 2, "clip: expected one of walk, jump, or all"),
     (("decompose", "still.obj", "-b", "2", "-o", "out.npz"), 2, "(no motion)"),
     # options
-    ((*OUT, "-b", "0"), 2, "bones: expected an integer"),
+    ((*OUT, "-b", "0"), 2, "--bones: expected an integer"),
     ((*OUT, "--start", "none.npz"), 2, "no such file"),
-    (TREE, 2, "--bones: expected a number of bones, --rig FILE or --start MODEL"),
+    (TREE, 2, "bones (ssdr smallest clip.npz -o out.npz --tolerance 0.5% finds it), --rig FILE or"),
     ((*TREE, "--rig", "loose"), 2, "--bones"),
+    ((*TREE, "--rig", "renamed.npz"), 2, "--rig: expected a model whose bones have parents"),
+    ((*RIG, "--joints", "kept", "--extra-bones", "1"), 2, "--rig: expected 0 beside kept joints"),
     ((*RIG, "--extra-bones", "chest=x"), 2, "--extra-bones"),
     ((*RIG, "--keep-weights", "--start", "clip.npz"), 2, "--start: expected none"),
     ((*OUT, "--extra-bones", "1"), 2, "--extra-bones: expected the file of a rig beside it"),
@@ -64,7 +66,7 @@ TABLE = [
     (("render", "clip.npz", "-o", "x.png", "--styles", "bones"), 2, "bones"),
     (("render", "rigged.glb", "-o", "x.gif"), 2, "walk at 24, jump at 60"),
     (("view", "clip.npz", "-o", "page.png"), 2, "a file ending in .html"),
-    (("view", "clip.npz", "-o", "page.html", "--max-bytes", "100"), 2, "max_bytes"),
+    (("view", "clip.npz", "-o", "page.html", "--max-bytes", "100"), 2, "--max-bytes"),
 ]
 
 

@@ -318,11 +318,13 @@ async function start() {
   bind();
   if (input) await input.wait(0);
   state.color = doc.looks ? "texture" : doc.rig ? "bones" : "plain";
+  if (input && doc.rig) state.view = "side";
   paint();
   sync();
   fit();
   $("message").textContent = "";
   await seek(0);
+  if (doc.frames > 1 && !matchMedia("(prefers-reduced-motion: reduce)").matches) set({ playing: true });
 }
 
 const ready = start().catch(failed);

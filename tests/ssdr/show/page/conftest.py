@@ -32,6 +32,8 @@ def opened(browser, tmp_path):
         page = ssdr.view(*arguments, path=tmp_path / "page.html", **options)
         browser.open(page.path)
         browser.value("ssdr.ready")
+        if not isinstance(arguments[0], ssdr.MeshSequence):
+            browser.value("ssdr.set({view: 'result'})")  # beside an input, pages begin with both
         return browser
 
     yield call

@@ -36,6 +36,14 @@ def test_the_shader_skins_as_the_model_does(opened, dancer, model):
             np.testing.assert_allclose(points(browser, read), truth, atol=within + more)
 
 
+def test_the_page_opens_playing_beside_the_input(browser, dancer, model, tmp_path):
+    browser.scheme("light", "no-preference")
+    browser.open(ssdr.view(model, dancer, tmp_path / "page.html").path)
+    opened = "ssdr.ready.then(() => [ssdr.state.view, ssdr.state.playing])"
+    assert browser.value(opened) == ["side", True]
+    browser.scheme("light")
+
+
 def test_two_sequences_side_by_side_with_their_error(opened, dancer, model):
     other = dataclasses.replace(dancer, vertices=model.skin())
     browser = opened(other, dancer)
