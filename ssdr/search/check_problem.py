@@ -77,9 +77,9 @@ def check_problem(
     n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
     influences = check_influences(influences)
     bone_model = check_bone_model(bone_model)
-    if isinstance(rig, Skeleton) and rig.joints == "kept":
+    if isinstance(rig, Skeleton):
         check_skeleton(rig)
-        bone_model = rig.skinning.bone_model
+        bone_model = rig.skinning.bone_model if rig.joints == "kept" else bone_model
     check_choice(effort, "effort", Effort)
     check_choice(rest_pose, "rest_pose", RestPose)
     start = start if isinstance(start, Skeleton) else skinning_in(start)
@@ -169,7 +169,6 @@ def _count_bones(bones: Any, n_vertices: int, rig: Any, start: Any) -> int:
     """
     known, what = None, "bones"
     if isinstance(rig, Skeleton):
-        check_skeleton(rig)
         known, what = rig.skinning.n_bones + len(extra_parents(rig, n_vertices)), "rig"
     elif isinstance(start, Skinning):
         known, what = start.n_bones, "start"
@@ -319,8 +318,9 @@ def with_skeleton(
     elif moves is not None:
         pose = None  # that in which the joints rest, which is not known
     else:
-        there = pose if initial.rest is None else initial.rest
-        nearest = limb_distances(there, tree).argmin(axis=1)
+        at = pose if initial.rest is None else initial.rest
+        assert at is not None
+        nearest = limb_distances(at, tree).argmin(axis=1)
     return dataclasses.replace(
         initial,
         tree=tree,
