@@ -116,7 +116,7 @@ class SsdrWarning(UserWarning):
     ...     warnings.simplefilter("ignore", ssdr.SsdrWarning)
     ...     result = ssdr.decompose(np.ones((2, 4, 3)), bones=2, effort="fast")
     >>> result.warnings
-    ('nothing moves, but for the mesh as a whole: one bone would do',)
+    ('nothing moves but the mesh as a whole: all bones could each go at no loss',)
     """
 
     __module__ = "ssdr"

@@ -263,7 +263,7 @@ def _warnings(d: Descent, model: Model) -> tuple[str, ...]:
     found, surface = [], d.data.surface
     removable = d.removable_bones
     if removable == d.bones > 1:
-        found.append("nothing moves, but for the mesh as a whole: one bone would do")
+        found.append("nothing moves but the mesh as a whole: all bones could each go at no loss")
     elif removable:
         found.append(
             f"{removable} of {d.bones} bones could each go at no loss: fewer bones would do"
