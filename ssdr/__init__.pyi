@@ -44,8 +44,8 @@ from .model.rigid import kabsch as kabsch
 from .model.shapes import ShapedSkinning as ShapedSkinning
 from .model.shapes import Shapes as Shapes
 from .model.skinning import Skinning as Skinning
+from .model.start import Kept as Kept
 from .model.start import Skeleton as Skeleton
-from .model.start import Start as Start
 from .parsimony.smallest import smallest as smallest
 from .search.result import Decomposition as Decomposition
 from .show.page.page import view as view

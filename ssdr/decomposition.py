@@ -10,7 +10,7 @@ import numpy as np
 from .common.checks import BoneModel, names_arguments
 from .mesh.sequence import MeshSequence
 from .model.skinning import Skinning
-from .model.start import Skeleton, Start
+from .model.start import Kept, Skeleton
 from .search.check_problem import check_problem
 from .search.problem import Effort
 from .search.progress import Callback
@@ -29,7 +29,7 @@ def decompose(
     effort: Effort = "balanced",
     bone_model: BoneModel = "rigid",
     rig: str | Skeleton | None = None,
-    start: Skinning | Decomposition | Start | None = None,
+    start: Skinning | Decomposition | Kept | None = None,
     vertex_importance: Any = None,
     frame_importance: Any = None,
     smoothness: float = 0.0,
@@ -73,11 +73,11 @@ def decompose(
         be posed; only roots translate freely.  "loose": bones are found without a hierarchy and
         then connected by the tree with the smallest gaps, so that joints may come apart.  The
         bones, parents and names of a :class:`Skeleton` are kept.
-    start : Skinning, Decomposition or Start, optional
+    start : Skinning, Decomposition or Kept, optional
         A model to start from, such as a checkpoint: the error of the result is never above that of
         this model nor, if neither `rig` nor `smoothness` is given, above that of the same call
         without `start`; but more if `normals` is a length.  If its frames differ from those of
-        `sequence`, bones for the latter are fitted to its weights.  Of a :class:`Start`, rest pose
+        `sequence`, bones for the latter are fitted to its weights.  Of a :class:`Kept`, rest pose
         or weights are kept.
     vertex_importance : (V,) array, optional
         Non-negative; scales each vertex's squared error in the objective.

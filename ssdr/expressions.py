@@ -18,7 +18,7 @@ from .mesh.sequence import MeshSequence
 from .model.shaped_normals import fit_vectors
 from .model.shapes import ShapedSkinning, Shapes, Skinned, shaped, skinning_and_shapes
 from .model.skinning import Skinning, skinning_in
-from .model.start import Start
+from .model.start import Kept
 from .model.transforms import rest_diagonal
 from .search.check_problem import check_problem
 from .search.problem import Effort
@@ -202,7 +202,7 @@ def _solved(frames: MeshSequence, options: dict[str, Any], guess: Skinning | Non
     The neutral face is the first frame.
     """
     rest = np.asarray(frames.frames(0), dtype=np.float64)
-    start = Start(rest=rest) if guess is None else dataclasses.replace(guess, rest=rest)
+    start = Kept(rest=rest) if guess is None else dataclasses.replace(guess, rest=rest)
     problem = check_problem(frames, None, start=start, **options)
     initial = dataclasses.replace(problem.initial, is_model=False)
     constraints = dataclasses.replace(problem.constraints, rest=True)

@@ -247,7 +247,7 @@ def ours(
         face = ssdr.decompose_expressions(rest, frames, faces=faces, **asked).skinning.skinning
         parts = slot.parts_of(dataclasses.replace(face, clips=None), "ssdr")
         return parts._replace(transforms=parts.transforms[1::2])
-    start = None if rest is None else ssdr.Start(rest=rest)
+    start = None if rest is None else ssdr.Kept(rest=rest)
     free: Row = {"rest_pose": "free", "normals": False}
     result = ssdr.decompose(frames, faces, effort=effort, start=start, **free, **asked)
     return slot.parts_of(result.skinning, "ssdr", frames.shape)

@@ -141,7 +141,7 @@ def run_ssdr(job: Row, frames: np.ndarray, faces: np.ndarray | None, pace: Pace)
             value = ast.literal_eval(value)
         options[name] = value
     if (frame := options.pop("rest", None)) is not None:
-        options["start"] = ssdr.Start(rest=np.asarray(frames[frame], dtype=np.float64))
+        options["start"] = ssdr.Kept(rest=np.asarray(frames[frame], dtype=np.float64))
     times: list[Point] = []
     pace.begin()
     result = ssdr.decompose(frames, faces, callback=marks(pace, times), **options)

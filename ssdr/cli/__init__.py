@@ -24,6 +24,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:  # while modules are imported
         sys.stderr.write("ssdr: interrupted\n")
         return 130
+    except (ImportError, MemoryError) as error:  # then, too: run reports those of the work
+        said = (str(error).strip() or "no memory").splitlines()[-1]
+        sys.stderr.write(f"ssdr: error: a package cannot be loaded ({said}): is memory limited?\n")
+        return 1
 
 
 def _open_streams() -> None:

@@ -53,11 +53,16 @@ _PYTHONS = (
 _KINDS = (bool, Path, str, int, float)  # of several that a parameter takes, the first of these
 
 
-def passes(*functions: Callable[..., Any], without: Sequence[str] = ()) -> Callable[..., Any]:
-    """Decorator that says to which functions a command passes its ``**options``."""
+def passes(
+    *functions: Callable[..., Any], without: Sequence[str] = (), words: Any = ()
+) -> Callable[..., Any]:
+    """Decorator that says to which functions a command passes its ``**options``.
+
+    Where their docstrings point to that of another function, `words` has it.
+    """
 
     def mark(function: Any) -> Any:
-        function.passes = functions, {*without, *_PYTHONS}
+        function.passes = functions, {*without, *_PYTHONS}, words
         return function
 
     return mark
@@ -65,7 +70,7 @@ def passes(*functions: Callable[..., Any], without: Sequence[str] = ()) -> Calla
 
 def command(function: Any) -> Callable[..., None]:
     """The command of typer that calls a function."""
-    functions, without = getattr(function, "passes", ((), set()))
+    functions, without, words = getattr(function, "passes", ((), set(), ()))
     found: dict[str, inspect.Parameter] = {}
     for source in (function, *functions):
         hints = typing.get_type_hints(source)
@@ -73,7 +78,7 @@ def command(function: Any) -> Callable[..., None]:
             own = source is function and p.kind is not p.VAR_KEYWORD
             passed = p.kind is p.KEYWORD_ONLY and p.name not in without
             if (own or passed) and p.name not in found:
-                text = _help((source, *functions), p.name)
+                text = _help((source, *functions, *words), p.name)
                 found[p.name] = _parameter(p, hints[p.name], text)
     kept = found.keys() & inspect.signature(function).parameters.keys()
     for name, text in _ALL.items():

@@ -111,14 +111,15 @@ def decompose(
             how = "kept" if bare and not len(there.faces) else "rigid"
         skeleton = ssdr.Skeleton(there, joints=how, extra_bones=extra_bones)
         same = {name: getattr(there, name) for name in ("rest", "indices", "weights")}
-        return {"rig": skeleton} | ({"start": ssdr.Start(**same)} if keep_weights else {})
+        return {"rig": skeleton} | ({"start": ssdr.Kept(**same)} if keep_weights else {})
 
     _fit(ssdr.decompose, inputs, output, start, options, kept)
 
 
 @passes(
-    *(_smallest, _decompose, *READ, *WRITTEN),
-    without=["joints_alone", "smoothness"],
+    *(_smallest, *READ, *WRITTEN),
+    without=["joints_alone"],
+    words=[_decompose],
 )
 def smallest(
     inputs: list[Path],
@@ -187,7 +188,7 @@ def _fit(
         if start is not None:
             model = in_space(load_any(start), shots[0].space)
             bare = isinstance(model, MeshSequence)
-            options["start"] = ssdr.Start(rest=model.frames(0)) if bare else model
+            options["start"] = ssdr.Kept(rest=model.frames(0)) if bare else model
     _check_motion(shots, inputs[0])
     loaded = time.perf_counter()
     with stop_on_signals() as stop:

@@ -13,7 +13,7 @@ JointKind = Literal["rigid", "loose", "kept"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Start:
+class Kept:
     """Parts of a model that a decomposition keeps unchanged.
 
     To start from a whole model of which nothing is kept, such as a checkpoint, pass it as a
@@ -29,7 +29,7 @@ class Start:
     Examples
     --------
     >>> dancer = ssdr.samples.load("dancer_small")
-    >>> start = ssdr.Start(rest=dancer.vertices[0])
+    >>> start = ssdr.Kept(rest=dancer.vertices[0])
     >>> result = ssdr.decompose(dancer, bones=4, effort="fast", start=start)
     >>> np.allclose(result.skinning.rest, dancer.vertices[0])
     True

@@ -13,7 +13,7 @@ from ..common.checks import BoneModel, check_whole, names_arguments, parse_toler
 from ..common.errors import InputError, check_choice
 from ..mesh.sequence import MeshSequence
 from ..model.skinning import Skinning, skinning_in
-from ..model.start import Skeleton, Start
+from ..model.start import Kept, Skeleton
 from ..search.check_problem import check_problem, refuse_weights
 from ..search.problem import Effort, Problem
 from ..search.progress import Callback
@@ -41,7 +41,7 @@ def smallest(
     effort: Effort = "balanced",
     bone_model: BoneModel = "rigid",
     rig: str | None = None,
-    start: Skinning | Decomposition | Start | None = None,
+    start: Skinning | Decomposition | Kept | None = None,
     vertex_importance: Any = None,
     frame_importance: Any = None,
     rest_pose: RestPose = "surface",
@@ -81,9 +81,9 @@ def smallest(
         As in :func:`decompose`.
     rig : {"loose", "rigid"}, optional
         As in :func:`decompose`; a skeleton cannot be kept.
-    start : Skinning, Decomposition or Start, optional
+    start : Skinning, Decomposition or Kept, optional
         A model to begin from, such as a checkpoint, with at most `bones` bones: if it holds the
-        tolerance, the result is no larger.  A :class:`Start` may give a rest pose only.
+        tolerance, the result is no larger.  A :class:`Kept` may give a rest pose only.
     vertex_importance : (V,) array, optional
         Guides the solver as in :func:`decompose`.  Each value must be at least 1e-4 of the largest,
         since the tolerance bounds the error without importance.

@@ -29,7 +29,7 @@ from ..common.errors import InputError, SsdrWarning, check_choice, is_real, is_w
 from ..mesh.sequence import MeshSequence, as_sequences, labels_of, without_copies
 from ..mesh.surface import told_apart
 from ..model.skinning import Skinning, skinning_in
-from ..model.start import JointKind, Skeleton, Start
+from ..model.start import JointKind, Kept, Skeleton
 from ..model.transforms import rest_diagonal
 from ..model.tree import Tree
 from ..solver.model import Constraints, Skin
@@ -83,8 +83,8 @@ def check_problem(
     check_choice(effort, "effort", Effort)
     check_choice(rest_pose, "rest_pose", RestPose)
     start = start if isinstance(start, Skeleton) else skinning_in(start)
-    if not (start is None or isinstance(start, (Skinning, Start))):
-        raise InputError("start", "None, a Skinning or a result, or a Start", type(start).__name__)
+    if not (start is None or isinstance(start, (Skinning, Kept))):
+        raise InputError("start", "None, a Skinning or a result, or a Kept", type(start).__name__)
     kinds = isinstance(rig, str) and rig in ("loose", "rigid")
     if not (rig is None or isinstance(rig, Skeleton) or kinds):
         raise InputError("rig", "None, 'loose', 'rigid' or a Skeleton", repr(rig))
@@ -207,13 +207,13 @@ _EXACTLY, _NEARLY = 1e-12, 1e-4
 
 
 def check_start(
-    start: Skinning | Start | None, shape: tuple[int, int, int, int], bone_model: BoneModel
+    start: Skinning | Kept | None, shape: tuple[int, int, int, int], bone_model: BoneModel
 ) -> tuple[Initial, Constraints]:
     """Check a start; return the parts of a model that it gives, and which of them are kept.
 
     `shape` is (F, V, B, K).
     """
-    if isinstance(start, Start):
+    if isinstance(start, Kept):
         return _from_parts(start, shape, bone_model)
     constraints = Constraints(bone_model=bone_model)
     return Initial() if start is None else _from_model(start, shape, bone_model), constraints
@@ -248,7 +248,7 @@ def _from_model(
 
 
 def _from_parts(
-    start: Start, shape: tuple[int, int, int, int], bone_model: BoneModel
+    start: Kept, shape: tuple[int, int, int, int], bone_model: BoneModel
 ) -> tuple[Initial, Constraints]:
     _, n, bones, influences = shape
     indices, weights, skin = start.indices, start.weights, None
@@ -285,7 +285,7 @@ def with_skeleton(
     constraints: Constraints,
     sequences: list[MeshSequence],
     influences: int,
-    start: Skinning | Start | None,
+    start: Skinning | Kept | None,
 ) -> tuple[Initial, Constraints]:
     """Copies of the initial and kept parts with tree, extra bones and joints of a skeleton."""
     n = sequences[0].n_vertices
@@ -295,7 +295,7 @@ def with_skeleton(
     constraints = dataclasses.replace(constraints, joints=constraints.rest)
     if isinstance(start, Skinning):
         if rig.joints == "kept":
-            raise InputError("start", "None or a Start beside joints that are kept", "a Skinning")
+            raise InputError("start", "None or a Kept beside joints that are kept", "a Skinning")
         tree = _same_tree(initial, skeleton)
         return dataclasses.replace(initial, tree=tree, keeps_tree=True), constraints
     if extra and initial.skin is not None:

@@ -340,12 +340,12 @@ def add_and_merge(d: Descent, *, alternations: int = 3) -> Iterator[None]:
 
 
 @step("search", cost=60)
-def search(d: Descent, *, steps: int, gain: float = 1e-3) -> Iterator[None]:
+def search(d: Descent, *, steps: int, success: float = 1e-3) -> Iterator[None]:
     """Try `steps` changes of the model, polish each, and keep each that lowers the objective.
 
-    A trial counts as a success if it lowers the objective by more than the fraction `gain`.
+    A trial counts as a success if it lowers the objective by more than the fraction `success`.
     """
-    return tried(d, CHANGES, polished_value, steps=steps, gain=gain)
+    return tried(d, CHANGES, polished_value, steps=steps, success=success)
 
 
 def tried(
@@ -354,7 +354,7 @@ def tried(
     polished: Callable[[Descent, Model, float], float] | None = None,
     *,
     steps: int,
-    gain: float = 0.0,
+    success: float = 0.0,
     iterations: int = STEPS_OF_A_TRIAL,
     patience: int | None = None,
 ) -> Iterator[None]:
@@ -368,7 +368,7 @@ def tried(
         Polishes a trial (in place) and returns its objective; the last argument is the objective
         that the trial has to beat.
     steps : int
-    gain : float
+    success : float
         Relative decrease of the objective that makes a trial a success.
     iterations : int
         Number of alternations or polish steps of a trial.
@@ -391,10 +391,10 @@ def tried(
         value = d.value(trial) if polished is None else polished(d, trial, base)
         if value < base:
             d.model = trial
-        success = value < (1.0 - gain) * base
-        failures = 0 if success else failures + 1
+        lower = value < (1.0 - success) * base
+        failures = 0 if lower else failures + 1
         last_turn[kind] = k
-        misses[kind] = 0 if success else min(misses[kind] + 1, _MOST_MISSES)
+        misses[kind] = 0 if lower else min(misses[kind] + 1, _MOST_MISSES)
         if patience is None:
             d.converged = failures >= steps
         yield

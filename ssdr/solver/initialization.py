@@ -158,16 +158,16 @@ def facility_location(cost: Array, importance: Array, count: int) -> list[int]:
     chosen = [int((column @ importance).argmin())]
     best = column[chosen[0]].copy()
 
-    def gain(j: int) -> float:
+    def lowered(j: int) -> float:
         return float(importance @ np.maximum(best - column[j], 0.0))
 
-    # gains only shrink as columns are chosen (submodularity), so that an old gain is an upper bound
-    heap = [(-gain(j), j) for j in range(len(column)) if j not in chosen]
+    # what a column lowers only shrinks as others are chosen (submodularity): old values are bounds
+    heap = [(-lowered(j), j) for j in range(len(column)) if j not in chosen]
     heapq.heapify(heap)
     while heap and len(chosen) < count:
         while True:
             _, j = heapq.heappop(heap)
-            fresh = (-gain(j), j)
+            fresh = (-lowered(j), j)
             if not heap or fresh <= heap[0]:
                 break
             heapq.heappush(heap, fresh)

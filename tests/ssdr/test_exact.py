@@ -42,7 +42,7 @@ def stretching(kind: str) -> Made:
 
 def parts(*names: str) -> Made:
     exact = motions.chain(bones=5, rows=14, frames=15)
-    return of(exact, faces=None, start=ssdr.Start(**{n: getattr(exact, n) for n in names}))
+    return of(exact, faces=None, start=ssdr.Kept(**{n: getattr(exact, n) for n in names}))
 
 
 def chain(seed: int, **options: Any) -> Made:

@@ -93,7 +93,7 @@ def _frozen() -> list[Any]:
     split = ssdr.laplacian.split_frequencies(FRAMES, length=0.1)
     result = ssdr.decompose(FRAMES, bones=2, effort="fast")
     comparison = ssdr.metrics.compare(FRAMES, MODEL)
-    start = ssdr.Start(rest=MODEL.rest)
+    start = ssdr.Kept(rest=MODEL.rest)
     return [FRAMES, MODEL, FACE, fit, split, split.smoother, result, comparison, start]
 
 

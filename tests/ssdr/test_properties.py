@@ -110,7 +110,7 @@ def test_steps_follow_the_input(change: Callable[[Frames, Any], Change], kind: s
 
     def error(frames: Frames, order: Any, faces: Any, rest_frame: Any = None) -> float:
         parts = {"indices": rig.indices[order], "weights": rig.weights[order]}
-        given = {"start": ssdr.Start(**parts), "rest_frame": rest_frame}
+        given = {"start": ssdr.Kept(**parts), "rest_frame": rest_frame}
         steps: list[str] = []
 
         def tenth(progress: ssdr.search.progress.Progress) -> bool:

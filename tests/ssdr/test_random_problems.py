@@ -18,7 +18,7 @@ from helpers.measures import Ticks, broken, largest_of, rmse_of, size_of
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Drawn:
-    """A call: frames of shots, options of ``decompose`` or ``smallest``, fields of a Start.
+    """A call: frames of shots, options of ``decompose`` or ``smallest``, fields of a Kept.
 
     `stop` is the fraction of the work after which the call is made again from its model.
     """
@@ -36,7 +36,7 @@ class Drawn:
         cuts = itertools.pairwise(self.shots)
         shots = [ssdr.MeshSequence(self.frames[a:b], self.faces) for a, b in cuts]
         call = ssdr.smallest if "tolerance" in self.options else ssdr.decompose
-        start = {"start": ssdr.Start(**self.parts)} if self.parts else {}
+        start = {"start": ssdr.Kept(**self.parts)} if self.parts else {}
         with warnings.catch_warnings(), pytest.MonkeyPatch.context() as patch:
             warnings.simplefilter("ignore", ssdr.SsdrWarning)  # fewer bones would often do
             Ticks(patch, 1e-3)  # a time limit is one of steps

@@ -134,7 +134,7 @@ def components() -> Problem:
 
 def few_poses(rest: np.ndarray) -> Problem:
     return Problem(
-        base()[[0, 5, 11]], diagonal(base()), rig().faces, {"start": ssdr.Start(rest=rest)}
+        base()[[0, 5, 11]], diagonal(base()), rig().faces, {"start": ssdr.Kept(rest=rest)}
     )
 
 
@@ -142,7 +142,7 @@ def bent() -> Problem:
     """Three exact poses that fold up the chain, and its straight rest pose."""
     folded = motions.chain(bones=4, rows=16, frames=16, bend=2.5)
     frames = folded.frames[[4, 9, 14]]
-    return Problem(frames, diagonal(frames), folded.faces, {"start": ssdr.Start(rest=folded.rest)})
+    return Problem(frames, diagonal(frames), folded.faces, {"start": ssdr.Kept(rest=folded.rest)})
 
 
 def far_rest() -> np.ndarray:

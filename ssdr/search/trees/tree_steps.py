@@ -196,13 +196,13 @@ def _polish_changed(d: Descent, model: Model) -> None:
 @step("search", cost=60)
 def search_trees(d: Descent, *, steps: int) -> Iterator[None]:
     """Try `steps` changes of tree, bones or influences, polish each, and keep improvements."""
-    return tried(d, _TREES, _polished_value, steps=steps, gain=1e-3)
+    return tried(d, _TREES, _polished_value, steps=steps, success=1e-3)
 
 
 @step("search", cost=60)
 def search_weights(d: Descent, *, steps: int) -> Iterator[None]:
     """Try `steps` changes of bones or influences, not of the tree's edges; keep improvements."""
-    return tried(d, _WEIGHTS, _polished_value, steps=steps, gain=1e-3)
+    return tried(d, _WEIGHTS, _polished_value, steps=steps, success=1e-3)
 
 
 def _polished_value(d: Descent, trial: Model, base: float) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import sys
 
 import pytest
 
@@ -110,6 +111,14 @@ def test_errors_as_json_and_those_that_nobody_expected(run, folder, monkeypatch)
         *(1, ""),
         "ssdr: error: unexpected ZeroDivisionError: oh (ssdr -vv COMMAND shows where)\n",
     )
+
+
+def test_packages_that_cannot_be_loaded_are_a_sentence(run, monkeypatch):
+    """As in a small address space, where importing SciPy fails."""
+    monkeypatch.setitem(sys.modules, "ssdr.cli.app", None)
+    code, out, err = run("info", "clip.npz")
+    assert (code, out, err.count("\n")) == (1, "", 1)
+    assert err.startswith("ssdr: error: a package cannot be loaded (")
 
 
 @pytest.mark.usefixtures("faked")

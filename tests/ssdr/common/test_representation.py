@@ -47,7 +47,7 @@ def test_results_in_a_few_words() -> None:
         ssdr.laplacian.split_frequencies(frames, length=0.1),
         surface,
         ssdr.Material(texture=b"0123456789" * 1000),
-        ssdr.Start(rest=chain.rest),
+        ssdr.Kept(rest=chain.rest),
     ]
     for thing in things:
         text = repr(thing)
@@ -61,6 +61,6 @@ def test_results_in_a_few_words() -> None:
 
 
 def test_few_numbers_are_shown() -> None:
-    start = ssdr.Start(indices=[0, 2], rest=np.zeros((4, 3), np.float32))
+    start = ssdr.Kept(indices=[0, 2], rest=np.zeros((4, 3), np.float32))
     assert "indices=[0, 2]" in repr(start)
     assert "rest=<float32 (4, 3)>" in repr(start)

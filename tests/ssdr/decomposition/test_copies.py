@@ -142,7 +142,7 @@ def test_vertices_whose_weights_are_kept_apart_stay_apart(
 ) -> None:
     shots, corners, vertex = soup
     indices = np.arange(len(vertex), dtype=np.int32)[:, None] % 3
-    start = ssdr.Start(indices=indices, weights=np.ones((len(vertex), 1)))
+    start = ssdr.Kept(indices=indices, weights=np.ones((len(vertex), 1)))
     found = ssdr.decompose(shots, corners, bones=3, start=start, effort="fast").skinning
     np.testing.assert_array_equal(found.indices[:, 0], indices[:, 0])
 

@@ -19,7 +19,7 @@ from helpers.measures import Ticks, bits, check, frames, rig, rmse_of
 def test_one_bone_is_procrustes() -> None:
     """B = 1 with the rest pose kept is Kabsch; with a free one it can only be better."""
     rest = frames()[0]
-    kept = ssdr.decompose(frames(), bones=1, start=ssdr.Start(rest=rest))
+    kept = ssdr.decompose(frames(), bones=1, start=ssdr.Kept(rest=rest))
     fitted = ssdr.kabsch(np.broadcast_to(rest, frames().shape), frames())
     # the reduced basis may lose a hundredth of a percent of what one bone cannot follow
     np.testing.assert_allclose(kept.skinning.transforms[:, 0], fitted, atol=1e-4)
@@ -135,7 +135,7 @@ def test_time_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_cancel_before_any_model() -> None:
     # where weights are kept, compression comes first
-    given = ssdr.Start(indices=np.zeros((84, 1), int), weights=np.ones((84, 1)))
+    given = ssdr.Kept(indices=np.zeros((84, 1), int), weights=np.ones((84, 1)))
     with pytest.raises(ssdr.Cancelled, match="before"):
         ssdr.decompose(frames(), bones=4, start=given, callback=lambda p: True)
 

@@ -20,7 +20,7 @@ def test_given_weights_stay() -> None:
     indices = np.tile(np.arange(5), (84, 1))
     dense = rig().skinning.dense_weights() * (1 - 1e-5)
     dense[:, 4] += 1e-5
-    start = ssdr.Start(indices=indices, weights=dense)
+    start = ssdr.Kept(indices=indices, weights=dense)
     result = check(ssdr.decompose(frames(), bones=5, influences=5, start=start), frames(), 5, 5)
     np.testing.assert_allclose(result.skinning.dense_weights(), dense, atol=1e-14)
 
@@ -155,7 +155,7 @@ def test_a_callback_that_writes_to_the_parts_changes_nothing() -> None:
             for array in (*counts.values(), *parts.values()) if spoils else ():
                 array[...] = 0
 
-        array, start = motions.wobble(chain, 0.1), ssdr.Start(**parts)
+        array, start = motions.wobble(chain, 0.1), ssdr.Kept(**parts)
         call = {"bones": 4, "effort": "fast", "callback": follow}
         return ssdr.decompose(array, chain.faces, start=start, **counts, **call)
 

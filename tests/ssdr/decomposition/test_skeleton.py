@@ -37,7 +37,7 @@ def _check(result: ssdr.Decomposition, bones: int = 6) -> ssdr.Skinning:
 
 def test_motion_alone() -> None:
     made = trees.six_bones()
-    kept = ssdr.Start(indices=made.indices, weights=made.weights, rest=made.rest)
+    kept = ssdr.Kept(indices=made.indices, weights=made.weights, rest=made.rest)
     result = _solve(start=kept)
     model = _check(result)
     assert result.rmse < 1e-6 * diagonal(made.frames)

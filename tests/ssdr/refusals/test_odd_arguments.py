@@ -58,7 +58,7 @@ CALLS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     r"rest: expected .*(Skinning|shape)": (lambda x: ssdr.fit_weights(FRAMES, x), ()),
     r"^rest: expected .*(Skinning|shape)": (lambda x: ssdr.fit_bones(FRAMES, x), ()),
     r"rest: expected (.*Skinning|.*shape)": (lambda x: ssdr.fit_rest_pose(FRAMES, x), ()),
-    r"^start\.rest: ": (lambda x: decompose(start=ssdr.Start(rest=x)), (None,)),
+    r"^start\.rest: ": (lambda x: decompose(start=ssdr.Kept(rest=x)), (None,)),
     r"^rig\.joints: expected": (lambda x: skeleton(joints=x), ()),
     r"^rig\.extra_bones: expected": (lambda x: skeleton(extra_bones=x), EMPTY),
     "hausdorff: expected True": (

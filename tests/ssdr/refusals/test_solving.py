@@ -21,7 +21,7 @@ TWICE = {"indices": np.zeros((84, 2), int), "weights": np.full((84, 2), 0.5)}
 THREE = {"indices": np.tile([0, 1, 2], (84, 1)), "weights": np.full((84, 3), 1 / 3)}
 GROWN = {"transforms": np.tile(2 * np.eye(3, 4), (15, 2, 1, 1)), "bone_model": "affine"}
 UNEVEN = np.where(np.arange(84) < 42, 5.0, 4e-6)
-DENSE = ssdr.Start(weights=np.eye(84)[:, :2])
+DENSE = ssdr.Kept(weights=np.eye(84)[:, :2])
 MADE = trees.skeleton(6, 15, seed=3, around=14)
 SKELETON = MADE.skinning(bone_names=("hips", "spine", "arm", "leg", "hand", "foot"))
 
@@ -43,7 +43,7 @@ def linear(matrix: Any) -> ssdr.Skinning:
 
 
 def start(**parts: Any) -> dict[str, Any]:
-    return {"start": ssdr.Start(**parts), "influences": 3}
+    return {"start": ssdr.Kept(**parts), "influences": 3}
 
 
 def hung(**parts: Any) -> dict[str, Any]:
@@ -108,7 +108,7 @@ REFUSED: list[Row] = [
     ("decompose", "vertex_importance", "", [-np.ones(84), np.zeros(84), np.ones(83)]),
     ("decompose", "frame_importance", "", [np.arange(15.0)]),
     ("decompose", "rest_frame", "", [2.5, 15]),
-    ("decompose", "rest_frame", "", [{"rest_frame": 1, "start": ssdr.Start(rest=frames()[0])}]),
+    ("decompose", "rest_frame", "", [{"rest_frame": 1, "start": ssdr.Kept(rest=frames()[0])}]),
     ("decompose", "bone_model", "",
      [{"rig": "rigid", "bone_model": "affine"}, {"rig": "loose", "bone_model": "similarity"}]),
     ("decompose", "checkpoint", "", ["a.txt", "none/a.npz", "folder.npz", 3, True, b"a.npz"]),
@@ -161,7 +161,7 @@ REFUSED: list[Row] = [
     ("skeleton", "rig.extra_bones", "",
      [*(hung(extra_bones=x) for x in (-1, 1.5, 10**12, {"tail": 1}, {"hand": -1})),
       hung(extra_bones=2, joints="loose"),
-      hung(extra_bones=1) | {"start": ssdr.Start(**EACH_ONE)}]),
+      hung(extra_bones=1) | {"start": ssdr.Kept(**EACH_ONE)}]),
     ("skeleton", "bone_model", "", [hung() | {"bone_model": "affine"}]),
     ("skeleton", "smoothness", "", [hung() | {"smoothness": 0.1}]),
     ("smallest", "vertices", "less than 1e",
@@ -169,7 +169,7 @@ REFUSED: list[Row] = [
     ("smallest", "measure", "", ["mean"]),
     ("smallest", "bones", "", [0, 85]),
     ("smallest", "rest_pose", "", ["soft"]),
-    ("smallest", "start.weights", "", [{"start": ssdr.Start(**EACH_ONE)}]),
+    ("smallest", "start.weights", "", [{"start": ssdr.Kept(**EACH_ONE)}]),
     ("smallest", "vertex_importance", "", [np.arange(84) < 42, UNEVEN]),
     ("smallest", "normals", "", ["no"]),
     ("smallest", "tolerance", "a share of the diagonal such as", NO_TOLERANCE),

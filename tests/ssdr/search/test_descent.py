@@ -36,7 +36,7 @@ def beam(frames: int, rings: int) -> tuple[np.ndarray, np.ndarray]:
     ("frames", "rings", "options"),
     [
         (15, 10, {"bones": 4, "influences": 1}),
-        (10, 12, {"bones": 5, "start": ssdr.Start(rest=beam(10, 12)[1])}),
+        (10, 12, {"bones": 5, "start": ssdr.Kept(rest=beam(10, 12)[1])}),
         (6, 7, {"bones": 25, "influences": 1}),
     ],
 )

@@ -55,7 +55,7 @@ def test_a_skeleton_is_found_again_and_every_frame_hangs_on_its_joints() -> None
 
 def test_motion_alone_of_a_rig_over_streamed_frames() -> None:
     made = trees.skeleton(6, 120, seed=3)
-    start = ssdr.Start(indices=made.indices, weights=made.weights, rest=made.rest)
+    start = ssdr.Kept(indices=made.indices, weights=made.weights, rest=made.rest)
     rig = ssdr.Skeleton(made.skinning())
     result = ssdr.decompose(made.frames, rig=rig, influences=2, start=start)
     assert result.rmse < 1e-6 * diagonal(made.frames)
@@ -89,7 +89,7 @@ def test_same_bits_for_any_number_of_threads_from_memory_and_from_disk(
 def test_fixed_parts_stay() -> None:
     rig = motions.chain(3, bones=4, frames=120)
     frames = motions.rippled()
-    start = ssdr.Start(rest=rig.rest, indices=rig.indices, weights=rig.weights)
+    start = ssdr.Kept(rest=rig.rest, indices=rig.indices, weights=rig.weights)
     given = ssdr.decompose(frames, bones=4, effort="fast", start=start)
     np.testing.assert_allclose(given.skinning.rest, rig.rest, atol=1e-9)
     found = given.skinning.dense_weights()

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import json
+import os
+import runpy
 import shlex
 import sys
 import tomllib
+import types
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import ssdr
@@ -119,3 +124,17 @@ def test_a_blender_that_cannot_be_started_is_named(clip, tmp_path, monkeypatch):
     monkeypatch.setenv("SSDR_BLENDER", str(blender))
     with pytest.raises(ssdr.MissingDependencyError, match="could not be started"):
         ssdr.save(tube(frames=2), clip)
+
+
+def test_of_a_traceback_in_blender_the_last_line_is_told(tmp_path, monkeypatch):
+    app = types.SimpleNamespace(version=(4, 2, 0))
+    monkeypatch.setitem(sys.modules, "bpy", types.SimpleNamespace(app=app))
+    monkeypatch.setattr(os, "_exit", lambda code: None)
+    (tmp_path / "job.json").write_text(json.dumps({"out": str(tmp_path / "out.npz")}))
+    monkeypatch.setattr(sys, "argv", ["script.py", str(tmp_path / "job.json")])
+
+    def act(job):
+        raise RuntimeError("Error: Python: Traceback\n  File 'a.py', line 1\nKeyError: 'bone'")
+
+    runpy.run_path(str(ROOT / "ssdr/io/blender/in_blender.py"))["run"](act)
+    assert str(np.load(tmp_path / "out.npz")["error"]) == "Blender says: KeyError: 'bone'"
