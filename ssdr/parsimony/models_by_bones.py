@@ -76,7 +76,7 @@ def search_long(d: Descent, moves: int, trials: int) -> None:
     move_some(d, moves)
     polish(d, steps=30, gain=0.005)
     return_to_best(d)
-    search(d, steps=trials, gain=0.0)
+    search(d, steps=trials, success=0.0)
 
 
 def polish_reweighted(d: Descent) -> None:

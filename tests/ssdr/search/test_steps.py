@@ -43,7 +43,7 @@ def searched(paying: set[int], *, steps: int) -> tuple[list[int], Descent]:
     @step("search")
     def counted(d: Descent) -> Iterator[None]:
         changes = tuple(change(kind) for kind in range(4))
-        return tried(d, changes, polished_value, steps=steps, gain=1e-3)
+        return tried(d, changes, polished_value, steps=steps, success=1e-3)
 
     d = descent_of(data, BONES, INFLUENCES)
     d.model = model
