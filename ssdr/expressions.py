@@ -205,7 +205,7 @@ def _solved(frames: MeshSequence, options: dict[str, Any], guess: Skinning | Non
     start = Kept(rest=rest) if guess is None else dataclasses.replace(guess, rest=rest)
     problem = check_problem(frames, None, start=start, **options)
     initial = dataclasses.replace(problem.initial, is_model=False)
-    constraints = dataclasses.replace(problem.constraints, rest=True)
+    constraints = dataclasses.replace(problem.constraints, lock_rest=True)
     problem = dataclasses.replace(problem, start=None, initial=initial, constraints=constraints)
     # bones that start from a guess are in place
     schedule = partial(

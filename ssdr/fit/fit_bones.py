@@ -142,7 +142,7 @@ def fit_bones(
     )
     inner = data.alignment.points_from_world(given.rest, f"{given.prefix}rest")
     start = None if world is None else data.alignment.moves_from_world(world, "skinning.transforms")
-    constraints = Constraints(rest=True, weights=np.ones(n, dtype=bool), bone_model=kind)
+    constraints = Constraints(lock_rest=True, weights=np.ones(n, dtype=bool), bone_model=kind)
     # no step may turn a bone inside out, which blocks some paths of affine bones from their own
     # fit; from rigid bones these paths are open
     kinds: list[BoneModel] = [kind]

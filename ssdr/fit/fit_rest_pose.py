@@ -104,7 +104,7 @@ def _solve_rest_pose(data: Trajectories, model: Model, constraints: Constraints)
     Without a reference surface, one step solves it.  Otherwise steps of all rest positions together
     follow until the objective settles.
     """
-    held = dataclasses.replace(constraints, rest=True)
+    held = dataclasses.replace(constraints, lock_rest=True)
     vertex_step(data, model, constraints=held)  # sets the errors
     if data.surface is None:
         vertex_step(data, model, constraints=constraints)

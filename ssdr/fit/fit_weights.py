@@ -127,7 +127,7 @@ def fit_weights(
         data = _Barred(**vars(data), allowed=may)
         cost[~may] = np.inf
     model = Model.start(bones, inner, cost.argmin(axis=1), min(k, bones.shape[1]))
-    constraints = Constraints(rest=True)
+    constraints = Constraints(lock_rest=True)
     smooth = WeightSmoothness.build(data, each.faces, smoothness)
     if smooth is None and target is None:
         vertex_step(data, model, constraints=constraints)

@@ -115,7 +115,7 @@ def started(
         else data.alignment.points_from_world(inner_rest, "rest")
     )
     model = start_model(data, start, bones, min(k, bones), generator, bone_model)
-    constraints = Constraints(rest=rest is not None, bone_model=bone_model)
+    constraints = Constraints(lock_rest=rest is not None, bone_model=bone_model)
     vertex_step(data, model, constraints=constraints)
     return data, model, constraints
 

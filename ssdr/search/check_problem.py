@@ -256,7 +256,7 @@ def _from_parts(
         missing, other = ("weights", "indices") if weights is None else ("indices", "weights")
         dense = " (Skinning.from_dense has both of dense weights)" if weights is not None else ""
         raise InputError(f"start.{missing}", f"an array beside start.{other}{dense}", "None")
-    constraints = Constraints(rest=start.rest is not None, bone_model=bone_model)
+    constraints = Constraints(lock_rest=start.rest is not None, bone_model=bone_model)
     if weights is not None:
         skin = _sorted_skin(indices, weights, (n, bones, influences))
         constraints = constraints.with_weights(n)
@@ -292,7 +292,7 @@ def with_skeleton(
     skeleton, extra = rig.skinning, extra_parents(rig, n)
     if extra and rig.joints != "rigid":
         raise InputError("rig.extra_bones", f"0 beside {rig.joints} joints", rig.extra_bones)
-    constraints = dataclasses.replace(constraints, joints=constraints.rest)
+    constraints = dataclasses.replace(constraints, lock_joints=constraints.lock_rest)
     if isinstance(start, Skinning):
         if rig.joints == "kept":
             raise InputError("start", "None or a Kept beside joints that are kept", "a Skinning")

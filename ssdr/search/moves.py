@@ -206,7 +206,8 @@ def drop_influence(data: Trajectories, model: Model, constraints: Constraints) -
                 chosen: Any = *sums, gram, rest, indices, weights, normals, *flags, 0
                 choose_influences(*chosen)
                 found = *trial.values(), hold[some]
-                arrays: Any = *sums, gram4, *found, *flags, not constraints.rest, _ROUNDS, *unread
+                free: Any = not constraints.lock_rest, _ROUNDS
+                arrays: Any = *sums, gram4, *found, *flags, *free, *unread
                 polish_vertices(*arrays)
                 off = hold[some, 0] * ((trial["rest"] - hold[some, 1:]) ** 2).sum(axis=1)
                 error = trial["error"] + length**2 * trial["normal_error"] + off

@@ -244,7 +244,7 @@ class Problem:
         if pose is None and initial.rest_frame is None and chosen:
             frame = central_frame(data, first=not keeps_to)
             initial = dataclasses.replace(initial, rest_frame=frame)
-        if not keeps_to or self.constraints.rest:
+        if not keeps_to or self.constraints.lock_rest:
             return data, initial
         pose = initial.beside_model().first_pose(data) if pose is None else pose
         return dataclasses.replace(data, surface=RestSurface.build(data.faces, pose)), initial

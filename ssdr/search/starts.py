@@ -175,9 +175,8 @@ def _patches_of_weights(d: Descent, rest: Array, skin: Skin) -> Array:
 def _measure_error(d: Descent, model: Model) -> None:
     """Recompute the error of every vertex (in place); the rest of the model does not change."""
     every = np.ones(d.data.n_vertices, dtype=bool)
-    vertex_step(
-        d.data, model, constraints=dataclasses.replace(d.constraints, rest=True, weights=every)
-    )
+    held = dataclasses.replace(d.constraints, lock_rest=True, weights=every)
+    vertex_step(d.data, model, constraints=held)
 
 
 def first_model(d: Descent, *, influences: int | None = None) -> None:

@@ -79,7 +79,7 @@ def vertex_step(
                 hold[i:k],
                 length,
                 keep[i:k],
-                not constraints.rest,
+                not constraints.lock_rest,
             )
 
         run_chunks(work, chunk_bounds(data.n_vertices, CHUNK))
@@ -193,7 +193,7 @@ def normalise_gauge(model: Model, importance: Array, constraints: Constraints) -
     the part, so that its rest pose has the mean size and proportions of the motion; for similarity
     bones A is only a factor.  A acts about the centroid of the part.
     """
-    if constraints.bone_model == "rigid" or constraints.rest:
+    if constraints.bone_model == "rigid" or constraints.lock_rest:
         return
     n_bones = model.n_bones
     used = model.weights > 0

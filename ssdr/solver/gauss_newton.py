@@ -233,7 +233,7 @@ def fit_motion(
         return
     data = dataclasses.replace(data, normals=None, n2=None)
     every = np.ones(data.n_vertices, dtype=bool)
-    as_is = dataclasses.replace(constraints, rest=True, weights=every, joints=True)
+    as_is = dataclasses.replace(constraints, lock_rest=True, weights=every, lock_joints=True)
     newton = GaussNewton(data, model, constraints=as_is)
     before = newton.value
     for _ in newton.steps(_STEPS, entering=False):

@@ -290,23 +290,23 @@ class Constraints:
 
     Attributes
     ----------
-    rest : bool
+    lock_rest : bool
         Whether the rest pose is locked.
     weights : (V,) or (0,) bool array
         Mask of the vertices whose weights are locked; empty if none are.
     bone_model : {"rigid", "similarity", "affine"}
         Kind of transforms that bones have.
-    joints : bool
+    lock_joints : bool
         Whether the joints of a tree are locked.
     near_skin : bool
         Whether the objective penalises the distance of a joint from where the skin of its two bones
         meets.
     """
 
-    rest: bool = False
+    lock_rest: bool = False
     weights: NDArray[np.bool_] = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=bool))
     bone_model: BoneModel = "rigid"
-    joints: bool = False
+    lock_joints: bool = False
     near_skin: bool = False
 
     def select_vertices(self, chosen: NDArray[np.intp]) -> Constraints:

@@ -143,7 +143,7 @@ class Objective:
         value = seen_error(data, model)
         if self.smoothness is not None:
             value += self.smoothness.penalty(model)
-        if data.surface is not None and not self.constraints.rest:
+        if data.surface is not None and not self.constraints.lock_rest:
             value *= data.surface.factor(model.rest)
         value *= math.pow(1.0 + mean_normal_error(data, model) / _UNSEEN, _NORMALS)
         if self.constraints.near_skin and model.tree is not None:
@@ -236,7 +236,7 @@ def rest_strength(data: Trajectories, model: Model, constraints: Constraints) ->
 def _surface_of(data: Trajectories, model: Model, constraints: Constraints) -> RestSurface | None:
     """Surface that pulls on the rest pose; None if it is free or locked, or has no errors yet."""
     known = np.isfinite(model.error).all()
-    return None if constraints.rest or not known else data.surface
+    return None if constraints.lock_rest or not known else data.surface
 
 
 def seen_error(data: Trajectories, model: Model) -> float:

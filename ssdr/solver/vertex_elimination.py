@@ -103,7 +103,8 @@ class ReducedSystem:
         precision: type[np.floating[Any]],
     ) -> None:
         self.n_bones = model.n_bones
-        self.keep, self.move_rest = constraints.vertex_mask(data.n_vertices), not constraints.rest
+        self.move_rest = not constraints.lock_rest
+        self.keep = constraints.vertex_mask(data.n_vertices)
         n = data.n_vertices
         self._tasks = chunk_bounds(n, max(CHUNK, -(-n // _TASKS)))
         self._order, self._groups = _group(data, model, self.keep, vertices, precision)

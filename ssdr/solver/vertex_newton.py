@@ -90,7 +90,7 @@ def optimise_vertices(
         entering=entering,
         rounds=rounds,
     )
-    if data.surface is not None and not constraints.rest:
+    if data.surface is not None and not constraints.lock_rest:
         # the pulls have moved with the rest pose; their stiffness is the same
         new = rest_pulls(data, model, constraints)
         free = ~constraints.vertex_mask(len(gradient))
@@ -193,7 +193,7 @@ def newton_vertices(
         chosen: Any = *sums, gram, rest, indices, weights, normals, *flags, entering
         if entering >= 0:
             choose_influences(*chosen)
-        flags = *flags, not constraints.rest, rounds
+        flags = *flags, not constraints.lock_rest, rounds
         arrays: Any = *sums, gram4, *rows, hold[i:k], *flags, inverse[i:k], gradient[i:k]
         polish_vertices(*arrays)
 

@@ -24,12 +24,12 @@ from ssdr.solver.trajectories import Trajectories, gather
 _SOME, _ALL = np.arange(8) % 2 == 0, np.ones(8, dtype=bool)
 CASES = {
     "free": FREE,
-    "rest": Constraints(rest=True),
+    "rest": Constraints(lock_rest=True),
     "weights": Constraints(weights=_SOME),
     "all weights": Constraints(weights=_ALL),
-    "rest and weights": Constraints(rest=True, weights=_ALL),
-    "joints": Constraints(joints=True),
-    "motion alone": Constraints(rest=True, weights=_ALL, joints=True),
+    "rest and weights": Constraints(lock_rest=True, weights=_ALL),
+    "joints": Constraints(lock_joints=True),
+    "motion alone": Constraints(lock_rest=True, weights=_ALL, lock_joints=True),
 }
 KINDS = {"rigid": 6, "similarity": 7, "affine": 12}  # unknowns of a bone
 TREES = {"tree": [1, -1, 1], "forest": [-1, 0, -1], "roots alone": [-1, -1, -1]}
@@ -100,7 +100,7 @@ class Tiny:
         tree = self.model.tree
         if tree is None:
             return self.frames * self.bones * KINDS[self.kind]
-        joints = 0 if self.constraints.joints else len(tree.non_roots)
+        joints = 0 if self.constraints.lock_joints else len(tree.non_roots)
         return 3 * (self.frames * (self.bones + len(tree.roots)) + joints)
 
     def shaped(self, x: np.ndarray) -> np.ndarray:
@@ -128,7 +128,7 @@ class Tiny:
         points = tree.points.copy()
         size = 3 * (self.bones + len(tree.roots))
         of_frames = x[: self.frames * size].reshape(self.frames, size)
-        if not self.constraints.joints:
+        if not self.constraints.lock_joints:
             points[tree.non_roots] += x[self.frames * size :].reshape(-1, 3)
         turns = _rotations(of_frames[:, : 3 * self.bones].reshape(self.frames, self.bones, 3))
         shifts = of_frames[:, 3 * self.bones :].reshape(self.frames, -1, 3)
@@ -151,7 +151,7 @@ class Tiny:
         for i in range(self.n):
             used = int((self.model.weights[i] > 0).sum())
             out += [(i, q) for q in range(1, used) if not keep[i]]
-            if not self.constraints.rest:
+            if not self.constraints.lock_rest:
                 out += [(i, -c) for c in (3, 2, 1)]
             if self.data.normals is not None:
                 out += [(i, -c) for c in (6, 5, 4)]

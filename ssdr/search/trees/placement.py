@@ -207,7 +207,7 @@ def step_with_joint_penalty(
         u[j, k] -= block
         u[k, j] -= block
     sweep(model.transforms, u, c, sweeps=_SWEEPS)
-    if not constraints.joints:
+    if not constraints.lock_joints:
         model.tree = refit_joints(model.transforms, tree)
     vertex_step(data, model, constraints=constraints)
 

@@ -42,7 +42,7 @@ class ChainTangent(Tangent):
         tree = model.hierarchy
         assert tree.rigid
         self._parents, self._order, self._roots = tree.parents, tree.order, tree.roots
-        self.joints = tree.non_roots[:0] if constraints.joints else tree.non_roots
+        self.joints = tree.non_roots[:0] if constraints.lock_joints else tree.non_roots
         self.penalty = JointPenalty.none(len(self.joints))
 
     def image(self, x: Array) -> Array:

@@ -34,7 +34,9 @@ def few_vertices(d: Descent, schedule: Schedule) -> None:
 def descent(rest: bool = False) -> Descent:
     data = gather([ssdr.MeshSequence(strip())], bones=BONES, compress=False)
     initial = Initial(rest=data.frame(3).copy() if rest else None)
-    return descent_of(data, BONES, INFLUENCES, constraints=Constraints(rest=rest), initial=initial)
+    return descent_of(
+        data, BONES, INFLUENCES, constraints=Constraints(lock_rest=rest), initial=initial
+    )
 
 
 def followed(*parts: Schedule, rest: bool = False) -> Descent:

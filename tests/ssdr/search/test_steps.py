@@ -77,7 +77,7 @@ def folded(*, smoothness: float = 0.0) -> Descent:
     data = dataclasses.replace(data, surface=RestSurface.build(data.faces, data.frame(0)))
     model = solved(data, 3)
     model.rest[60] += 1.5 * (model.rest[61] - model.rest[60])
-    optimise_vertices(data, model, constraints=Constraints(rest=True), entering=0)
+    optimise_vertices(data, model, constraints=Constraints(lock_rest=True), entering=0)
     d = descent_of(data, 3)
     d.smoothness = WeightSmoothness.build(data, data.faces, smoothness)
     d.objective = Objective(Constraints(), d.smoothness)

@@ -40,7 +40,7 @@ def test_gauge_moves_nothing_and_makes_the_mean_stretch_one(kind: str) -> None:
         model.rest[:20].mean(axis=0), rest[:20].mean(axis=0), atol=1e-9
     )
     again = model.copy()
-    for held in (FREE, Constraints(bone_model="affine", rest=True)):
+    for held in (FREE, Constraints(bone_model="affine", lock_rest=True)):
         normalise_gauge(again, importance, held)
         assert np.array_equal(again.rest, model.rest)
 

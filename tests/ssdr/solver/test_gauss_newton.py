@@ -69,7 +69,7 @@ def test_steps_descend_and_leave_what_is_fixed(tiny: Tiny) -> None:
         assert newton.objective.value(tiny.data, model) == pytest.approx(values[-1], rel=1e-12)
     assert (np.diff(values) <= 0).all()
     assert values[-1] < 0.99 * values[0]
-    surface = None if tiny.constraints.rest else tiny.data.surface
+    surface = None if tiny.constraints.lock_rest else tiny.data.surface
     pose = None if surface is None else surface.pose
     assert terms.value(tiny.data, model, pose) == pytest.approx(values[-1], rel=1e-7)
     inner = np.stack([tiny.data.frame(t) for t in range(tiny.frames)])
@@ -82,12 +82,12 @@ def test_steps_descend_and_leave_what_is_fixed(tiny: Tiny) -> None:
     assert np.array_equal(model.indices[keep], before.indices[keep])
     assert model.weights.min() >= 0
     assert np.abs(model.weights.sum(axis=1) - 1).max() < 1e-12
-    if tiny.constraints.rest:
+    if tiny.constraints.lock_rest:
         assert np.array_equal(model.rest, before.rest)
     check_kind(model.transforms, tiny.constraints.bone_model)
     if model.tree is not None:
         assert joint_gaps(model.transforms, model.tree.parents, model.tree.points).max() < 1e-13
-        if tiny.constraints.joints:
+        if tiny.constraints.lock_joints:
             assert np.array_equal(model.tree.points, before.tree.points)
 
 

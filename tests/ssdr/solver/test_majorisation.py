@@ -31,7 +31,7 @@ CASES = {
     "compressed": Case(compressed=True),
     "compressed, importance": Case(compressed=True, counts="some"),
     "locked": Case(constraints=LOCKED),
-    "locked rest pose": Case(constraints=Constraints(rest=True)),
+    "locked rest pose": Case(constraints=Constraints(lock_rest=True)),
 }
 STEPS = {
     "vertex step": lambda data, model, constraints: vertex_step(

@@ -121,5 +121,5 @@ def test_there_are_pulls_only_on_a_free_rest_pose_with_a_surface_and_errors() ->
     unknown = dataclasses.replace(model, error=np.full(20, np.inf))
     few = dataclasses.replace(data, importance=np.arange(20) % 2 * 2.0)
     assert (rest_pulls(few, unknown, FREE) == 0).all()
-    assert (rest_pulls(data, model, Constraints(rest=True)) == 0).all()
+    assert (rest_pulls(data, model, Constraints(lock_rest=True)) == 0).all()
     assert (rest_pulls(dataclasses.replace(data, surface=None), model, FREE) == 0).all()
