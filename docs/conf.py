@@ -85,7 +85,7 @@ def fit_to_restructuredtext(
         lines[k] = "".join(pieces)
 
 
-# Where the page stands that ``garmentnet view`` writes; without what that needs there is none.
+# Where the page of docs/gallery/live stands; without what that needs there is none.
 DRESS = "<!-- live: dress -->"
 _HAS_GARMENTNET = all(importlib.util.find_spec(name) for name in ("safetensors", "typer"))
 
@@ -122,7 +122,7 @@ def write_live_pages(app: Any, error: Exception | None) -> None:
             assert still is not None, page
             shutil.copy(f"{still['name']}.html", Path(app.outdir, "docs", "gallery"))
     if _HAS_GARMENTNET:
-        command = [sys.executable, "-m", "garmentnet", "view", "dress", "-o"]
+        command = [sys.executable, "docs/gallery/live/page.py", "dress", "-o"]
         target = str(Path(app.outdir, "docs", "dress.html"))
         subprocess.run([*command, target], cwd=ROOT, check=True)
 

@@ -19,8 +19,8 @@ from garmentnet.configs.config import FeatureOptions
 from garmentnet.data.clip import Clip
 from garmentnet.data.virtual_bones import VirtualBones
 from garmentnet.evaluation.methods import Method
-from garmentnet.networks.detail_basis import SurfaceTurns
 from garmentnet.networks.features import Normaliser, PoseFeatures, transforms_in_frame
+from garmentnet.networks.skinning import TorchSkinning, turn, turn_back
 
 __all__ = ["MotionMatching", "Windows"]
 
@@ -99,7 +99,7 @@ class MotionMatching(Method):
         s, store = bones.skinning, bones.store
         self.bones, self.count = bones, count
         self.features = PoseFeatures(store.skeleton, features, store.fps)
-        self.turns = SurfaceTurns(s.indices, s.weights, s.n_bones, np.arange(s.n_vertices))
+        self.lbs = TorchSkinning.of(s)
         read, chosen, local, detail = [], [], [], []
         for clip, some in store.sample(names, frames):
             x, frame, _ = self.features(clip.joints)
@@ -108,7 +108,7 @@ class MotionMatching(Method):
             read.append(x)
             chosen.append(some)
             local.append(transforms_in_frame(m, frame[some]))
-            detail.append(np.einsum("fvji,fvj->fvi", self._turn(m), high))
+            detail.append(turn_back(self._blend(m), torch.from_numpy(high)).numpy())
         self.scale = Normaliser.fit(read, floor=features.floor, clamp=features.clamp)
         self.windows = Windows([self.scale(x) for x in read], chosen=chosen)
         self.local, self.detail = np.concatenate(local), np.concatenate(detail)
@@ -123,10 +123,10 @@ class MotionMatching(Method):
         world[..., 3:] += t
         s = bones.skinning
         low = np.asarray(ssdr.skin(s.rest, s.indices, s.weights, world), np.float32)
-        high = np.empty_like(low)
-        for f, turn in enumerate(self._turn(world)):
-            mixed = np.einsum("k,kvi->vi", weight[f], self.detail[index[f]])
-            high[f] = np.einsum("vij,vj->vi", turn, mixed)
+        mixed = np.stack(
+            [np.tensordot(w, self.detail[k], 1) for w, k in zip(weight, index, strict=True)]
+        )
+        high = turn(self._blend(world), torch.from_numpy(mixed).float()).numpy()
         if bones.bound is not None:
             high = bones.bound.place(low + high, clip.joints) - low
         return low, high
@@ -135,6 +135,5 @@ class MotionMatching(Method):
         low, high = self.split(clip, self.bones)
         return low + high
 
-    def _turn(self, transforms: Any) -> Array:
-        m = torch.from_numpy(np.asarray(transforms, np.float32))
-        return np.asarray(self.turns(m).numpy())
+    def _blend(self, transforms: Any) -> torch.Tensor:
+        return self.lbs.blend(torch.from_numpy(np.asarray(transforms, np.float32)))

@@ -18,7 +18,6 @@ from .exporting import export
 from .importing import import_clips
 from .learning import demo, evaluate, predict, train
 from .models import models
-from .viewing import view
 
 app = typer.Typer(
     rich_markup_mode=None,
@@ -28,7 +27,7 @@ app = typer.Typer(
 
 
 _COMMANDS = (
-    train, evaluate, predict, view, export, demo, models
+    train, evaluate, predict, export, demo, models
 )  # fmt: skip
 for _command in _COMMANDS:
     app.command()(_command)

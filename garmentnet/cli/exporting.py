@@ -15,7 +15,7 @@ from .learning import entered_parameters
 def export(
     model: Annotated[Path, typer.Argument(metavar="MODEL", help="Checkpoint, or dress.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="dress.onnx, .glb or .gltf")],
-    bits: Annotated[int, typer.Option(help="Of an .onnx: of stored weights, 32, 16 or 8.")] = 32,
+    bits: Annotated[int, typer.Option(help="Of an .onnx: of stored weights, 32 or 16.")] = 32,
     motion: Annotated[
         Path | None, typer.Option(help="Of a .glb: a file as for predict; else the one that ships.")
     ] = None,
@@ -28,17 +28,17 @@ def export(
     time_scale: Annotated[float | None, typer.Option(help="Of a .glb.")] = None,
 ) -> None:
     """Write a garment for engines: .onnx predicts there, .glb plays one motion."""
-    from ..runtime import load_live
-    from ..runtime.onnx_file import export_onnx
+    from ..networks.checkpoint import load_checkpoint
 
     suffix = output.suffix.lower()
     if suffix == ".onnx":
-        path = export_onnx(load_live(model), output, bits=bits)
+        from ..runtime.onnx_file import export_onnx
+
+        path = export_onnx(load_checkpoint(model), output, bits=bits)
         typer.echo(f"{path}: {path.stat().st_size / 1e6:.1f} MB, {bits}-bit weights")
         return
     if suffix not in (".glb", ".gltf"):
         raise InputError("--output", "a file .onnx, .glb or .gltf", str(output))
-    from ..networks.checkpoint import load_checkpoint
     from ..prediction.motion_file import read_motion
     from ..prediction.prediction import chosen_parameters, predict
     from ..prediction.rigged import rigged, save_rigged

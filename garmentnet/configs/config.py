@@ -66,8 +66,7 @@ class LowOptions:
 
     hidden: int = 600
     rotation: Literal["euler", "sixd"] = "euler"
-    relative_to: Literal["frame", "joints", "auto"] = "frame"
-    symmetric: bool = False
+    relative_to: Literal["frame", "joints"] = "frame"
     laplacian: float = 1.0
     dropout: float = 0.0
 
@@ -160,8 +159,6 @@ class Config:
                 for number in value if isinstance(value, tuple) else (value,):
                     if type(number) is int and number < low:
                         raise InputError(name, f"an integer >= {low}", number)
-        if self.low.symmetric and self.low.hidden % 2:
-            raise InputError("low.hidden", "an even number where low.symmetric", self.low.hidden)
         if self.high.kind == "basis" and self.high.collision:
             expected = 'collision = 0 where kind = "basis", which computes no mesh in training'
             raise InputError("high.collision", expected, self.high.collision)

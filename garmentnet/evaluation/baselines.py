@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial import cKDTree
 
 import ssdr
@@ -21,7 +24,6 @@ from ..data.virtual_bones import VirtualBones
 from ..networks.features import PoseFeatures, transforms_in_frame
 from ..networks.low_frequency import BoneCode
 from ..networks.skinning import TorchSkinning, apply_frame, remove_frame
-from ..training.linear import LinearFit
 from .methods import Method
 
 _INFLUENCES = 8  # joints per vertex, as many as engines support
@@ -36,6 +38,12 @@ _MEAN_FRAMES = 4000
 _STATIC = FeatureOptions(
     rotation="sixd", heading_free=True, translation=False, floor=0.01, clamp=5.0, frame="heading"
 )
+
+# Penalties per frame that are tried, from a negligible to a dominant one.
+_PENALTIES = 10.0 ** np.arange(-6, 2)
+# Smallest deviation by which an input is divided, and largest value of one that is.
+_FLOOR, _CLAMP = 0.01, 5.0
+Array = NDArray[np.float64]
 
 
 class MeanShape(Method):
@@ -96,6 +104,64 @@ class BodySkinned(Method):
         s = self.skinning
         m = np.asarray(clip.joints, np.float64)
         return np.asarray(ssdr.skin(s.rest, s.indices, s.weights, m), np.float32)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LinearFit:
+    """An affine map of inputs that are scaled and clamped.
+
+    Attributes
+    ----------
+    centre, scale : (D,) float64
+    matrix : (D, O) float64
+    mean : (O,) float64
+    error : float
+        Root of the mean squared length of the residuals on the pairs for validation.
+
+    Examples
+    --------
+    >>> x = np.linspace(-1, 1, 50)[:, None]
+    >>> fit = LinearFit.of([(x, 3 * x + 2)], [(x, 3 * x + 2)])
+    >>> fit(np.array([[0.5]])).round(3).tolist()
+    [[3.5]]
+    """
+
+    centre: Array
+    scale: Array
+    matrix: Array
+    mean: Array
+    error: float
+
+    @classmethod
+    def of(
+        cls, learned: Sequence[tuple[Array, Array]], held: Sequence[tuple[Array, Array]]
+    ) -> LinearFit:
+        """The map with the least error on pairs (F, D), (F, O) that are held back from the fit.
+
+        Without any the smallest penalty is taken.
+        """
+        x, y = (np.concatenate([pair[k] for pair in learned]) for k in (0, 1))
+        centre, scale = x.mean(axis=0), np.maximum(x.std(axis=0), _FLOOR)
+        first = cls(centre, scale, np.zeros((x.shape[1], y.shape[1])), y.mean(axis=0), math.inf)
+        z = first._scaled(x)
+        gram, right = z.T @ z, z.T @ (y - first.mean)
+        best = first
+        for penalty in len(z) * _PENALTIES:
+            factor = cho_factor(gram + penalty * np.eye(len(gram)))
+            found = dataclasses.replace(first, matrix=np.asarray(cho_solve(factor, right)))
+            gaps = [found(a) - b for a, b in held]
+            squares = np.concatenate([np.square(g).sum(axis=1) for g in gaps] or [np.zeros(1)])
+            error = math.sqrt(float(squares.mean()))
+            if error < best.error:
+                best = dataclasses.replace(found, error=error)
+        return best
+
+    def _scaled(self, x: Array) -> Array:
+        return np.asarray(((x - self.centre) / self.scale).clip(-_CLAMP, _CLAMP))
+
+    def __call__(self, x: Array) -> Array:
+        """Outputs (F, O) of inputs (F, D)."""
+        return np.asarray(self._scaled(x) @ self.matrix + self.mean)
 
 
 class Ridge(Method):

@@ -7,14 +7,15 @@ from abc import ABC, abstractmethod
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 import ssdr
 
 from ..data.clip import Clip
 from ..data.virtual_bones import VirtualBones
 from ..networks.checkpoint import Checkpoint
-from ..networks.detail_basis import SurfaceTurns
 from ..networks.network import NetworkOutput
+from ..networks.skinning import TorchSkinning, turn, turn_back
 
 # Number of training frames, evenly spread, of which the mean detail is taken.
 _MEAN_FRAMES = 1000
@@ -108,23 +109,22 @@ class MeanDetail(BonesThemselves):
 
     def __init__(self, bones: VirtualBones) -> None:
         super().__init__(bones)
-        s = bones.skinning
-        self.turns = SurfaceTurns(s.indices, s.weights, s.n_bones, np.arange(s.n_vertices))
-        total, frames = np.zeros((s.n_vertices, 3)), 0
+        self.lbs = TorchSkinning.of(bones.skinning)
+        total, frames = np.zeros((bones.skinning.n_vertices, 3)), 0
         for clip, some in bones.store.sample(bones.report["clips"], _MEAN_FRAMES):
             low, high = bones.split(clip.name, some)
-            total += np.einsum("fvji,fvj->vi", self._turn(bones.fit(low)), high)
+            total += turn_back(self._blend(bones.fit(low)), torch.from_numpy(high)).sum(0).numpy()
             frames += len(some)
         self.mean: Array = np.asarray(total / frames, np.float32)
 
     def split(self, clip: Clip, bones: VirtualBones) -> tuple[Array, Array]:
         """The skinned bones and the mean detail, turned with them."""
         low, _ = super().split(clip, bones)
-        turned = np.einsum("fvij,vj->fvi", self._turn(bones.transforms(clip.name)), self.mean)
-        return low, np.asarray(turned, np.float32)
+        blend = self._blend(bones.transforms(clip.name))
+        return low, np.asarray(turn(blend, torch.from_numpy(self.mean)).numpy())
 
-    def _turn(self, transforms: Array) -> Array:
-        return np.asarray(self.turns(torch.from_numpy(transforms)).numpy())
+    def _blend(self, transforms: Array) -> Tensor:
+        return self.lbs.blend(torch.from_numpy(transforms))
 
 
 def _detail(motion: NetworkOutput) -> Array:

@@ -128,7 +128,7 @@ class Checkpoint(Predictor):
         chosen = np.asarray(joints) if frames is None else np.asarray(joints)[frames]
         body = torch.from_numpy(transforms_in_frame(chosen, frame)).float().to(first.device)
         # LBS is linear in the transforms, so Σ Ψ̄ LBS(M_i) = LBS(Σ Ψ̄ M_i) is skinned once.
-        low = first.carry(first.lbs(transforms), body)
+        low = first.skinning(torch.cat([transforms, body], dim=-3))
         return NetworkOutput(transforms, low, high, frame), tuple(states)
 
 

@@ -9,51 +9,10 @@ global features.
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
 import torch
-from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import Tensor
 
 from .gru import GRULinear
-from .skinning import matrix_from_sixd
-
-
-class SurfaceTurns(nn.Module):
-    """Rotations of the skinned surface at some vertices: blended rotations, made orthonormal.
-
-    Parameters
-    ----------
-    indices, weights : (V, K) arrays
-        Skin weights on the virtual bones.
-    n_bones : int
-    vertices : (n,) int array
-        Vertices whose rotations are computed.
-
-    Examples
-    --------
-    >>> turns = SurfaceTurns([[0]], [[1.0]], 1, np.array([0]))
-    >>> turns(torch.eye(3, 4).expand(2, 1, 3, 4)).shape
-    torch.Size([2, 1, 3, 3])
-    """
-
-    blend: Tensor
-
-    def __init__(self, indices: Any, weights: Any, n_bones: int, vertices: NDArray[Any]) -> None:
-        super().__init__()
-        dense = np.zeros((len(vertices), n_bones))
-        rows = np.arange(len(vertices))[:, None]
-        np.add.at(dense, (rows, np.asarray(indices)[vertices]), np.asarray(weights)[vertices])
-        self.register_buffer("blend", torch.from_numpy(dense).float(), persistent=False)
-
-    def forward(self, transforms: Tensor) -> Tensor:
-        """Rotations ``(F, n, 3, 3)`` under transforms ``(F, B, 3, 4)`` of the bones."""
-        # Two columns are enough: the third follows.
-        columns = transforms[..., :2].transpose(-1, -2).flatten(-2)
-        flat = columns.transpose(0, 1).flatten(1)
-        blended = (self.blend @ flat).view(len(self.blend), -1, 6).transpose(0, 1)
-        return matrix_from_sixd(blended)
 
 
 class DetailBasis(GRULinear):

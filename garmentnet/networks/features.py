@@ -11,21 +11,26 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from ssdr.common.errors import InputError
 
 from ..configs.config import FeatureOptions
 from ..data.skeleton import Skeleton, check_joints
-from .pose_kernels import pose_features
 
 Array = NDArray[np.float64]
-# Moving frames of the output, in the order of their numbers in the kernels.
-FRAMES = ("world", "root", "heading")
+# Length of the twist's sine and cosine, at most 2, below which the body is upside down.
+_UPSIDE_DOWN = 1e-12
+_TINY = 1e-30  # against a division by 0
 
 
 class PoseFeatures:
     """Features of a pose, and the moving frame in which the network predicts.
+
+    A state is one row: the root's position in the first frame (3); then of the frame before, the
+    root's position (3), velocity (3) and rotation (9), and the features of the rotations.
 
     Parameters
     ----------
@@ -48,14 +53,10 @@ class PoseFeatures:
     """
 
     def __init__(self, skeleton: Skeleton, options: FeatureOptions, fps: float) -> None:
-        self.skeleton, self.options, self.fps, o = skeleton, options, float(fps), options
-        self.read = np.array(skeleton.read(o.joints), np.int64)
-        self._parents = skeleton.parents.astype(np.int64)
-        self._code = len(self.read) * (3 if o.rotation == "vector" else 6)
-        self._options = (
-            o.rotation == "sixd", o.heading_free, o.translation, o.velocities, o.root_motion
-        )  # fmt: skip
-        self._frame = FRAMES.index(o.frame)
+        self.skeleton, self.options, self.fps = skeleton, options, float(fps)
+        self.read = skeleton.read(options.joints)
+        self._above = skeleton.parents[self.read[1:]].tolist()
+        self._code = len(self.read) * (3 if options.rotation == "vector" else 6)
 
     @property
     def size(self) -> int:
@@ -65,7 +66,7 @@ class PoseFeatures:
 
     @property
     def state_size(self) -> int:
-        """Numbers of a state, as :mod:`garmentnet.networks.pose_kernels` describes it."""
+        """Numbers of a state."""
         return 18 + self._code
 
     def __call__(self, joints: Any, state: Array | None = None) -> tuple[Array, Array, Array]:
@@ -91,18 +92,86 @@ class PoseFeatures:
         InputError
             If a shape does not fit, a number is not finite or a joint not rigid.
         """
-        return self.of(check_joints(joints, self.skeleton.n_joints), state)
+        m = torch.tensor(check_joints(joints, self.skeleton.n_joints))
+        x, frame, new = self.of(m, None if state is None else torch.tensor(state))
+        return x.numpy(), frame.numpy(), new.numpy().copy()
 
-    def of(self, joints: Array, state: Array | None) -> tuple[Array, Array, Array]:
-        """As a call, for joints that are known to be those of the body and rigid."""
-        n, begins = len(joints), state is None
-        states, out = np.empty((n, self.state_size)), np.empty((n, self.size))
-        frames, before = np.empty((n, 3, 4)), states[0] if state is None else state
-        pose_features(
-            np.ascontiguousarray(joints), self.skeleton.rest, self._parents, self.read,
-            self._options, self._frame, self.fps, begins, before, states, out, frames,
-        )  # fmt: skip
-        return out, frames, states[-1].copy()
+    def of(
+        self, m: Tensor, state: Tensor | None, begins: Tensor | None = None
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """As a call, for tensors of rigid joints; where the mask `begins` holds, from rest."""
+        o, turns, count = self.options, m[..., :3], len(m)
+        root = turns[:, 0]
+        place = root @ torch.as_tensor(self.skeleton.rest[0], dtype=m.dtype) + m[:, 0, :, 3]
+        heading, upright = _heading(root), torch.eye(3, dtype=m.dtype).expand(count, 3, 3)
+        base = heading if o.heading_free else upright
+        above = torch.cat([base[:, None], turns[:, self._above]], dim=1)
+        local = above.transpose(-1, -2) @ turns[:, self.read]
+        columns = local[..., :2].transpose(-1, -2)
+        code = (columns if o.rotation == "sixd" else rotation_vector(local)).flatten(1)
+        flat = root.flatten(1)
+        # A motion that starts has been at rest in its first pose.
+        own = torch.cat([place, place, torch.zeros_like(place), flat, code], dim=1)
+        before = own[0] if state is None else state
+        if begins is not None:
+            before = torch.where(begins, own[0], before)
+        past = torch.cat([before[None], own[:-1]])
+        velocity = (place - past[:, 3:6]) * self.fps
+        slower = torch.cat([before[None, 6:9], velocity[:-1]])
+        start = before[None, :3].expand(count, 3)
+        states = torch.cat([start, place, velocity, flat, code], dim=1)
+        parts = [place - start] * o.translation + [code]
+        if o.velocities:
+            parts.append((code - past[:, 18:]) * self.fps)
+        if o.root_motion:
+            spin = root @ past[:, 9:18].reshape(-1, 3, 3).transpose(-1, -2)
+            moves = velocity, (velocity - slower) * self.fps, rotation_vector(spin) * self.fps
+            seen = [(v[:, None] @ heading)[:, 0] for v in moves]
+            parts += [*seen, seen[2] ** 2]
+        turn = {"world": upright, "root": root, "heading": heading}[o.frame]
+        origin = torch.zeros_like(place) if o.frame == "world" else place
+        frame = torch.cat([turn, origin[..., None]], dim=-1)
+        return torch.cat(parts, dim=1), frame, states[-1]
+
+
+def _heading(root: Tensor) -> Tensor:
+    """Rotations ``(F, 3, 3)`` about y that are nearest to the root's; none if upside down."""
+    both = torch.stack([root[:, 0, 2] - root[:, 2, 0], root[:, 0, 0] + root[:, 2, 2]])
+    size = both.square().sum(0).sqrt()
+    sine, cosine = both / size.clamp(min=_TINY)
+    there = size > _UPSIDE_DOWN
+    nothing, one = torch.zeros_like(sine), torch.ones_like(sine)
+    sine, cosine = torch.where(there, sine, nothing), torch.where(there, cosine, one)
+    rows = [cosine, nothing, sine, nothing, one, nothing, -sine, nothing, cosine]
+    return torch.stack(rows, dim=-1).reshape(-1, 3, 3)
+
+
+def rotation_vector(r: Tensor) -> Tensor:
+    """Axis times angle ``(..., 3)``, 0 to π, of matrices, by way of the quaternion's largest part.
+
+    Examples
+    --------
+    >>> rotation_vector(torch.tensor([[[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]])).round(decimals=3)
+    tensor([[0.0000, 1.5710, 0.0000]])
+    """
+    a, b, c = r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]
+    trace = a + b + c
+    x, y, z = (r[..., i, j] - r[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0)))
+    xy, xz, yz = (r[..., i, j] + r[..., j, i] for i, j in ((0, 1), (0, 2), (1, 2)))
+    # Four multiples of the same quaternion w, x, y, z.
+    rows = (
+        (1 + trace, x, y, z),
+        (x, 1 + 2 * a - trace, xy, xz),
+        (y, xy, 1 + 2 * b - trace, yz),
+        (z, xz, yz, 1 + 2 * c - trace),
+    )
+    every = torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
+    largest = torch.stack([trace, a, b, c], dim=-1).argmax(-1)
+    q = every.gather(-2, largest[..., None, None].expand(*largest.shape, 1, 4))[..., 0, :]
+    w, v = q[..., :1], q[..., 1:]
+    sine = v.square().sum(-1, keepdim=True).sqrt()
+    angle = 2 * torch.atan(sine / w.abs().clamp(min=_TINY))
+    return v * (angle / sine.clamp(min=_TINY)) * torch.where(w < 0, -1.0, 1.0).to(w)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -11,15 +11,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from ssdr.common.errors import InputError
-
 from ..configs.config import Config
 from ..data.subject import Subject
-from .detail_basis import DetailBasis, SurfaceTurns
+from .detail_basis import DetailBasis
 from .features import Normaliser, PoseFeatures, PoseReader, transforms_in_frame
 from .high_frequency import HighFrequency
 from .low_frequency import BoneCode, LowFrequency
-from .skinning import TorchSkinning, apply_frame
+from .skinning import TorchSkinning, apply_frame, moved, turn
 
 # Frames that are predicted at once, which bounds the memory; results do not depend on it.
 FRAMES_AT_ONCE = 128
@@ -141,35 +139,29 @@ class MotionNetwork(nn.Module, PoseReader, Predictor):
     (5, 3, 3)
     """
 
-    bound: Tensor
+    gap: Tensor
+    order: Tensor
 
     def __init__(self, config: Config, subject: Subject, normaliser: Normaliser) -> None:
         nn.Module.__init__(self)
-        if config.low.relative_to == "auto":
-            raise InputError("low.relative_to", "frame or joints", "auto, which training replaces")
         features = PoseFeatures(subject.skeleton, config.features, subject.fps)
         PoseReader.__init__(self, features, normaliser, 3 if config.data.condition else 0)
         self.config, self.subject = config, subject
         garment = subject.garment
-        self.lbs = TorchSkinning.of(garment)
         follows = config.low.relative_to == "joints"
         code = BoneCode(garment.centroids(), config.low.rotation, follows=follows)
         self.low = LowFrequency(self.size, config.low.hidden, code)
         self.high: HighFrequency | DetailBasis | None = None
-        bound = subject.bound
-        self.free = subject.free
-        self.turns = SurfaceTurns(garment.indices, garment.weights, garment.n_bones, self.free)
-        self.carried: TorchSkinning | None = None
-        if bound is not None:
-            # Smoothed and true rest positions of the bound vertices, stacked.
-            self.carried = TorchSkinning(
-                np.concatenate([bound.smooth, bound.rest]),
-                np.tile(bound.indices, (2, 1)),
-                np.tile(bound.weights, (2, 1)),
-                subject.body.n_bones,
-            )
-            index = torch.from_numpy(bound.index.astype(np.int64))
-            self.register_buffer("bound", index, persistent=False)
+        # All vertices on the virtual bones and, behind these, on the joints of the body.
+        rest, bones, weights = subject.skin(smooth=True)
+        count = garment.n_bones + subject.body.n_bones
+        self.skinning = TorchSkinning(rest, bones, weights, count)
+        self.free, self.bound = subject.free, np.flatnonzero(subject.carried)
+        # What smoothing at rest leaves of the bound vertices, and where free and bound ones go.
+        gap = subject.skin(smooth=False)[0][self.bound] - rest[self.bound]
+        order = np.argsort(np.concatenate([self.free, self.bound]))
+        self.register_buffer("gap", torch.from_numpy(gap.astype(np.float32)), persistent=False)
+        self.register_buffer("order", torch.from_numpy(order), persistent=False)
 
     def add_high(self) -> HighFrequency | DetailBasis:
         """Add the high-frequency module with random weights, on the CPU, and return it."""
@@ -196,47 +188,26 @@ class MotionNetwork(nn.Module, PoseReader, Predictor):
     def device(self) -> torch.device:
         return next(self.low.parameters()).device
 
-    def mesh(self, z: Tensor, joints: Tensor | None = None) -> Tensor:
-        """Skinned mesh ``(..., V, 3)`` of normalised bone motion, in the moving frame.
-
-        Vertices bound to the body are skinned by the virtual bones, too; see :meth:`carry`.  Joints
-        ``(..., J, 3, 4)`` of the body, in the moving frame, are needed by bones that follow them.
-        """
-        return torch.as_tensor(self.lbs(self.low.code(z, joints)))
-
-    def carry(self, mesh: Tensor, joints: Tensor, part: str = "low") -> Tensor:
-        """Copy of `mesh` in which the vertices bound to the body are placed by its joints.
+    def blend(self, z: Tensor, joints: Tensor) -> Tensor:
+        """Columns ``(..., 4, 3, V)`` of all vertices' transforms, in the moving frame.
 
         Parameters
         ----------
-        mesh : (F, V, 3)
-            The low- or high-frequency part of the garment.
-        joints : (F, J, 3, 4)
-            Transforms of the body's joints in the moving frame.
-        part : {"low", "high"}
-            Which of the two parts `mesh` is.
+        z : (..., B, C)
+            Normalised bone motion.
+        joints : (..., J, 3, 4)
+            Joints of the body in the moving frame, which carry the vertices bound to them.
         """
-        if self.carried is None:
-            return mesh
-        smooth, true = self.carried(joints).chunk(2, dim=1)
-        return mesh.index_copy(1, self.bound, smooth if part == "low" else true - smooth)
+        return self.skinning.blend(torch.cat([self.low.code(z, joints), joints], dim=-3))
 
-    def turned(self, numbers: Tensor, transforms: Tensor) -> Tensor:
-        """Detail ``(F, V, 3)`` in the moving frame; 0 at vertices bound to the body.
+    def mesh(self, z: Tensor, joints: Tensor) -> Tensor:
+        """Low-frequency mesh ``(..., V, 3)``; arguments as for :meth:`blend`."""
+        return moved(self.blend(z, joints), self.skinning.rest)
 
-        Parameters
-        ----------
-        numbers : (F, rank)
-            Weights of the basis.
-        transforms : (F, B, 3, 4)
-            Transforms of the virtual bones.
-        """
-        assert isinstance(self.high, DetailBasis)
-        local = self.high.local(numbers)
-        detail = (self.turns(transforms) @ local[..., None])[..., 0]
-        out = detail.new_zeros(len(detail), self.subject.garment.n_vertices, 3)
-        out[:, self.free] = detail
-        return out
+    def _detail(self, own: Tensor, blend: Tensor) -> Tensor:
+        """Detail ``(F, V, 3)`` in the moving frame, of the free vertices' and the bound ones'."""
+        held = moved(blend[..., self.bound], self.gap, turned=True)
+        return torch.cat([own, held], dim=1).index_select(1, self.order)
 
     def high_inputs(self, x: Tensor, z: Tensor) -> Tensor:
         """Input ``(N, T, D)`` of the high-frequency module's GRU."""
@@ -279,24 +250,55 @@ class MotionNetwork(nn.Module, PoseReader, Predictor):
         """
         state = state or NetworkState()
         features, frame, pose = self.features(joints, state.pose)
-        x = torch.from_numpy(self.inputs(features, parameters)).to(self.device)[None]
+        x = torch.from_numpy(self.inputs(features, parameters)).to(self.device)
         chosen = np.arange(len(frame)) if frames is None else np.asarray(frames, np.int64)
-        index, frame = torch.from_numpy(chosen).to(self.device), frame[chosen]
+        frame = frame[chosen]
         local = transforms_in_frame(np.asarray(joints)[chosen], frame)
         body = torch.from_numpy(local).float().to(self.device)
-        z, low_state = self.low(x, state.low)
-        transforms = self.low.code(z[:, index], body[None])[0]
-        low = self.carry(self.lbs(transforms), body)
-        high, high_state = None, state.high
-        if detail and self.high is not None:
-            inputs = self.high_inputs(x, z)
-            if isinstance(self.high, DetailBasis):
-                numbers, high_state = self.high(inputs, state.high)
-                out = self.turned(numbers[0, index], transforms)
-            else:
-                several, high_state = self.high(inputs, low[None], state.high, index[None])
-                out = several[0]
-            high = self.carry(out, body, "high")
-        return NetworkOutput(transforms, low, high, frame), NetworkState(
-            pose, low_state, high_state
+        index = torch.from_numpy(chosen).to(self.device)
+        transforms, low, high, low_state, high_state = self(
+            x, body, state.low, state.high, index, detail=detail
         )
+        new = NetworkState(pose, low_state, high_state)
+        return NetworkOutput(transforms, low, high, frame), new
+
+    def forward(
+        self,
+        x: Tensor,
+        body: Tensor,
+        low_state: Tensor | None,
+        high_state: Tensor | None,
+        index: Tensor | None = None,
+        *,
+        detail: bool = True,
+    ) -> tuple[Tensor, Tensor, Tensor | None, Tensor, Tensor | None]:
+        """Bones, low part and detail in the moving frame, and the states after the last frame.
+
+        Parameters
+        ----------
+        x : (T, D)
+            Inputs of consecutive frames.
+        body : (F, J, 3, 4)
+            Joints of the body in the moving frame, of the chosen frames.
+        low_state, high_state : (1, 1, H), optional
+        index : (F,) int, optional
+            Frames whose mesh is computed; all by default.
+        detail : bool
+        """
+        z, low_state = self.low(x[None], low_state)
+        some = z[0] if index is None else z[0, index]
+        transforms = self.low.code(some, body)
+        blend = self.skinning.blend(torch.cat([transforms, body], dim=-3))
+        low, high = moved(blend, self.skinning.rest), None
+        if detail and self.high is not None:
+            inputs = self.high_inputs(x[None], z)
+            if isinstance(self.high, DetailBasis):
+                numbers, high_state = self.high(inputs, high_state)
+                numbers = numbers[0] if index is None else numbers[0, index]
+                own = turn(blend[..., self.free], self.high.local(numbers))
+            else:
+                at = None if index is None else index[None]
+                own, high_state = self.high(inputs, low[None], high_state, at)
+                own = own[0][:, self.free]
+            high = self._detail(own, blend)
+        return transforms, low, high, low_state, high_state

@@ -1,6 +1,6 @@
-"""Prediction of a garment frame by frame with NumPy and Numba alone, without torch."""
+"""Prediction of a garment frame by frame from an ONNX file, without torch."""
 
-from .garment import LiveGarment, LiveState, load_live
+from .garment import LiveGarment
 from .player import Player
 
-__all__ = ["LiveGarment", "LiveState", "Player", "load_live"]
+__all__ = ["LiveGarment", "Player"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import numpy as np
@@ -12,10 +11,12 @@ from scipy.spatial.transform import Rotation
 from ssdr.common.errors import InputError
 
 from ..data.parameters import SimulationParameters
-from .garment import LiveGarment, LiveState
+from ..data.skeleton import check_joints
+from .garment import LiveGarment
 
 # Fraction of a network's frame; times that differ by less count as equal.
 _SAME = 1e-6
+Array = NDArray[np.float64]
 
 
 class Player:
@@ -23,10 +24,9 @@ class Player:
 
     The network runs at its own frame rate, on poses interpolated between the given ones.  For a
     pose between two frames of the network, the next frame is predicted from the pose that the body
-    would have then if it kept its speed.  Bones and detail are interpolated linearly between the
-    last frame and this predicted one, which is then discarded.  Vertices are placed on the given
-    pose, without delay.  At the network's own frame rate they are those of
-    :meth:`LiveGarment.step`.
+    would have then if it kept its speed, and discarded.  Vertices lie between those of the two
+    frames, seen from the root and its heading, and are placed on the given pose, without delay.  At
+    the network's own frame rate they are those of :meth:`LiveGarment.step`.
 
     The garment starts anew, from rest, if the root moves faster than `fastest` or turns faster than
     `spin` (a teleport), or if more than `longest` has passed since the last pose (a pause).
@@ -66,8 +66,8 @@ class Player:
 
     def reset(self) -> None:
         """Forget all earlier poses: the next pose starts a motion from rest."""
-        self._state: Any = None
         self._pose: Any = None
+        self._frame: Any = None  # state, vertices and pose of the network's last frame
         self._phase = 0.0  # time since the network's last frame, in frames of the network
 
     def __call__(
@@ -91,45 +91,54 @@ class Player:
         """
         dt = self.dt if dt is None else dt
         _check_positive("dt", dt)
-        g, before, m = self.garment, self._pose, self.garment.checked(pose)
-        if before is None or dt > self.longest or self._jumped(m, dt):
-            self._state, self._pose, self._phase = g.advance(None, m, parameters), m, 0.0
-            return g.vertices(self._state, m)
-        step = dt * g.subject.fps
-        state, end = self._state, self._phase + step
-        for frame in range(1, int(end + _SAME) + 1):
-            state = g.advance(state, self._between(m, (frame - self._phase) / step), parameters)
-        phase = max(0.0, end - int(end + _SAME))
-        shown = state
+        g, frame = self.garment, self._frame
+        m = check_joints(np.asarray(pose)[None], g.skeleton.n_joints)[0]
+        if frame is None or dt > self.longest or self._jumped(m, dt):
+            frame = (*g.step(None, m, parameters), m)
+            self._frame, self._pose, self._phase = frame, m, 0.0
+            return frame[1]
+        step = dt * g.fps
+        end = self._phase + step
+        for k in range(1, int(end + _SAME) + 1):
+            between = self._between(m, (k - self._phase) / step)
+            frame = (*g.step(frame[0], between, parameters), between)
+        phase, vertices = max(0.0, end - int(end + _SAME)), frame[1]
         if phase > _SAME:
             ahead = self._between(m, 1 + (1 - phase) / step)
-            shown = _mixed(state, g.advance(state, ahead, parameters), phase)
-        self._state, self._pose, self._phase = state, m, phase
-        return g.vertices(shown, m)
+            _, other = g.step(frame[0], ahead, parameters)
+            seen = self._seen(frame[1], frame[2]), self._seen(other, ahead)
+            turn, origin = self._root(m)
+            vertices = ((1 - phase) * seen[0] + phase * seen[1]) @ turn.T + origin
+        self._frame, self._pose, self._phase = frame, m, phase
+        return np.asarray(vertices, np.float32)
 
-    def _jumped(self, m: NDArray[np.float64], dt: float) -> bool:
-        a, b, root = self._pose[0], m[0], self.garment.subject.skeleton.rest[0]
+    def _jumped(self, m: Array, dt: float) -> bool:
+        a, b, root = self._pose[0], m[0], self.garment.skeleton.rest[0]
         way = (b[:, :3] - a[:, :3]) @ root + b[:, 3] - a[:, 3]
         cosine = (np.trace(a[:, :3].T @ b[:, :3]) - 1) / 2
         turn = np.arccos(np.clip(cosine, -1, 1))
         return bool(np.linalg.norm(way) > self.fastest * dt or turn > self.spin * dt)
 
-    def _between(self, m: NDArray[np.float64], u: float) -> NDArray[np.float64]:
+    def _between(self, m: Array, u: float) -> Array:
         """Pose at the fraction u of the way from the last pose to `m`; u > 1 extrapolates."""
         if abs(u - 1) < _SAME:
             return m
-        a, rest = self._pose, self.garment.subject.skeleton.rest
+        a, rest = self._pose, self.garment.skeleton.rest
         turn = Rotation.from_matrix(a[:, :, :3].swapaxes(1, 2) @ m[:, :, :3]).as_rotvec()
         r = a[:, :, :3] @ Rotation.from_rotvec(u * turn).as_matrix()
         heads = [(x[:, :, :3] @ rest[..., None])[..., 0] + x[:, :, 3] for x in (a, m)]
         shift = heads[0] + u * (heads[1] - heads[0]) - (r @ rest[..., None])[..., 0]
         return np.concatenate([r, shift[..., None]], axis=2)
 
+    def _root(self, pose: Array) -> tuple[Array, Array]:
+        """Heading (3, 3) and place (3,) of the root."""
+        r = pose[0, :, :3]
+        turn = Rotation.from_euler("y", np.arctan2(r[0, 2] - r[2, 0], r[0, 0] + r[2, 2]))
+        return turn.as_matrix(), r @ self.garment.skeleton.rest[0] + pose[0, :, 3]
 
-def _mixed(a: LiveState, b: LiveState, u: float) -> LiveState:
-    w = np.float32(u)
-    detail = tuple(x + w * (y - x) for x, y in zip(a.detail, b.detail, strict=True))
-    return dataclasses.replace(b, bones=a.bones + w * (b.bones - a.bones), detail=detail)
+    def _seen(self, vertices: Any, pose: Array) -> Array:
+        turn, origin = self._root(pose)
+        return np.asarray((vertices - origin) @ turn)
 
 
 def _check_positive(name: str, value: float) -> None:

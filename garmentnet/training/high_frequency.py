@@ -21,6 +21,7 @@ from ..networks.detail_basis import DetailBasis
 from ..networks.gru import dropout_mask
 from ..networks.high_frequency import HighFrequency
 from ..networks.network import MotionNetwork
+from ..networks.skinning import turn_back
 from .batches import Batch, Track
 from .coefficients import CoefficientObjective
 from .loop import TrainingObjective, mixed_precision
@@ -123,8 +124,7 @@ class HighFrequencyObjective(TrainingObjective):
 
     def _low(self, z: Tensor, joints: Tensor) -> Tensor:
         """Low-frequency mesh ``(N, S, V, 3)``, with bound vertices placed by the body."""
-        mesh = self.network.mesh(z, joints).flatten(0, 1)
-        return self.network.carry(mesh, joints.flatten(0, 1)).unflatten(0, z.shape[:2])
+        return self.network.mesh(z, joints)
 
     def squared_error(self, track: Track) -> Tensor:
         """Mean squared distance ``(F,)`` of the detail, metres².
@@ -207,8 +207,7 @@ class DetailObjective(CoefficientObjective):
         """True detail ``(f, n, 3)`` in the local frames of the predicted surface."""
         detail = _target(self.network, track, z, frames)[:, self.network.free].to(z.device)
         joints = track.joints(frames).to(z.device)
-        turns = self.network.turns(self.network.low.code(z, joints))
-        return (turns.transpose(-1, -2) @ detail[..., None])[..., 0]
+        return turn_back(self.network.blend(z, joints)[..., self.network.free], detail)
 
     @torch.no_grad()
     def _coded(self, track: Track) -> Track:

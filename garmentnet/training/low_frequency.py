@@ -88,7 +88,10 @@ class LowFrequencyObjective(TrainingObjective):
     ) -> None:
         self.network, self.module, self.free = network, network.low, network.free
         basis, laplacian = targets.basis, targets.laplacian
-        skinned = network.lbs.matrix.double().cpu().numpy()[self.free]
+        lbs, count = network.skinning, network.subject.garment.n_bones
+        weights, rest = (x.double().cpu().numpy()[self.free] for x in (lbs.weights, lbs.rest))
+        extended = np.concatenate([rest, np.ones((len(rest), 1))], axis=1)
+        skinned = (weights[:, :count, None] * extended[:, None]).reshape(len(rest), -1)
         shapes = np.concatenate([basis.mean[None], basis.components])[:, self.free].astype(float)
         bent = laplacian @ shapes.transpose(1, 0, 2).reshape(len(self.free), -1)
         bent = bent.reshape(len(self.free), -1, 3).transpose(1, 0, 2)

@@ -31,10 +31,8 @@ from ..io.files import Progress, silent
 from ..networks.checkpoint import Checkpoint, load_weights, save_checkpoint
 from ..networks.features import Normaliser, PoseFeatures, PoseReader, transforms_in_frame
 from ..networks.network import MotionNetwork
-from ..networks.symmetry import reflected_inputs, tie_mirrored
 from .batches import load_tracks
 from .high_frequency import DetailObjective, HighFrequencyObjective
-from .linear import resolve_relative_to
 from .loop import fit
 from .low_frequency import LowFrequencyObjective
 from .targets import LowTargets
@@ -201,20 +199,12 @@ def train(
         subject=None if start is None else start.subject,
         progress=progress,
     )
-    # What the weights to start from were trained with.
-    given = config.low if start is None else start.networks[0].config.low
-    symmetric = given.symmetric and store.mirror_vertices is not None
-    way = given.relative_to if config.low.relative_to == "auto" else config.low.relative_to
-    low = dataclasses.replace(config.low, symmetric=symmetric, relative_to=way)
-    config = resolve_relative_to(dataclasses.replace(config, low=low), bones, names, held)
     # The initial weights depend on the seed alone, not on what ran before.
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(o.seed)
         network = build_network(config, bones, learned).to(device)
     if start is not None:
         load_weights(network, start, "low")
-    if symmetric:
-        tie_mirrored(network.low.gru, *reflected_inputs(network))
     tracks = load_tracks(network, bones, learned)
     validation = load_tracks(network, bones, held)
 

@@ -41,7 +41,7 @@ def toy_config():
             bones=BoneOptions(length=0.03, count=10, influences=4, effort="fast", frames=160),
             # The toy body has other joints.
             features=dataclasses.replace(c.features, joints=()),
-            low=dataclasses.replace(c.low, hidden=64, relative_to="frame", symmetric=False),
+            low=dataclasses.replace(c.low, hidden=64),
             high=dataclasses.replace(c.high, hidden=32, **paper),
             train=dataclasses.replace(c.train, **(defaults | train)),
         )

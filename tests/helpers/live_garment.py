@@ -16,7 +16,6 @@ from garmentnet.data.subject import Subject
 from garmentnet.networks.checkpoint import Checkpoint, save_checkpoint
 from garmentnet.networks.features import Normaliser, PoseFeatures
 from garmentnet.networks.network import MotionNetwork
-from garmentnet.runtime import load_live
 from helpers.cloth_scenes import rigid
 from ssdr import Skinning
 
@@ -116,20 +115,24 @@ def network(*, vertices=150, bones=9, bound=True, condition=False, detail=True, 
 
 def saved(path, **change):
     """Path to which a :func:`network` was saved."""
-    made = network(**change)
-    trained_on = None if made.condition else SimulationParameters()
-    return save_checkpoint(Checkpoint((made,), (trained_on,), None), path)
+    return save_checkpoint(one(network(**change)), path)
 
 
 def ready(model, folder):
-    """The runtime of a network or a checkpoint that is saved in a folder."""
-    if isinstance(model, MotionNetwork):
-        model = Checkpoint((model,), (None if model.condition else SimulationParameters(),), None)
-    return load_live(save_checkpoint(model, folder / "one.safetensors"))
+    """The runtime of a network that is exported to a folder."""
+    from garmentnet.runtime import LiveGarment
+    from garmentnet.runtime.onnx_file import export_onnx
+
+    return LiveGarment(export_onnx(one(model), folder / "one.onnx"))
+
+
+def one(model):
+    """A checkpoint of one network."""
+    return Checkpoint((model,), (None if model.condition else SimulationParameters(),), None)
 
 
 def live(folder, **change):
-    """The runtime of a :func:`network` that was saved in a folder."""
+    """The runtime of a :func:`network` that was exported to a folder."""
     return ready(network(**change), folder)
 
 

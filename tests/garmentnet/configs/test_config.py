@@ -39,7 +39,6 @@ def test_bad_configurations(tmp_path):
         ("[low]\nwidth = 3", FormatError, r"c\.toml.*width"),
         ("[high]\nedge_features = [8, 'x']", FormatError, "edge_features"),
         ("[low]\nhidden = 0", InputError, "hidden"),
-        ("[low]\nsymmetric = true\nhidden = 33", InputError, r"low\.hidden"),
         ("[high]\nkind = 'basis'\ncollision = 0.1", InputError, r"high\.collision.*basis"),
     ):
         file.write_text(text)

@@ -9,7 +9,7 @@ torch = pytest.importorskip("torch")
 
 
 import ssdr
-from garmentnet.evaluation.baselines import BodySkinned, MeanShape, Ridge, body_skinning
+from garmentnet.evaluation.baselines import BodySkinned, LinearFit, MeanShape, Ridge, body_skinning
 from helpers.measures import pooled
 
 TRAIN = [f"base-train-{k}" for k in range(8)]
@@ -53,3 +53,11 @@ def test_ridge_finds_a_linear_rule(toy_bones, toy_store):
     s = toy_bones.skinning
     expected = ssdr.skin(s.rest, s.indices, s.weights, posed(HELD[0]))
     assert pooled(ridge.predict(toy_store.clip(HELD[0])), expected) < 5e-3
+
+
+def test_ridge_is_least_squares_where_nothing_is_gained_by_a_penalty(rng):
+    x = rng.normal(size=(400, 3))
+    y = x @ rng.normal(size=(3, 2)) + [1.0, 2.0]
+    fit = LinearFit.of([(x[:300], y[:300])], [(x[300:], y[300:])])
+    assert fit.error < 1e-4
+    assert np.abs(fit(x) - y).max() < 1e-3

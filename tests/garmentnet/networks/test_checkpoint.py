@@ -209,7 +209,6 @@ def test_a_file_without_a_checksum_is_read(file, toy_network, toy_store, tmp_pat
         lambda t, d: t.update({"network.0.low.code.followed": torch.zeros(10)}),
         lambda t, d: t.update({"network.0.low.code.followed": torch.zeros(10, dtype=torch.uint8)}),
         lambda t, d: t.update({"network.0.low.code.followed": torch.zeros(9, dtype=torch.int64)}),
-        lambda t, d: d["networks"][0]["config"]["low"].update(relative_to="auto"),
         lambda t, d: d["networks"][0].update(clamp=float("inf")),
         lambda t, d: t.update({"network.0.low.code.centres": torch.zeros(10**7, 3)}),
         lambda t, d: t.update({"network.0.features.mean": torch.zeros(3)}),

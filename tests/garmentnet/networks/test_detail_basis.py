@@ -11,7 +11,8 @@ torch = pytest.importorskip("torch")
 
 from scipy.spatial.transform import Rotation
 
-from garmentnet.networks.detail_basis import DetailBasis, SurfaceTurns
+from garmentnet.networks.detail_basis import DetailBasis
+from garmentnet.networks.skinning import TorchSkinning, surface_frame, turn, turn_back
 from garmentnet.training.batches import batches, load_tracks
 from garmentnet.training.high_frequency import DetailObjective
 
@@ -20,8 +21,13 @@ def test_turns_are_the_bones_rotations_where_one_bone_rules():
     rng = np.random.default_rng(0)
     rotations = Rotation.random(6, random_state=0).as_matrix().reshape(2, 3, 3, 3)
     transforms = np.concatenate([rotations, rng.normal(size=(2, 3, 3, 1))], axis=-1)
-    turns = SurfaceTurns([[0, 1], [2, 0], [1, 2]], [[1, 0], [1, 0], [0.5, 0.5]], 3, np.arange(3))
-    got = turns(torch.from_numpy(transforms).float()).numpy()
+    lbs = TorchSkinning(np.zeros((3, 3)), [[0, 1], [2, 0], [1, 2]], [[1, 0], [1, 0], [0.5, 0.5]], 3)
+    blend = lbs.blend(torch.from_numpy(transforms).float())
+    got = torch.stack(surface_frame(blend), dim=-1).transpose(-2, -3).numpy()
+    local = torch.from_numpy(rng.normal(size=(2, 3, 3))).float()
+    turned = turn(blend, local)
+    np.testing.assert_allclose(turned, (got @ local.numpy()[..., None])[..., 0], atol=1e-5)
+    np.testing.assert_allclose(turn_back(blend, turned), local, atol=1e-5)
     np.testing.assert_allclose(got[:, 0], rotations[:, 0], atol=1e-6)
     np.testing.assert_allclose(got[:, 1], rotations[:, 2], atol=1e-6)
     product = got @ got.swapaxes(-1, -2)

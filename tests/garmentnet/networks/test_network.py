@@ -88,13 +88,6 @@ def test_ablations_are_other_networks(toy_config, toy_store, toy_bones):
         assert np.isfinite(network.predict(joints)).all()
 
 
-def test_what_bones_move_relative_to_is_chosen_before(toy_config, toy_network):
-    network, config = toy_network.networks[0], toy_config()
-    own = dataclasses.replace(config, low=dataclasses.replace(config.low, relative_to="auto"))
-    with pytest.raises(InputError, match="relative_to"):
-        type(network)(own, network.subject, network.normaliser)
-
-
 def test_what_the_body_carries_is_exact(toy_network, toy_store):
     network, clip = toy_network.networks[0], toy_store.clip("base-test-1")
     bound = network.subject.bound

@@ -1,15 +1,18 @@
-"""A trained garment, its body and some motions as one HTML file.
+"""A trained garment, its body and some motions as one HTML file: the browser predicts.
 
-The page holds networks and poses, no cloth: the browser computes what
-:class:`~garmentnet.runtime.LiveGarment` computes, with the skinning on the graphics card.
+``python docs/gallery/live/page.py dress MOTION... -o page.html`` writes a page that asks for
+nothing; without a motion it has the one that ships.  Motions are files as for ``garmentnet
+predict``.  The page holds networks and poses, no cloth, and computes what the network computes in
+torch, with the skinning on the graphics card.
 """
 
 from __future__ import annotations
 
+import argparse
 import base64
 import dataclasses
+import sys
 from collections.abc import Sequence
-from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -18,6 +21,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
+
+from garmentnet.collision.outward import push_of
+from garmentnet.data.parameters import RANGES, SimulationParameters
+from garmentnet.data.skeleton import check_joints
+from garmentnet.io.files import write_file
+from garmentnet.io.tensors import SHIPPED
+from garmentnet.networks.checkpoint import Checkpoint, load_checkpoint
+from garmentnet.networks.detail_basis import DetailBasis
+from garmentnet.networks.gru import GRULinear
+from garmentnet.prediction.motion_file import read_motion
 from ssdr import Skinning
 from ssdr.common.errors import InputError
 from ssdr.mesh.surface import Material, Surface
@@ -34,14 +48,7 @@ from ssdr.show.page.motion import Outermost
 from ssdr.show.page.page import PARTS, WEB, assembled
 from ssdr.show.palette import bone_colors, srgb_from_linear
 
-from ..collision.outward import push_of
-from ..data.parameters import RANGES, SimulationParameters
-from ..data.skeleton import check_joints
-from ..io.files import write_file
-from ..runtime.garment import LiveGarment
-from ..runtime.pivot import Recurrent
-
-_WEB = files(__package__) / "web"
+_WEB = Path(__file__).parent
 _SCRIPTS = tuple(_WEB / f"{name}.js" for name in ("network", "garment", "dress", "main"))
 _STYLES = (WEB / "page.css", _WEB / "page.css")
 _MARGIN = 0.1  # distance of the skin from the joints, about, in metres
@@ -73,7 +80,7 @@ class Take:
 
 
 def write_page(
-    garment: LiveGarment,
+    garment: Checkpoint,
     takes: Sequence[Take],
     path: Path | str,
     *,
@@ -85,7 +92,8 @@ def write_page(
 
     Parameters
     ----------
-    garment : LiveGarment
+    garment : Checkpoint
+        One network that predicts rotations as 6D, and detail by components or none.
     takes : sequence of Take
         One or more; the page opens with the first.
     path : path
@@ -102,8 +110,11 @@ def write_page(
         If the garment is an ensemble, a motion does not fit the body, a truth does not fit the
         motion, or the page would still be larger than `max_bytes`.
     """
-    if garment.mixture is not None:
+    n = garment.networks[0]
+    if garment.kernel is not None:
         raise InputError("model", "one network, such as reads the parameters", "an ensemble")
+    if n.config.low.rotation != "sixd" or not isinstance(n.high, DetailBasis | None):
+        raise InputError("model", "a network of rooted's kind", "Euler angles or EdgeConvs")
     if not takes:
         raise InputError("takes", "one or more motions", "none")
     bare = [dataclasses.replace(take, truth=None) for take in takes]
@@ -126,7 +137,7 @@ def write_page(
 
 
 def _page_text(
-    garment: LiveGarment,
+    garment: Checkpoint,
     takes: Sequence[Take],
     parameters: SimulationParameters,
     title: str,
@@ -167,11 +178,11 @@ def _page_text(
     return assembled(document, blocks.data, scripts, styles=_STYLES, panel=panel)
 
 
-def _figure(garment: LiveGarment, blocks: Blocks) -> dict[str, Any]:
+def _figure(garment: Checkpoint, blocks: Blocks) -> dict[str, Any]:
     """Document entries of one mesh of garment and body, with joints and virtual bones as bones."""
     s = garment.subject
     g, body, count = s.garment, s.body, s.skeleton.n_joints
-    rest, indices, weights = s.skin(smooth=garment.pivots[0].high is None)
+    rest, indices, weights = s.skin(smooth=garment.networks[0].high is None)
     most = max(indices.shape[1], body.indices.shape[1])
 
     def wide(x: NDArray[Any]) -> NDArray[Any]:
@@ -194,7 +205,8 @@ def _figure(garment: LiveGarment, blocks: Blocks) -> dict[str, Any]:
     surface["parts"][-1]["behind"] = _BEHIND
     heads = s.skeleton.rest
     tails = limb_ends(heads, s.skeleton.parents, body.rest, body.indices, body.weights)
-    hidden = [p.size for p in (garment.pivots[0].low, garment.pivots[0].high) if p is not None]
+    o = garment.networks[0].config
+    hidden = [o.low.hidden, *[o.high.hidden] * (garment.networks[0].high is not None)]
     return {
         "summary": f"{g.n_vertices:,} vertices on {g.n_bones} virtual bones, predicted here by "
         f"recurrent networks of {' and '.join(map(str, hidden))}",
@@ -220,7 +232,7 @@ def _figure(garment: LiveGarment, blocks: Blocks) -> dict[str, Any]:
     }
 
 
-def _ways(garment: LiveGarment, joints: list[Float]) -> tuple[list[Float], list[Any]]:
+def _ways(garment: Checkpoint, joints: list[Float]) -> tuple[list[Float], list[Any]]:
     """Camera's path across the ground in each motion, and 26 points around the body there."""
     skeleton = garment.subject.skeleton
     size = max(1, round(_SMOOTH * garment.subject.fps))
@@ -235,7 +247,7 @@ def _ways(garment: LiveGarment, joints: list[Float]) -> tuple[list[Float], list[
 
 
 def _seen(
-    garment: LiveGarment,
+    garment: Checkpoint,
     takes: Sequence[Take],
     joints: list[Float],
     parameters: SimulationParameters,
@@ -249,22 +261,19 @@ def _seen(
     off: list[Single] = []
     moved: list[Single] = []
     for take, m in zip(takes, joints, strict=True):
-        truth, state = None, None
+        truth, shown = None, np.zeros((len(m), n, 3), np.float32)
         if take.truth is not None:
             truth = np.asarray(take.truth, np.float32)
             if truth.shape != (len(m), n, 3):
                 raise InputError("truth", f"shape {(len(m), n, 3)}", truth.shape)
-        for t, pose in enumerate(m):
-            if push is None and truth is None:
-                vertices = shown = np.zeros((n, 3), np.float32)
-            else:
-                state, vertices = garment.step(state, pose, parameters)
-                shown = vertices
-            if push is not None:
-                shown = push.frame(vertices, pose).astype(np.float32)
-            moved.append(np.pad(shown - vertices, ((0, body), (0, 0))))
-            gap = np.zeros((n, 3), np.float32) if truth is None else truth[t] - shown
-            off.append(np.pad(gap, ((0, body), (0, 0))))
+        plain = shown
+        if push is not None or truth is not None:
+            shown = plain = garment.predict(m, parameters if garment.reads_parameters else None)
+        if push is not None:
+            shown = push(plain, m).vertices
+        gap = np.zeros_like(shown) if truth is None else truth - shown
+        moved += list(np.pad(shown - plain, ((0, 0), (0, body), (0, 0))))
+        off += list(np.pad(gap, ((0, 0), (0, body), (0, 0))))
     pushed = None
     far = max(float(np.abs(one).max()) for one in moved)
     if far > 0:
@@ -288,51 +297,88 @@ def _seen(
 
 
 def _network(
-    garment: LiveGarment, parameters: SimulationParameters, half: bool, blocks: Blocks
+    garment: Checkpoint, parameters: SimulationParameters, half: bool, blocks: Blocks
 ) -> dict[str, Any]:
     """Document entries of the network that ``garment.js`` evaluates."""
-    p, s, o = garment.pivots[0], garment.subject, garment.features
+    n, s = garment.networks[0], garment.subject
+    o, normaliser, code = n.config.features, n.normaliser, n.low.code
 
     def packed(x: Any) -> dict[str, Any]:
         values = np.asarray(x, np.float32)
         # Numbers rounded to half precision end in zero bits, which compress well.
         return blocks.array(values.astype(np.float16).astype(np.float32) if half else values)
 
-    def recurrent(r: Recurrent) -> dict[str, Any]:
-        return {f.name: packed(getattr(r, f.name)) for f in dataclasses.fields(r)}
+    def recurrent(part: GRULinear, scale: Any = None) -> dict[str, Any]:
+        arrays = [x.detach().numpy() for x in (*part.gru.all_weights[0], *part.out.parameters())]
+        names = "w_in", "w_state", "b_in", "b_state", "w_out", "b_out"
+        found = dict(zip(names, arrays, strict=True))
+        if scale is not None:  # the deviations of the weights, multiplied into the last layer
+            found |= {"w_out": found["w_out"] * scale[:, None], "b_out": found["b_out"] * scale}
+        return {name: packed(x) for name, x in found.items()}
 
-    basis = still = None
-    if p.basis is not None:
-        whole = np.zeros((len(p.basis), s.garment.n_vertices, 3), np.float32)
-        whole[:, s.free] = p.basis.reshape(len(p.basis), 3, -1).swapaxes(1, 2)
+    basis = still = high = None
+    if isinstance(n.high, DetailBasis):
+        high = recurrent(n.high, n.high.deviation.numpy())
+        own = np.concatenate([n.high.mean[None], n.high.basis.unflatten(1, n.high.mean.shape)])
+        whole = np.zeros((len(own), s.garment.n_vertices, 3), np.float32)
+        whole[:, s.free] = own
         mean, *components = whole.reshape(len(whole), -1)
         still, basis = packed(mean), packed(np.transpose(components))
+    followed = [-1] * len(code.centres) if code.followed is None else code.followed.tolist()
     fields = dataclasses.asdict(parameters)
     return {
         "fps": s.fps,
-        "read": garment.read.tolist(),
+        "read": n.features.read,
         "sixd": o.rotation == "sixd",
         "headingFree": o.heading_free,
         "translation": o.translation,
         "velocities": o.velocities,
         "rootMotion": o.root_motion,
         "frame": o.frame,
-        "mean": p.mean.tolist(),
-        "deviation": p.deviation.tolist(),
-        "clamp": p.clamp,
-        "readsBody": p.reads_body,
+        "mean": normaliser.mean.tolist(),
+        "deviation": normaliser.deviation.tolist(),
+        "clamp": normaliser.clamp,
+        "readsBody": n.config.high.source == "body",
         "parameters": [
             {"name": k, "low": low, "high": high, "value": fields[k]}
             for k, (low, high) in RANGES.items()
-            if p.condition
+            if n.condition
         ],
         "product": base64.b64encode((_WEB / "affine.wasm").read_bytes()).decode(),
-        "low": recurrent(p.low),
-        "high": None if p.high is None else recurrent(p.high),
-        "scale": blocks.array(p.scale),
-        "shift": blocks.array(p.shift),
-        "centres": blocks.array(p.centres),
-        "followed": p.followed.tolist(),
+        "low": recurrent(n.low),
+        "high": high,
+        "scale": blocks.array(code.deviation.numpy()),
+        "shift": blocks.array(code.mean.numpy()),
+        "centres": blocks.array(code.centres.numpy()),
+        "followed": followed,
         "basis": basis,
         "still": still,
     }
+
+
+def main() -> None:
+    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    options.add_argument("model", help="checkpoint of one network, or dress")
+    options.add_argument("motions", nargs="*", type=Path, help="files as for garmentnet predict")
+    options.add_argument("--output", "-o", type=Path, required=True, help="page.html")
+    options.add_argument("--max-mb", type=float, default=12.0, help="largest size of the page")
+    for name in RANGES:
+        options.add_argument(f"--{name.replace('_', '-')}", type=float)
+    given = options.parse_args()
+    garment = load_checkpoint(given.model)
+    entered = {k: v for k in RANGES if (v := getattr(given, k)) is not None}
+    takes = []
+    for path in given.motions or [SHIPPED / "dance.npz"]:
+        joints, clip = read_motion(path, garment.subject)
+        fits = clip is not None and clip.parameters == SimulationParameters(**entered)
+        truth = clip.sequence.frames(slice(None)) if clip is not None and fits else None
+        takes.append(Take(path.stem, joints, truth))
+    size = write_page(
+        garment, takes, given.output, parameters=SimulationParameters(**entered),
+        title=Path(given.model).stem, max_bytes=round(1e6 * given.max_mb),
+    )  # fmt: skip
+    print(f"{given.output}: {size / 1e6:.1f} MB, {len(takes)} motion(s)")
+
+
+if __name__ == "__main__":
+    main()
