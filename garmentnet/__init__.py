@@ -4,21 +4,21 @@ Pan et al., "Predicting Loose-Fitting Garment Deformations Using Bone-Driven Mot
 SIGGRAPH 2022.
 
 =========================  ==========================================================
+``garmentnet.paper``       the paper's four parts, each from its section: bones (4.1,
+                           equation 1), low (4.2, equation 2), high (4.3), ensemble
+                           (4.4, equation 4); and train
+``garmentnet.networks``    what the paper leaves open: features, GRU, detail by
+                           components, the motion network, checkpoints (equation 3)
+``garmentnet.training``    batches, the loop, targets
+``garmentnet.data``        clips, motion, skeletons, motion capture
 ``garmentnet.importing``   stores of cloth and rigs of other programs
-``garmentnet.data``        clips, motion, skeletons, motion capture, virtual bones
 ``garmentnet.collision``   distances to the body, vertices moved out of it
-``garmentnet.networks``    the modules, the motion network, the ensemble, checkpoints
-``garmentnet.training``    batches, losses, the loop, runs, ensembles
 ``garmentnet.evaluation``  errors beside baselines and bounds, reports, pictures
 ``garmentnet.prediction``  a checkpoint's garment for a motion, and files of it
 ``garmentnet.drawing``     body and cloth in pictures
-``garmentnet.runtime``     the garment frame by frame without torch, and as ONNX
-``garmentnet.viewer``      a page that predicts the garment in the browser
+``garmentnet.runtime``     the garment frame by frame without torch, from an ONNX file
 ``garmentnet.configs``     settings of a run
 ``garmentnet.io``          files and TOML tables
 ``garmentnet.cli``         the command
 =========================  ==========================================================
-
-The paper's equations: 1 in ``networks.skinning``, 2 in ``training.low_frequency``, 3 in
-``networks.checkpoint``, 4 in ``networks.ensemble``, whose kernel ``training.pivots`` fits.
 """

@@ -85,9 +85,9 @@ def measure(preset: str, hidden: int, rank: int) -> common.Row:
     from garmentnet.configs.config import load_config, override
     from garmentnet.data.parameters import SimulationParameters
     from garmentnet.networks.checkpoint import Checkpoint, save_checkpoint
-    from garmentnet.networks.ensemble import Kernel
     from garmentnet.networks.features import Normaliser, PoseFeatures
     from garmentnet.networks.network import MotionNetwork
+    from garmentnet.paper.ensemble import Kernel
     from garmentnet.runtime import load_live
 
     torch.set_num_threads(1)
@@ -153,7 +153,7 @@ def measure(preset: str, hidden: int, rank: int) -> common.Row:
     worn = np.stack([skinning(f) for f in range(4 * BLOCK)])
 
     def out(frame: int) -> None:
-        push.frame(worn[frame], poses[frame])
+        push(worn[frame : frame + 1], poses[frame : frame + 1])
 
     row["push_out"] = float(np.median(blocks(out, len(worn))))
     memory: Any = None

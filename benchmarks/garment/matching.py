@@ -17,10 +17,9 @@ from scipy.spatial import cKDTree
 import ssdr
 from garmentnet.configs.config import FeatureOptions
 from garmentnet.data.clip import Clip
-from garmentnet.data.virtual_bones import VirtualBones
 from garmentnet.evaluation.methods import Method
 from garmentnet.networks.features import Normaliser, PoseFeatures, transforms_in_frame
-from garmentnet.networks.skinning import TorchSkinning, turn, turn_back
+from garmentnet.paper.bones import TorchSkinning, VirtualBones, turn, turn_back
 
 __all__ = ["MotionMatching", "Windows"]
 

@@ -18,7 +18,7 @@ from garmentnet.io.files import Progress, silent
 from garmentnet.networks.checkpoint import Checkpoint
 from garmentnet.networks.detail_basis import DetailBasis
 from garmentnet.training.batches import Track
-from garmentnet.training.high_frequency import DetailObjective
+from garmentnet.training.detail import DetailObjective
 from garmentnet.training.loop import fit
 
 __all__ = ["BASELINES", "SANTESTEBAN", "TransformerDetail", "train_chen"]

@@ -20,17 +20,16 @@ from torch import Tensor, nn
 import ssdr
 from garmentnet.configs.config import Config, load_config, override
 from garmentnet.data.clip import MIRRORED, Clip
-from garmentnet.data.virtual_bones import VirtualBones
 from garmentnet.evaluation.baselines import body_skinning
 from garmentnet.evaluation.methods import Array, Method
 from garmentnet.io.files import Progress, silent
 from garmentnet.networks.features import PoseReader, transforms_in_frame
 from garmentnet.networks.gru import GRULinear
-from garmentnet.networks.skinning import apply_frame, remove_frame
+from garmentnet.paper.bones import VirtualBones, apply_frame, remove_frame
+from garmentnet.paper.train import pose_reader
 from garmentnet.training.batches import Track, load_tracks
 from garmentnet.training.coefficients import CoefficientObjective
 from garmentnet.training.loop import fit
-from garmentnet.training.run import pose_reader
 from garmentnet.training.shapes import ShapeBasis
 
 __all__ = [

@@ -43,7 +43,6 @@ from benchmarks.garment.scenes.scene_file import load_data_set
 from garmentnet.cli.progress import progress_bar
 from garmentnet.configs.config import Config, load_config, override
 from garmentnet.data.store import ClipStore
-from garmentnet.data.virtual_bones import VirtualBones, parameter_roles, virtual_bones
 from garmentnet.evaluation.baselines import BodySkinned, MeanShape
 from garmentnet.evaluation.methods import BonesThemselves, MeanDetail, Method, Network
 from garmentnet.evaluation.reporting import RECORDED, group_of
@@ -51,9 +50,9 @@ from garmentnet.evaluation.scores import evaluate
 from garmentnet.evaluation.tables import markdown
 from garmentnet.io.files import Progress, silent, write_file
 from garmentnet.networks.checkpoint import Checkpoint, load_checkpoint
+from garmentnet.paper.bones import VirtualBones, parameter_roles, virtual_bones
+from garmentnet.paper.train import choose_clips, train, train_ensemble, with_mirrored
 from garmentnet.training.batches import load_tracks
-from garmentnet.training.ensemble import train_ensemble
-from garmentnet.training.run import choose_clips, train, with_mirrored
 from ssdr.common.errors import InputError
 
 # A few dances are enough to find the bones, so that these stay the same while a data set grows.

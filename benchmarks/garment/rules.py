@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from garmentnet.data.clip import Clip
 from garmentnet.data.parameters import SimulationParameters
-from garmentnet.data.virtual_bones import VirtualBones
 from garmentnet.evaluation.methods import Network
-from garmentnet.networks.ensemble import Kernel
+from garmentnet.paper.bones import VirtualBones
+from garmentnet.paper.ensemble import Kernel
 
 __all__ = ["RawNetwork", "Rule", "Ruled", "inverse_distance", "nearest", "raw_parameters"]
 

@@ -40,7 +40,7 @@ def run_demo(folder: Path, *, progress: Progress) -> list[Path]:
     result = predict(checkpoint, joints, SimulationParameters(), name="dress")
     model = folder / "dress.glb"
     save_rigged(rigged(result, checkpoint.subject.skeleton), model)
-    files = [folder / f"dress.{suffix}" for suffix in ("png", "npz", "mp4")]
+    files = [folder / f"dress.{suffix}" for suffix in ("png", "npz", "webp")]
     for path in files:
         save_prediction(result, path, size=360, every=2, progress=progress)
     return [*files, model]

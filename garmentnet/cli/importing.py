@@ -22,10 +22,6 @@ def import_clips(
         list[str] | None,
         typer.Option("--rig", "-r", help="Its skeleton, as .fbx, .glb or .usd; one per cloth."),
     ] = None,
-    data: Annotated[
-        Path | None,
-        typer.Option(help="Folder of the paper's VirtualBonesDataset; no cloth and no rig then."),
-    ] = None,
     fps: Annotated[float | None, typer.Option(help="Frames a second of the store.")] = None,
     parameters: Annotated[
         str, typer.Option(help="Of the simulation: bending=0.5,density=0.2,time_scale=1.")
@@ -62,18 +58,9 @@ def import_clips(
     def say(text: str) -> None:
         typer.echo(text, err=True)
 
-    if data is not None:
-        if cloth or rig:
-            raise InputError("--data", "no --cloth and no --rig beside it", "some")
-        from ..importing.published import import_published
-
-        named = {"test": test or (), "validation": validation or ()}
-        made = import_published(data, output, fps=fps or 30.0, **named, say=say)
-        typer.echo(str(made.path))
-        return
     cloths, rigs = _files("--cloth", cloth or []), _files("--rig", rig or [])
     if not cloths:
-        raise InputError("--cloth", "an animated mesh (or --data, a folder)", "none")
+        raise InputError("--cloth", "an animated mesh", "none")
     if len(rigs) == 1:  # one file with a clip for every cloth
         rigs *= len(cloths)
     if len(cloths) != len(rigs):

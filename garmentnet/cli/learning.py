@@ -54,8 +54,8 @@ def train(
     from ..data.store import ClipStore
     from ..evaluation.verdict import validation_errors, verdict
     from ..networks.checkpoint import load_checkpoint
-    from ..training.ensemble import train_ensemble
-    from ..training.run import train as train_network
+    from ..paper.train import train as train_network
+    from ..paper.train import train_ensemble
 
     chosen = override(load_config(config), settings or ())
     source = store or (Path(chosen.data.store) if chosen.data.store else None)
@@ -131,7 +131,7 @@ def predict(
     ] = True,
 ) -> None:
     """Dress a motion: from a checkpoint and a motion to meshes, a film or pictures."""
-    from ..collision.push_out import is_closed
+    from ..collision.body_tree import is_closed
     from ..networks.checkpoint import load_checkpoint
     from ..prediction.motion_file import read_motion
     from ..prediction.output import check_output, save_prediction

@@ -2,25 +2,57 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ssdr import Skinning
-from ssdr.common.checks import check_faces, check_whole
-from ssdr.common.errors import InputError
+from ssdr.common.checks import check_faces, check_mask, check_whole
+from ssdr.common.errors import InputError, is_real
+from ssdr.common.parallel import chunk_bounds, run_chunks
 
+from ..data.outfit import neighbours
 from ..data.subject import Subject
-from .body_tree import Scene, tree_of
+from .body_tree import CLOSED, BodyTree, Scene, check_frames, is_closed, tree_of
+from .crossings import DEEP
 from .outward_kernels import push_outward
-from .push_out import PushOut, is_closed
 
+# Distance from the skin, metres, which the simulated cloth of the data sets keeps, too.
+MARGIN = 4e-3
+_FRAMES = 8  # of a chunk
 # The farthest skin to which a vertex is moved, metres: more than half a thigh.
 _REACH = 0.12
 
 
-class OutwardPush(PushOut):
+@dataclasses.dataclass(frozen=True, eq=False)
+class PushedOut:
+    """Garment whose vertices were moved out of the body.
+
+    Attributes
+    ----------
+    vertices : (F, V, 3) array
+        Metres, with the dtype of the input.
+    distance : (F, V) float64
+        How far each vertex was moved, metres.
+    """
+
+    vertices: NDArray[np.floating]
+    distance: NDArray[np.float64]
+
+    @property
+    def moved(self) -> float:
+        """Fraction of the vertices that were moved by more than 5 mm, over all frames."""
+        return float((self.distance > DEEP).mean())
+
+    @property
+    def farthest(self) -> float:
+        """Largest displacement of a vertex, metres."""
+        return float(self.distance.max(initial=0.0))
+
+
+class OutwardPush:
     """Push-out of one garment from one body, by which no limb ends up before the cloth.
 
     A body is worn under a garment.  So a vertex inside the body, or behind a limb that an edge of
@@ -35,11 +67,16 @@ class OutwardPush(PushOut):
 
     Parameters
     ----------
-    body, faces, pinned
-        As of :class:`~garmentnet.collision.push_out.PushOut`; the triangles of the garment face
-        outwards, too.
+    body : Skinning
+        A body whose mesh is closed, with triangles that face outwards.
+    faces : (T, 3) int array
+        Triangles of the garment, which face outwards, too.
     rest : (V, 3) array
         The garment in some pose, in which neighbouring triangles are found.
+    margin : float
+        Height above the skin, metres, to which vertices are moved.
+    pinned : (V,) bool array, optional
+        Vertices that stay where they are; none by default.
     sweeps : int
         Number of edges over which a displacement spreads.
     rounds : int
@@ -73,19 +110,29 @@ class OutwardPush(PushOut):
         faces: ArrayLike,
         rest: ArrayLike,
         *,
+        margin: float = MARGIN,
         pinned: ArrayLike | None = None,
         sweeps: int = 8,
         rounds: int = 8,
     ) -> None:
         shape = np.asarray(rest, np.float64)
-        super().__init__(body, faces, pinned=pinned, sweeps=sweeps, n_vertices=len(shape))
-        self.rounds = check_whole(rounds, "rounds", 1)
+        if not is_real(margin) or margin <= 0:
+            raise InputError("margin", "a positive number of metres", repr(margin))
+        if not is_closed(body.faces):
+            raise InputError("body", CLOSED, "an open one")
+        self.n_vertices, self._tree, self.margin = len(shape), BodyTree(body), float(margin)
+        fixed = check_mask(pinned, "pinned", len(shape))
+        self.fixed = np.zeros(len(shape), bool) if fixed is None else fixed
+        self.sweeps, self.rounds = (
+            check_whole(sweeps, "sweeps", 0),
+            check_whole(rounds, "rounds", 1),
+        )
         every = np.ascontiguousarray(check_faces(faces, self.n_vertices), np.int32)
         movable = every[~self.fixed[every].all(axis=1)]
         if not len(movable):
             raise InputError("pinned", "a triangle that can move", "all corners")
         cloth, depth = tree_of(shape, movable)
-        n, (starts, others) = self.n_vertices, self._near
+        n, (starts, others) = self.n_vertices, neighbours(every, self.n_vertices)
         sources = np.repeat(np.arange(n), np.diff(starts))
         keys = np.minimum(sources, others) * n + np.maximum(sources, others)
         known, numbers = np.unique(keys, return_inverse=True)
@@ -106,21 +153,36 @@ class OutwardPush(PushOut):
             every,
         )
 
-    def frame(self, vertices: ArrayLike, pose: ArrayLike) -> NDArray[np.float64]:
-        """Positions ``(V, 3)`` of a garment ``(V, 3)`` moved out of the body in a pose (J, 3, 4).
+    def __call__(self, vertices: ArrayLike, joints: ArrayLike) -> PushedOut:
+        """Move a garment out of the body.
 
-        It does what a call does, for one frame and without checks.
+        Parameters
+        ----------
+        vertices : (F, V, 3) array
+            Positions of the garment, metres.
+        joints : (F, J, 3, 4) array
+            World transforms of the body's joints from its rest pose.
+
+        Raises
+        ------
+        InputError
+            If a shape does not match or a number is not finite.
         """
-        (scene,) = self._tree.scenes(np.asarray(pose, np.float64)[None])
-        points = np.array(vertices, np.float64, order="C")
-        return self._pushed(points, scene, np.empty(0, np.int32))
+        v, m = check_frames(vertices, joints, self.n_vertices, self._tree.body.n_bones)
+        out, distance = np.empty_like(v), np.empty(v.shape[:2])
 
-    def _pushed(
-        self, points: NDArray[np.float64], scene: Scene, hints: NDArray[np.int32]
-    ) -> NDArray[np.float64]:
-        moved, reach = points.copy(), _REACH
-        push_outward(moved, self._garment, scene, self.margin, reach, self.sweeps, self.rounds)
-        return moved
+        def push(_: int, start: int, stop: int) -> None:
+            for t, scene in enumerate(self._tree.scenes(m[start:stop]), start):
+                points = np.array(v[t], np.float64, order="C")
+                self._push(points, scene)
+                out[t] = points
+                distance[t] = np.sqrt(((points - v[t]) ** 2).sum(axis=1))
+
+        run_chunks(push, chunk_bounds(len(v), _FRAMES))
+        return PushedOut(out, distance)
+
+    def _push(self, points: NDArray[np.float64], scene: Scene) -> None:
+        push_outward(points, self._garment, scene, self.margin, _REACH, self.sweeps, self.rounds)
 
 
 def push_of(subject: Subject) -> OutwardPush | None:

@@ -211,7 +211,10 @@ def check_joints(joints: ArrayLike, n_joints: int) -> NDArray[np.float64]:
     Traceback (most recent call last):
     ssdr.InputError: joints: expected rigid transforms, got no rotation at frame 0, joint 0
     """
-    m = np.asarray(joints, dtype=np.float64)
+    try:
+        m = np.asarray(joints, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError("joints", f"numbers (F, {n_joints}, 3, 4)", repr(joints)[:40]) from error
     if m.ndim != 4 or m.shape[1:] != (n_joints, 3, 4) or not len(m):
         raise InputError("joints", f"shape (F, {n_joints}, 3, 4)", f"shape {m.shape}")
     bad = ~np.isfinite(m).all(axis=(2, 3))

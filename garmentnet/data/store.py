@@ -228,7 +228,9 @@ class ClipStore(Outfit):
             check_choice(split, "split", Split)
         folder = self.path / "clips"
         check(folder.is_dir(), f"{self.path}: no folder clips")
-        for clip in map(self.clip, sorted(p.name for p in folder.iterdir() if p.name in self)):
+        # Unfinished writes have hidden names; whatever else is there must be a clip.
+        names = sorted(p.name for p in folder.iterdir() if not p.name.startswith("."))
+        for clip in map(self.clip, names):
             if (
                 split in (None, clip.split)
                 and parameters in (None, clip.parameters)
@@ -301,7 +303,7 @@ class ClipStore(Outfit):
         return (
             isinstance(name, str)
             and bool(_NAME.match(name))
-            and (self.path / "clips" / name / "zarr.json").is_file()
+            and (self.path / "clips" / name).exists()
         )
 
     def add(

@@ -20,10 +20,9 @@ from ..configs.config import FeatureOptions
 from ..data.clip import Clip
 from ..data.skin_weights import strongest
 from ..data.store import ClipStore
-from ..data.virtual_bones import VirtualBones
 from ..networks.features import PoseFeatures, transforms_in_frame
-from ..networks.low_frequency import BoneCode
-from ..networks.skinning import TorchSkinning, apply_frame, remove_frame
+from ..paper.bones import TorchSkinning, VirtualBones, apply_frame, remove_frame
+from ..paper.low import BoneCode
 from .methods import Method
 
 _INFLUENCES = 8  # joints per vertex, as many as engines support

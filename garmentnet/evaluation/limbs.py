@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..collision.crossings import Crossings, find_crossings
 from ..collision.outward import push_of
 from ..data.clip import Clip
-from ..data.virtual_bones import VirtualBones
+from ..paper.bones import VirtualBones
 from .methods import Method
 from .tables import markdown
 

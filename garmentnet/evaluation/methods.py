@@ -12,10 +12,9 @@ from torch import Tensor
 import ssdr
 
 from ..data.clip import Clip
-from ..data.virtual_bones import VirtualBones
 from ..networks.checkpoint import Checkpoint
 from ..networks.network import NetworkOutput
-from ..networks.skinning import TorchSkinning, turn, turn_back
+from ..paper.bones import TorchSkinning, VirtualBones, turn, turn_back
 
 # Number of training frames, evenly spread, of which the mean detail is taken.
 _MEAN_FRAMES = 1000

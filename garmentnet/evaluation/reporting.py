@@ -16,11 +16,11 @@ from ..data.clip import Clip
 from ..data.motion import CLASSES
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
-from ..data.virtual_bones import VirtualBones, parameter_roles, virtual_bones
 from ..drawing.dressed import draw_clip
 from ..io.files import Progress, silent, write_file, writing
 from ..networks.checkpoint import Checkpoint, load_checkpoint
-from ..training.run import choose_clips
+from ..paper.bones import VirtualBones, parameter_roles, virtual_bones
+from ..paper.train import choose_clips
 from .baselines import fit_baselines
 from .limbs import count_limbs, limbs_table
 from .methods import BonesThemselves, MeanDetail, Method, Network

@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 from ssdr.common.errors import InputError
 from ssdr.metrics import hausdorff, sted
 
-from ..collision.push_out import INSIDE, PushOut, is_closed
+from ..collision.body_tree import INSIDE, BodyTree, is_closed
 from ..data.clip import Clip
 from ..data.motion import CLASSES
-from ..data.virtual_bones import VirtualBones
 from ..io.files import Progress, silent
+from ..paper.bones import VirtualBones
 from .methods import Method
 
 _MM = 1e3  # from metres to millimetres
@@ -228,7 +228,7 @@ class _Scorer:
         self.bones = bones
         self.skin = None
         if is_closed(store.body.faces):
-            self.skin = PushOut(store.body, store.faces, n_vertices=store.n_vertices)
+            self.skin = BodyTree(store.body)
         self.free = ~np.asarray(store.pinned, bool)
         inner = store.faces[self.free[store.faces].all(axis=1)]
         if len(inner) == 0:

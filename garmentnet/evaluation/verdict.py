@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ..data.store import ClipStore
-from ..data.virtual_bones import virtual_bones
 from ..io.files import Progress, silent
 from ..networks.checkpoint import Checkpoint, load_checkpoint
-from ..training.run import choose_clips
+from ..paper.bones import virtual_bones
+from ..paper.train import choose_clips
 from .baselines import BodySkinned, MeanShape, Ridge, fit_baselines
 from .methods import Network
 from .scores import evaluate

@@ -18,7 +18,7 @@ from ssdr.common.errors import InputError
 from ssdr.io.atomic import check_writable
 from ssdr.model.transforms import rest_diagonal
 
-from ..collision.push_out import is_closed
+from ..collision.body_tree import is_closed
 from ..data.clip_files import Split
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore

@@ -89,3 +89,12 @@ def digest(arrays: Mapping[str, NDArray[Any]], documents: Mapping[str, Any]) -> 
         found.update(f"{name} {array.dtype.str} {array.shape}".encode())
         found.update(array.tobytes())
     return found.hexdigest()
+
+
+def tensors_of(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, Any]:
+    """The arrays whose names begin with a prefix, as tensors that are named without it."""
+    import torch
+
+    some = {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
+    # Copied to aligned addresses; products of unaligned tensors differ in their last bits.
+    return {k: torch.from_numpy(v).clone() for k, v in some.items()}

@@ -23,9 +23,9 @@ from ssdr.io.file_errors import reading
 from ..data.outfit import mesh_identity
 from ..data.parameters import SimulationParameters
 from ..data.subject import Subject
-from ..io.tensors import load_arrays, save_arrays
+from ..io.tensors import load_arrays, save_arrays, tensors_of
+from ..paper.ensemble import Kernel
 from .document import BOUND, MESH, CheckpointDocument, NetworkRecord, read_document
-from .ensemble import Kernel
 from .features import Normaliser, transforms_in_frame
 from .network import MotionNetwork, NetworkOutput, Predictor
 
@@ -106,8 +106,9 @@ class Checkpoint(Predictor):
         """
         theta = None
         if self.reads_parameters:
-            if parameters is None:
-                raise InputError("parameters", "bending, density and time scale", None)
+            if not isinstance(parameters, SimulationParameters):
+                got = None if parameters is None else repr(parameters)
+                raise InputError("parameters", "bending, density and time scale", got)
             theta = parameters.normalised()
         first = self.networks[0]
         if self.kernel is None or parameters is None:
@@ -197,13 +198,6 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
             kernel.load_state_dict(tensors_of(arrays, "kernel."), assign=True)
         parameters = tuple(record.parameters for record in d.networks)
         return Checkpoint(tuple(networks), parameters, kernel, d.errors)
-
-
-def tensors_of(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, Tensor]:
-    """The arrays whose names begin with a prefix, as tensors that are named without it."""
-    some = {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
-    # Copied to aligned addresses; products of unaligned tensors differ in their last bits.
-    return {k: torch.from_numpy(v).clone() for k, v in some.items()}
 
 
 def load_weights(network: MotionNetwork, start: Checkpoint, part: str) -> None:

@@ -21,8 +21,6 @@ from ..data.subject import Subject
 from ..io.tables import from_table
 
 FORMAT, VERSION = "garmentnet checkpoint", 5
-# Widths of the MLP g of an ensemble's kernel, as published.
-HIDDEN, LATENT = 16, 4
 # Arrays of a mesh, and of the vertices bound to the body.
 MESH = ("rest", "indices", "weights", "faces")
 BOUND = tuple(f.name for f in dataclasses.fields(BodyBound))

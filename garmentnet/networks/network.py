@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from ..configs.config import Config
+from ..data.skeleton import check_joints
 from ..data.subject import Subject
+from ..paper.bones import TorchSkinning, apply_frame, moved, turn
+from ..paper.high import HighFrequency
+from ..paper.low import BoneCode, LowFrequency
 from .detail_basis import DetailBasis
 from .features import Normaliser, PoseFeatures, PoseReader, transforms_in_frame
-from .high_frequency import HighFrequency
-from .low_frequency import BoneCode, LowFrequency
-from .skinning import TorchSkinning, apply_frame, moved, turn
 
 # Frames that are predicted at once, which bounds the memory; results do not depend on it.
 FRAMES_AT_ONCE = 128
@@ -81,8 +82,9 @@ class Predictor:
         self, joints: Any, parameters: Any = None, *, detail: bool = True, frames: Any = None
     ) -> list[NetworkOutput]:
         """The motion, or some of its frames, in parts of at most 128 frames."""
-        joints, state, out = np.asarray(joints), None, []
-        for start in range(0, max(1, len(joints)), FRAMES_AT_ONCE):
+        count = np.shape(joints)[1] if np.ndim(joints) == 4 else 1  # the features check it
+        joints, state, out = check_joints(joints, count), None, []
+        for start in range(0, len(joints), FRAMES_AT_ONCE):
             part, some = joints[start : start + FRAMES_AT_ONCE], None
             if frames is not None:
                 some = np.asarray(frames, np.int64) - start

@@ -59,6 +59,8 @@ def check_output(path: Path | str) -> None:
         raise InputError("output", f"a suffix of {', '.join(known)}", str(file))
     if suffix.startswith(".usd"):
         require("pxr", "ssdr[usd]", f"a {suffix} file")
+    if suffix == ".mp4":
+        require("av", "garmentnet[film]", "an .mp4 file")
     if suffix == ".fbx":
         from ssdr.io.blender.finder import command
 
@@ -221,8 +223,7 @@ def rigid(skinning: Skinning) -> Skinning:
 
 
 def _write_mp4(film: Film, path: Path, progress: Callable[[float], None]) -> None:
-    import av
-
+    av = require("av", "garmentnet[film]", "an .mp4 file")
     with atomic_path(path) as temporary, av.open(str(temporary), "w", format="mp4") as file:
         codec = "libx264" if "libx264" in av.codecs_available else "mpeg4"
         stream: Any = file.add_stream(codec, rate=Fraction(film.fps).limit_denominator(1001))

@@ -101,6 +101,8 @@ def predict(
     SsdrWarning
         If the parameters lie outside the trained range.
     """
+    if not isinstance(parameters, SimulationParameters | None):
+        raise InputError("parameters", "SimulationParameters", repr(parameters))
     several = checkpoint.reads_parameters
     trained_on = checkpoint.parameters[0]
     if not several and None not in (parameters, trained_on) and parameters != trained_on:

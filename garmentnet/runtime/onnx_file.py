@@ -6,8 +6,8 @@ state is among its inputs and outputs.  :mod:`.garment` plays it without torch.
 
 from __future__ import annotations
 
-import io
 import json
+import tempfile
 import warnings
 from pathlib import Path
 from typing import Any
@@ -57,18 +57,19 @@ def export_onnx(checkpoint: Checkpoint, path: Path | str, *, bits: int = 32) -> 
     if checkpoint.kernel is not None:
         raise InputError("model", "one network, such as reads the parameters", "an ensemble")
     onnx = require("onnx", "garmentnet[onnx]", "an ONNX file")
-    frame, stream = Frame(checkpoint.networks[0]).eval(), io.BytesIO()
+    frame = Frame(checkpoint.networks[0]).eval()
     names = frame.names()
     outputs = ["vertices", *(f"{n}_out" for n in names if n.endswith("_state"))]
     start = tuple(frame.start().values())
-    with warnings.catch_warnings(), torch.no_grad():
+    with warnings.catch_warnings(), torch.no_grad(), tempfile.TemporaryDirectory() as folder:
         # Of shapes that are constants here, and of an exporter that makes graphs ten times as slow.
         warnings.simplefilter("ignore")
+        whole = Path(folder) / "whole.onnx"
         torch.onnx.export(
-            frame, start, stream, input_names=names, output_names=outputs, opset_version=_OPSET,
+            frame, start, whole, input_names=names, output_names=outputs, opset_version=_OPSET,
             dynamo=False,
         )  # fmt: skip
-    model = onnx.load_model_from_string(stream.getvalue())
+        model = onnx.load(whole)
     if bits == 16:
         _halve(onnx, model)
     entry = model.metadata_props.add()

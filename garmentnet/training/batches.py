@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ..data.clip import Clip
-from ..data.virtual_bones import VirtualBones
 from ..networks.features import PoseReader, transforms_in_frame
-from ..networks.skinning import remove_frame
+from ..paper.bones import VirtualBones, remove_frame
 
 # Number of frames whose vertices are in memory at once.
 _FRAMES_AT_ONCE = 64

@@ -18,8 +18,7 @@ from ssdr.common.errors import InputError
 
 from ..configs.config import TrainOptions
 from ..io.files import Progress, silent
-from ..io.tensors import load_arrays, save_arrays
-from ..networks.checkpoint import tensors_of
+from ..io.tensors import load_arrays, save_arrays, tensors_of
 from .batches import Batch, Track, batches
 
 _logger = logging.getLogger(__name__)

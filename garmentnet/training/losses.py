@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from ssdr import Skinning
 from ssdr.laplacian import uniform_laplacian
 
-from ..networks.skinning import TorchSkinning
+from ..paper.bones import TorchSkinning
 
 # Square of 1 µm: a fit that is exact has no direction, and its gradient must stay finite.
 EXACT = 1e-12

@@ -7,15 +7,18 @@ their coefficients take 400 bytes a frame.
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from ..data.clip import MIRRORED
-from ..data.virtual_bones import VirtualBones
 from ..io.files import kept
 from ..networks.features import PoseFeatures
-from ..networks.skinning import remove_frame
+from ..paper.bones import VirtualBones, remove_frame
+from .batches import Track
 from .losses import mesh_laplacian
 from .shapes import ShapeBasis
 
@@ -96,3 +99,21 @@ class LowTargets:
             for x, axes in ((rest, (1, 2)), (bent.reshape(len(self.free), -1, 3), (0, 2)))
         ]
         return np.column_stack([rows, *norms]).astype(np.float16)
+
+
+@torch.no_grad()
+def bone_motion(network: Any, track: Track) -> Tensor:
+    """Normalised bone motion ``(F, B, C)`` that the low-frequency module predicts."""
+    return network.low(track.inputs[None].to(network.device))[0][0]
+
+
+@torch.no_grad()
+def detail_target(network: Any, track: Track, z: Tensor, frames: Any = slice(None)) -> Tensor:
+    """Target detail Ĝ_HF ``(f, V, 3)`` of frames with predicted bone motion `z` ``(f, B, C)``.
+
+    With ``high.target = "residual"``, the default, it is the difference of the clip from the
+    predicted low-frequency mesh, with "detail" the high-frequency part of the clip.
+    """
+    if network.config.high.target == "detail":
+        return track.detail(frames)
+    return track.mesh(frames) - network.mesh(z, track.joints(frames).to(z.device)).cpu()

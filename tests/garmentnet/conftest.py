@@ -68,7 +68,7 @@ def toy_store(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def toy_bones(toy_store, toy_config):
-    from garmentnet.data.virtual_bones import virtual_bones
+    from garmentnet.paper.bones import virtual_bones
 
     return virtual_bones(toy_store, toy_config().bones)
 
@@ -76,7 +76,7 @@ def toy_bones(toy_store, toy_config):
 @pytest.fixture(scope="session")
 def toy_run(toy_store, toy_config, toy_bones, tmp_path_factory):
     """Folder of a finished run of the rooted configuration."""
-    from garmentnet.training.run import train
+    from garmentnet.paper.train import train
 
     folder = tmp_path_factory.mktemp("run")
     train(toy_store, toy_config(), folder)
@@ -94,7 +94,7 @@ def toy_network(toy_run):
 def toy_faithful(toy_store, toy_config, toy_bones, tmp_path_factory):
     """A network of the faithful configuration, hardly trained."""
     from garmentnet.networks.checkpoint import load_checkpoint
-    from garmentnet.training.run import train
+    from garmentnet.paper.train import train
 
     folder = tmp_path_factory.mktemp("faithful")
     return load_checkpoint(
@@ -107,7 +107,7 @@ def toy_basis(toy_store, toy_config, toy_bones, tmp_path_factory):
     """A network whose detail is a mixture of components."""
     from garmentnet.configs.config import HighOptions
     from garmentnet.networks.checkpoint import load_checkpoint
-    from garmentnet.training.run import train
+    from garmentnet.paper.train import train
 
     high = HighOptions(
         kind="basis", target="detail", hidden=32, rank=12, collision=0.0, dropout=0.1

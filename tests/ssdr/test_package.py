@@ -197,7 +197,6 @@ def test_wheel_holds_the_package_and_nothing_else(package: str, tmp_path: Path) 
         "garmentnet": (
             "py.typed",
             "configs/tiny.toml",
-            "importing/smplh.toml",
             "models/dance.npz",
         ),
     }

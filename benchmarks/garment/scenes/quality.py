@@ -7,14 +7,14 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from garmentnet.collision.push_out import INSIDE, PushOut
+from garmentnet.collision.body_tree import INSIDE, BodyTree
 from garmentnet.data.motion import Motion
 
 from .body import Body
 from .garments import Garment
 
-# Height above the skin, metres, to which a vertex is pushed out of the body.
-_MARGIN = 1e-3
+# Distance from the skin, metres, up to which vertices outside are measured.
+_LOOK = 1e-3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,30 +64,15 @@ class Quality:
     speed_max: float
 
 
-def outside(
-    body: Body,
-    garment: Garment,
-    motion: Motion,
-    vertices: NDArray[np.float32],
-    *,
-    push: bool = True,
-) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """Copy of the vertices with those inside the body pushed out, and the depths that remain.
+def depths(body: Body, motion: Motion, vertices: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Depths ``(F, V)`` of the vertices, metres below the skin; 0 in frames with NaN.
 
-    Depths ``(F, V)`` are metres below the skin, negative outside.  Pinned vertices are measured but
-    not moved.  Frames with NaN stay as they are, with a depth of 0.  Without `push`, no vertex is
-    moved.
+    They are measured up to 1 mm outside and -inf beyond.
     """
-    mover = PushOut(body.skinning, garment.faces, margin=_MARGIN, pinned=garment.pinned)
-    depth = np.zeros(vertices.shape[:2])
-    whole = np.isfinite(vertices).all(axis=(1, 2))
-    depth[whole] = -mover.signed_distance(vertices[whole], motion.joints[whole], limit=_MARGIN)
-    wrong = (depth[:, ~garment.pinned] > 0).any(axis=1)
-    if push and wrong.any():
-        vertices = vertices.copy()
-        vertices[wrong] = mover(vertices[wrong], motion.joints[wrong]).vertices
-        depth[wrong] = -mover.signed_distance(vertices[wrong], motion.joints[wrong], limit=_MARGIN)
-    return vertices, depth
+    depth, whole = np.zeros(vertices.shape[:2]), np.isfinite(vertices).all(axis=(1, 2))
+    tree = BodyTree(body.skinning)
+    depth[whole] = -tree.signed_distance(vertices[whole], motion.joints[whole], limit=_LOOK)
+    return depth
 
 
 def judge(
@@ -105,7 +90,7 @@ def judge(
     motion : Motion
     vertices : (F, V, 3) float32
     depth : (F, V) array
-        Metres below the skin, from :func:`outside`.
+        Metres below the skin, from :func:`depths`.
     gate : Gate, optional
     """
     if not np.isfinite(vertices).all():

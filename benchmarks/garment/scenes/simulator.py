@@ -1,4 +1,4 @@
-"""Simulation of a clip: cloth on a moving body, pushed out of it, with its quality measured.
+"""Simulation of a clip: cloth on a moving body, with its quality measured.
 
 A clip runs on one core and gives the same bits every time.
 """
@@ -19,10 +19,10 @@ from ssdr.common.errors import InputError
 
 from .cloth import Cloth
 from .garments import Garment
-from .quality import Gate, Quality, judge, outside
+from .quality import Gate, Quality, depths, judge
 
 # Version of the simulator, raised when a scene gives another clip; part of a clip's provenance.
-VERSION = 2
+VERSION = 3
 # Number of averages with the neighbours that make a perturbation smooth over a few edges.
 _SMOOTHINGS = 20
 
@@ -53,8 +53,7 @@ def simulate(
 ) -> Simulated:
     """Simulate a garment on a moving body.
 
-    The body moves from rest to its first pose and waits there before the first frame.  Vertices
-    that are inside the body in a finished frame are pushed out.
+    The body moves from rest to its first pose and waits there before the first frame.
 
     Parameters
     ----------
@@ -88,7 +87,7 @@ def simulate(
     joints = joints.astype(np.float32).astype(np.float64)
     moved = perturbation_field(garment, perturbation, seed) if perturbation > 0 else None
     vertices = cloth.simulate(joints, motion.fps, parameters, first=len(before), moved=moved)
-    vertices, depth = outside(body, garment, motion, vertices)
+    depth = depths(body, motion, vertices)
     return Simulated(vertices, judge(garment, motion, vertices, depth, gate))
 
 

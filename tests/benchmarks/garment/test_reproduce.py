@@ -10,9 +10,9 @@ pytest.importorskip("torch")
 from benchmarks.garment import reproduce
 from benchmarks.garment.published import BASELINES
 from benchmarks.garment.reproduce import Reproduction
-from garmentnet.data.virtual_bones import parameter_roles
 from garmentnet.evaluation.reporting import RECORDED
 from garmentnet.networks.checkpoint import load_checkpoint
+from garmentnet.paper.bones import parameter_roles
 from ssdr.common.errors import InputError
 
 SETTINGS = (

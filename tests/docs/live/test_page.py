@@ -10,7 +10,7 @@ pytest.importorskip("torch")
 from garmentnet.cli import main
 from garmentnet.data.parameters import SimulationParameters as P
 from garmentnet.networks.checkpoint import Checkpoint, save_checkpoint
-from garmentnet.networks.ensemble import Kernel
+from garmentnet.paper.ensemble import Kernel
 from garmentnet.runtime import load_live
 from garmentnet.viewer import Take, write_page
 from helpers import live_garment as made

@@ -16,8 +16,8 @@ from typer.testing import CliRunner
 
 from garmentnet.cli import app, main
 from garmentnet.configs.config import load_config
-from garmentnet.data.virtual_bones import virtual_bones
 from garmentnet.networks.checkpoint import load_checkpoint, save_checkpoint
+from garmentnet.paper.bones import virtual_bones
 
 RUN = CliRunner()
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}

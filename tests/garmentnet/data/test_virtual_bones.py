@@ -12,7 +12,7 @@ pytest.importorskip("zarr")
 from garmentnet.configs.config import BoneOptions
 from garmentnet.data.skin_weights import find_body_bound
 from garmentnet.data.store import ClipStore
-from garmentnet.data.virtual_bones import virtual_bones
+from garmentnet.paper.bones import virtual_bones
 from ssdr.common.errors import FormatError
 from ssdr.laplacian import LaplacianSmoother
 

@@ -14,7 +14,7 @@ from garmentnet.data.motion import CLASSES
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.evaluation.reporting import group_of, report
 from garmentnet.networks.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from garmentnet.networks.ensemble import Kernel
+from garmentnet.paper.ensemble import Kernel
 from helpers import toy_store as toy
 from ssdr.common.errors import InputError
 

@@ -7,7 +7,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 import ssdr
-from garmentnet.collision.push_out import PushOut
+from garmentnet.collision.body_tree import BodyTree
 from garmentnet.evaluation.methods import BonesThemselves, MeanDetail, Method, Network
 from garmentnet.evaluation.scores import chaos_floor, evaluate
 from garmentnet.evaluation.tables import score_table
@@ -205,7 +205,7 @@ def test_rows_are_pooled_from_clips_and_classes(toy_bones, toy_network):
 
 def test_vertices_inside_the_body_are_counted(toy_store, toy_bones):
     """A cloth that is drawn toward the body's axis enters it, and comes out again."""
-    push = PushOut(toy_store.body, toy_store.faces, n_vertices=toy_store.n_vertices)
+    push = BodyTree(toy_store.body)
 
     def narrow(clip):
         low, high = toy_bones.split(clip.name)

@@ -25,7 +25,7 @@ from garmentnet.networks.checkpoint import (
     save_checkpoint,
     tensors_of,
 )
-from garmentnet.networks.ensemble import Kernel
+from garmentnet.paper.ensemble import Kernel
 from helpers import toy_store as toy
 from ssdr.common.errors import FormatError, InputError, SsdrError
 

@@ -12,9 +12,9 @@ torch = pytest.importorskip("torch")
 from scipy.spatial.transform import Rotation
 
 from garmentnet.networks.detail_basis import DetailBasis
-from garmentnet.networks.skinning import TorchSkinning, surface_frame, turn, turn_back
+from garmentnet.paper.bones import TorchSkinning, surface_frame, turn, turn_back
 from garmentnet.training.batches import batches, load_tracks
-from garmentnet.training.high_frequency import DetailObjective
+from garmentnet.training.detail import DetailObjective
 
 
 def test_turns_are_the_bones_rotations_where_one_bone_rules():

@@ -12,7 +12,7 @@ torch = pytest.importorskip("torch")
 
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.networks.checkpoint import Checkpoint
-from garmentnet.networks.ensemble import Kernel
+from garmentnet.paper.ensemble import Kernel
 from ssdr.common.errors import InputError
 
 PIVOTS = (SimulationParameters(), SimulationParameters(bending=1.5))

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from garmentnet.configs.config import HighOptions
 from garmentnet.networks.gru import dropout_mask
-from garmentnet.networks.high_frequency import EdgeConv, HighFrequency, neighbour_table
+from garmentnet.paper.high import EdgeConv, HighFrequency, neighbour_table
 from helpers import toy_store as toy
 
 PLAIN = {"activation": "relu", "batch_norm": False}

@@ -9,7 +9,7 @@ torch = pytest.importorskip("torch")
 
 from scipy.spatial.transform import Rotation
 
-from garmentnet.networks.low_frequency import BoneCode
+from garmentnet.paper.low import BoneCode
 
 
 def rigid(rng, *shape):

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import ssdr
 from garmentnet.networks.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from garmentnet.training.run import build_network, choose_clips
+from garmentnet.paper.train import build_network, choose_clips
 from ssdr.common.errors import InputError
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import ssdr
-from garmentnet.networks.skinning import (
+from garmentnet.paper.bones import (
     TorchSkinning,
     apply_frame,
     matrix_from_euler,

@@ -11,7 +11,7 @@ def pair(toy_network):
 
     from garmentnet.data.parameters import SimulationParameters
     from garmentnet.networks.checkpoint import Checkpoint
-    from garmentnet.networks.ensemble import Kernel
+    from garmentnet.paper.ensemble import Kernel
     from helpers import toy_store as toy
 
     network = toy_network.networks[0]

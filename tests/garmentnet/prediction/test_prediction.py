@@ -9,7 +9,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 
-from garmentnet.collision.push_out import PushOut
+from garmentnet.collision.body_tree import BodyTree
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.prediction.prediction import predict
 from helpers import toy_store as toy
@@ -62,7 +62,7 @@ def test_vertices_inside_the_body_are_pushed_out(toy_network, joints):
         p = predict(toy_network, joints)
     finally:
         network.subject = before
-    measure = PushOut(wide, p.cloth.faces, n_vertices=p.cloth.n_vertices)
+    measure = BodyTree(wide)
     assert (measure.signed_distance(plain.cloth.vertices, joints) < -5e-4).mean() > 0.02
     # What the body carries stays where it is.
     outside = measure.signed_distance(p.cloth.vertices, joints) >= -5e-4

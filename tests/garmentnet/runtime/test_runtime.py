@@ -16,7 +16,7 @@ pytest.importorskip("onnxruntime")
 from garmentnet.cli import main
 from garmentnet.data.parameters import SimulationParameters as P
 from garmentnet.networks.checkpoint import Checkpoint
-from garmentnet.networks.ensemble import Kernel
+from garmentnet.paper.ensemble import Kernel
 from garmentnet.runtime import LiveGarment, Player
 from garmentnet.runtime.onnx_file import export_onnx
 from helpers import live_garment as made

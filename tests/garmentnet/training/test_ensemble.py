@@ -11,7 +11,7 @@ torch = pytest.importorskip("torch")
 
 
 from garmentnet.networks.checkpoint import load_checkpoint
-from garmentnet.training.ensemble import train_ensemble
+from garmentnet.paper.train import train_ensemble
 from ssdr.common.errors import InputError
 
 

@@ -9,9 +9,9 @@ torch = pytest.importorskip("torch")
 
 from garmentnet.configs.config import load_config, override
 from garmentnet.data.store import ClipStore
-from garmentnet.data.virtual_bones import virtual_bones
 from garmentnet.networks.checkpoint import load_checkpoint
-from garmentnet.training.run import train
+from garmentnet.paper.bones import virtual_bones
+from garmentnet.paper.train import train
 from helpers import live_garment as made
 from helpers.cloth_scenes import tube
 from ssdr import skin

@@ -11,12 +11,12 @@ torch = pytest.importorskip("torch")
 
 
 from garmentnet.configs.config import override
-from garmentnet.networks.skinning import remove_frame
+from garmentnet.paper.bones import remove_frame
+from garmentnet.paper.high import HighFrequencyObjective
+from garmentnet.paper.low import LowFrequencyObjective
 from garmentnet.training import low_frequency
 from garmentnet.training.batches import batches, load_tracks
-from garmentnet.training.high_frequency import HighFrequencyObjective
 from garmentnet.training.losses import mesh_laplacian
-from garmentnet.training.low_frequency import LowFrequencyObjective
 from garmentnet.training.targets import LowTargets
 
 _EXACT = ["low.dropout=0.0", "train.precision=single"]

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.garment.rules import inverse_distance, nearest
-from garmentnet.training.pivots import (
+from garmentnet.paper.ensemble import (
     Mixed,
     convex_fit,
     extremes,

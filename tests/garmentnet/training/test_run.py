@@ -12,7 +12,7 @@ from garmentnet.evaluation.baselines import MeanShape, Ridge
 from garmentnet.evaluation.methods import Network
 from garmentnet.evaluation.scores import evaluate
 from garmentnet.networks.checkpoint import load_checkpoint
-from garmentnet.training.run import choose_clips, train
+from garmentnet.paper.train import choose_clips, train
 from helpers import toy_store as toy
 from ssdr.common.errors import FormatError, InputError
 

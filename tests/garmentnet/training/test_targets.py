@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip("torch")
 
 from garmentnet.data.clip import MIRRORED
-from garmentnet.networks.skinning import remove_frame
+from garmentnet.paper.bones import remove_frame
 from garmentnet.training.targets import LowTargets
 
 NAME = "base-train-0"

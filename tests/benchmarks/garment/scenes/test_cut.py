@@ -20,7 +20,7 @@ from benchmarks.garment.scenes.cut import Cut, cut_garment
 from benchmarks.garment.scenes.dance.choreography import dance
 from benchmarks.garment.scenes.scene_file import load_data_set
 from benchmarks.garment.scenes.simulator import simulate
-from garmentnet.collision.push_out import PushOut
+from garmentnet.collision.body_tree import BodyTree
 from garmentnet.data.parameters import SimulationParameters
 
 BODY = default_body()
@@ -81,9 +81,7 @@ def test_shape_at_rest(name: str) -> None:
     length = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2)
     assert np.median(length) / 3 < length.min() < length.max() < 3 * np.median(length)
     rig = BODY.skinning
-    distance = PushOut(rig, garment.faces).signed_distance(
-        garment.rest[None], rig.transforms, limit=0.1
-    )[0]
+    distance = BodyTree(rig).signed_distance(garment.rest[None], rig.transforms, limit=0.1)[0]
     assert distance.min() > 0.003
     # Outward: a step along the normal leads away from the body.
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])

@@ -1,7 +1,18 @@
-"""The high-frequency module: detail on the low-frequency mesh (Pan et al. 2022, section 4.3)."""
+"""The high-frequency module: detail on the low-frequency mesh (Pan et al. 2022, section 4.3).
+
+D_HF is :class:`HighFrequency` with its :class:`EdgeConv` layers; its loss is
+:class:`HighFrequencyObjective`:
+
+    L_HF = ‖Ĝ_HF − G_HF‖ + λ_collision mean max(−n_B·(v − v_B), 0)
+
+on the low-frequency mesh that the trained low-frequency module predicts.  Another network of the
+detail, by principal components, is :mod:`garmentnet.networks.detail_basis`; it has the place beside
+this one in which a further one goes, `MotionNetwork.add_high`.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 from typing import Any
@@ -12,7 +23,11 @@ from torch import Tensor, nn
 
 from ..configs.config import HighOptions
 from ..data.outfit import neighbours
-from .gru import GRU
+from ..networks.gru import GRU, dropout_mask
+from ..training.batches import Batch, Track
+from ..training.loop import TrainingObjective, mixed_precision
+from ..training.losses import BodyShape, collision_depth, frame_norm
+from ..training.targets import bone_motion, detail_target
 
 
 def neighbour_table(faces: Any, n_vertices: int) -> Tensor:
@@ -264,3 +279,114 @@ class HighFrequency(nn.Module):
             everywhere = out.new_zeros(self.n_vertices, *out.shape[1:])
             out = everywhere.index_copy(0, self.vertices, out)
         return out.transpose(0, 1).reshape(*lead, self.n_vertices, 3), state
+
+
+# Smallest deviation, metres, by which the output of a module is scaled.
+LEAST_DEVIATION = 1e-4
+
+
+class HighFrequencyObjective(TrainingObjective):
+    """Loss L_HF of the paper's module, over the vertices that it predicts.
+
+    The GRU reads every frame of a window; the loss is computed on a few frames, because the layers
+    after the GRU are the expensive ones.
+
+    Parameters
+    ----------
+    network : MotionNetwork
+    tracks, validation : list of Track
+    start : bool
+        Whether to keep the statistics that the module already has.
+    """
+
+    def __init__(
+        self,
+        network: Any,
+        tracks: list[Track],
+        validation: list[Track],
+        *,
+        start: bool = False,
+    ) -> None:
+        assert isinstance(network.high, HighFrequency)
+        self.network, self.module, self.free = network, network.high, network.free
+        self.tracks = [self._with_motion(t) for t in tracks]
+        self.validation = [self._with_motion(t) for t in validation]
+        self._known: dict[str, tuple[Tensor, Tensor]] = {}
+        self.body = BodyShape(network.subject.body).to(network.device)
+        if not start:
+            self._fit_statistics()
+
+    def _with_motion(self, track: Track) -> Track:
+        return dataclasses.replace(track, extra=bone_motion(self.network, track).cpu())
+
+    def _read(self, track: Track) -> tuple[Tensor, Tensor]:
+        """Targets ``(F, V, 3)`` and joints ``(F, J, 3, 4)`` of a clip, read once."""
+        if track.name not in self._known:
+            parts = track.parts()
+            found = [detail_target(self.network, track, track.extra[p], p).half() for p in parts]
+            self._known[track.name] = torch.cat(found), track.joints()
+        return self._known[track.name]
+
+    def loss(
+        self, batch: Batch, state: Tensor | None, rng: np.random.Generator
+    ) -> tuple[Tensor, Tensor]:
+        """Loss L_HF of a batch, averaged over the chosen frames, and the GRU's new state."""
+        device, options = self.network.device, self.network.config.high
+        lanes, frames, chosen = batch.some_frames(options.frames, rng)
+        z = batch.stack([w.track.extra[w.frames] for w in batch.windows]).to(device)
+        known = [(*self._read(t), torch.from_numpy(f)) for t, f in frames]
+        own = torch.stack([joints[f] for _, joints, f in known])
+        joints = torch.zeros(len(chosen), *own.shape[1:])
+        joints[lanes] = own
+        pick, joints = torch.from_numpy(chosen).to(device), joints.to(device)
+        with torch.no_grad():
+            low = self._low(z[torch.arange(len(z), device=device)[:, None], pick], joints)
+        x = self.network.high_inputs(batch.inputs().to(device), z)
+        mask = dropout_mask(rng, (*chosen.shape, options.hidden), options.dropout, device)
+        dropped = self.module.draw_edges(rng, options.edge_dropout)
+        with mixed_precision(self.network.config.train, device):
+            high, state = self.module(x, low, state, pick, mask, dropped)
+        high = high.float()
+        truth = torch.stack([goal[f] for goal, _, f in known]).float().to(device)
+        loss = frame_norm((high[lanes] - truth)[:, :, self.free])
+        if options.collision:
+            body, normals = self.body(joints[lanes].flatten(0, 1))
+            mesh = (low + high)[lanes][:, :, self.free].flatten(0, 1)
+            loss = loss + options.collision * collision_depth(mesh, body, normals).mean()
+        return loss, state
+
+    def _low(self, z: Tensor, joints: Tensor) -> Tensor:
+        """Low-frequency mesh ``(N, S, V, 3)``, with bound vertices placed by the body."""
+        return self.network.mesh(z, joints)
+
+    def squared_error(self, track: Track) -> Tensor:
+        """Mean squared distance ``(F,)`` of the detail, metres².
+
+        The garment is not compared, since the error of the low frequencies is ten times as large
+        and would hide that of the detail.
+        """
+        state, found, device = None, [], self.network.device
+        for part in track.parts():
+            goal, joints = (a[part] for a in self._read(track))
+            z, joints = (a[None].to(device) for a in (track.extra[part], joints))
+            x = self.network.high_inputs(track.inputs[None, part].to(device), z)
+            high, state = self.module(x, self._low(z, joints), state)
+            gap = (high[0].cpu() - goal)[:, self.free]
+            found.append(gap.double().square().sum(-1).mean(-1))
+        return torch.cat(found)
+
+    def _fit_statistics(self) -> None:
+        """Set each vertex's mean detail and one common deviation, from the training clips."""
+        total, square, frames = torch.zeros(()), 0.0, 0
+        for track in self.tracks:
+            high = self._read(track)[0].double()
+            total = total + high.sum(0)
+            square += float(high[:, self.free].square().sum())
+            frames += len(high)
+        mean = total / frames
+        variance = square / (3 * len(self.free) * frames) - float(mean[self.free].square().mean())
+        first, device = self.tracks[0], self.network.device
+        low = self.network.mesh(first.extra[:1].to(device), first.joints(slice(1)).to(device))
+        self.module.mean.copy_(mean)
+        self.module.deviation.fill_(max(math.sqrt(max(variance, 0.0)), LEAST_DEVIATION))
+        self.module.centre.copy_(low[0].mean(0))

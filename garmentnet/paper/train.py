@@ -1,8 +1,9 @@
-"""A training run, from a store of clips to a checkpoint.
+"""A training, from a store of clips to a checkpoint (Pan et al. 2022, section 5).
 
-The low-frequency module is trained first, then the high-frequency module on its output.  A run
-that was stopped continues from its folder, bit for bit on the same machine and with the same number
-of threads.
+The low-frequency module is trained first, then the high-frequency module on its output; an ensemble
+is one such network for every training set of parameters, its pivots and its kernel.  A run that was
+stopped continues from its folder, bit for bit on the same machine and with the same number of
+threads.
 """
 
 from __future__ import annotations
@@ -17,25 +18,28 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from ssdr.common.errors import InputError
 from ssdr.io.atomic import write_bytes
 from ssdr.io.file_errors import reading
 
 from ..configs.config import Config
-from ..data.clip import MIRRORED, Clip
+from ..data.clip import MIRRORED, Clip, spread
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
-from ..data.virtual_bones import VirtualBones, parameter_roles, virtual_bones
-from ..io.files import Progress, silent
-from ..networks.checkpoint import Checkpoint, load_weights, save_checkpoint
+from ..io.files import Progress, silent, write_file
+from ..networks.checkpoint import Checkpoint, load_checkpoint, load_weights, save_checkpoint
 from ..networks.features import Normaliser, PoseFeatures, PoseReader, transforms_in_frame
 from ..networks.network import MotionNetwork
-from .batches import load_tracks
-from .high_frequency import DetailObjective, HighFrequencyObjective
-from .loop import fit
-from .low_frequency import LowFrequencyObjective
-from .targets import LowTargets
+from ..training.batches import load_tracks
+from ..training.detail import DetailObjective
+from ..training.loop import fit
+from ..training.targets import LowTargets
+from .bones import VirtualBones, parameter_roles, virtual_bones
+from .ensemble import fit_kernel, gram, left_out, select_pivots
+from .high import HighFrequencyObjective
+from .low import LowFrequencyObjective
 
 _logger = logging.getLogger(__name__)
 # Number of frames from which the statistics of the bones' motion are found.
@@ -250,3 +254,114 @@ def _claim(folder: Path, config: Config, clips: Sequence[str]) -> None:
         there = json.loads(file.read_text("utf-8"))
     if there != record:
         raise InputError("folder", "a new one, or a run of this configuration and clips", folder)
+
+
+Array = NDArray[np.float64]
+# Most clips of a parameter set on which networks are compared, since prediction takes long.
+_CLIPS = 4
+
+
+def train_ensemble(
+    store: ClipStore,
+    config: Config,
+    folder: Path | str,
+    *,
+    start: Checkpoint | None = None,
+    progress: Progress = silent,
+) -> Path:
+    """Train one network for each training parameter set, and the kernel that mixes the pivots.
+
+    If training was interrupted, another call continues it.
+
+    Parameters
+    ----------
+    store : ClipStore
+    config : Config
+    folder : path
+        Folder with a subfolder for each network, ``ensemble.safetensors``, and ``ensemble.json``:
+        `sets`, the training parameter sets, and `pivots`, their indices.
+    start : Checkpoint, optional
+        Network from whose weights every network starts; by default these are random.
+    progress
+        As in :func:`~garmentnet.paper.train.train`.
+
+    Returns
+    -------
+    Path
+        Path of the ensemble's checkpoint.
+
+    Raises
+    ------
+    InputError
+        If there is only one training set.
+    """
+    folder, o = Path(folder), config.ensemble
+    roles = parameter_roles(store)
+    sets = [p for p in store.parameters() if roles[p] == "train"]
+    if len(sets) < 2:
+        raise InputError("store", "two or more training sets of parameters", len(sets))
+    if config.data.condition:
+        raise InputError(
+            "data.condition", "false for pivots, which have parameters of their own", True
+        )
+    networks = []
+    for parameters in sets:
+        values = dataclasses.astuple(parameters)
+        # Named by its parameters, because numbers would change as the store grows.
+        name = "set-" + "-".join(f"{v:g}" for v in values)
+
+        def show(text: str, fraction: float, name: str = name) -> None:
+            progress(f"{name}, {text}", fraction)
+
+        own = dataclasses.replace(config.data, parameters=",".join(map(repr, values)))
+        path = train(
+            store,
+            dataclasses.replace(config, data=own),
+            folder / name,
+            start=start,
+            progress=show,
+        )
+        networks.append(load_checkpoint(path).networks[0])
+
+    theta = np.stack([p.normalised() for p in sets])
+    grams = []
+    for k, p in enumerate(sets):
+        grams.append(compare_networks(store, networks, p, "train", o.frames))
+        progress("comparing networks", (k + 1) / len(sets))
+    pivots = select_pivots(grams, theta, o.pivots or len(sets))
+    kernel = fit_kernel(left_out(grams, theta, pivots), steps=o.steps, seed=config.train.seed)
+    report = {"sets": [dataclasses.asdict(p) for p in sets], "pivots": pivots}
+    write_file(folder / "ensemble.json", json.dumps(report, indent=1).encode())
+    chosen = tuple(networks[k] for k in pivots)
+    whole = Checkpoint(chosen, tuple(sets[k] for k in pivots), kernel)
+    return save_checkpoint(whole, folder / "ensemble.safetensors")
+
+
+def compare_networks(
+    store: ClipStore,
+    networks: Sequence[MotionNetwork],
+    parameters: SimulationParameters,
+    split: str,
+    frames: int,
+) -> Array:
+    """Gram matrix ``(S, S)`` of all networks' residuals on one set's clips of a split.
+
+    Networks predict at most four clips from their first frame; `frames` evenly spread frames are
+    compared.
+
+    Raises
+    ------
+    InputError
+        If the set has no clip of the split.
+    """
+    names = store.names(split, parameters)
+    if not names:
+        raise InputError("store", f"{split} motions of {parameters}", str(store.path))
+    (some,) = spread([len(names)], _CLIPS)
+    total, used = np.zeros((len(networks), len(networks))), 0
+    for clip, here in store.sample([names[k] for k in some], frames):
+        upto = clip.joints[: here[-1] + 1]
+        answers = [n.predict(upto, frames=here) for n in networks]
+        total += gram(answers, clip.sequence.frames(here)) * len(here)
+        used += len(here)
+    return total / used
