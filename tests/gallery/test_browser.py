@@ -1,4 +1,4 @@
-"""The page of a garment in a browser without a screen: its numbers are those of the runtime."""
+"""The page of a garment in a browser without a screen: its numbers are those of the network."""
 
 import numpy as np
 import pytest
@@ -6,9 +6,11 @@ from scipy.spatial.transform import Rotation
 
 pytest.importorskip("torch")
 
+
+from docs.gallery.live.page import Take, write_page
+from garmentnet.collision.outward import push_of
 from garmentnet.data.parameters import SimulationParameters as P
-from garmentnet.runtime import Player, load_live
-from garmentnet.viewer import Take, write_page
+from garmentnet.networks.checkpoint import load_checkpoint
 from helpers import live_garment as made
 from helpers.browser import Browser, chromium
 
@@ -21,8 +23,7 @@ SOON = "new Promise(r => requestAnimationFrame(() => requestAnimationFrame(() =>
 
 
 def played(garment, joints, parameters=None):
-    player = Player(garment, 1 / garment.subject.fps)
-    return np.stack([player(pose, parameters) for pose in joints])
+    return garment.predict(joints, parameters)
 
 
 @pytest.fixture(scope="module")
@@ -73,8 +74,8 @@ def settle(browser):
     ],
     ids=str,
 )
-def test_vertices_are_those_of_the_runtime(opened, tmp_path, change):
-    garment, joints = made.live(tmp_path, **change), made.motion(10.1, seed=3)
+def test_vertices_are_those_of_the_network(opened, tmp_path, change):
+    garment, joints = made.one(made.network(**change)), made.motion(10.1, seed=3)
     joints[..., 3] += [4.0, 0.0, -2.5]
     theta = P(bending=1.3, density=0.15) if garment.reads_parameters else None
     expected = played(garment, joints, theta)
@@ -87,14 +88,15 @@ def test_vertices_are_those_of_the_runtime(opened, tmp_path, change):
 
 
 def test_the_dress_is_pushed_out_of_a_leg_but_not_of_one_turned_by_hand(opened):
-    pushed, plain = load_live("dress", push_out=True), load_live("dress")
+    plain = load_checkpoint("dress")
     skeleton, count = plain.subject.skeleton, 24
     turns = np.zeros((count, skeleton.n_joints, 3))
     turns[:, skeleton.index("thigh_l"), 0] = np.linspace(0, -1.5, count)
     root = np.tile(skeleton.rest[0], (count, 1))
     rotations = Rotation.from_rotvec(turns.reshape(-1, 3)).as_matrix()
     joints = skeleton.transforms(root, rotations.reshape(count, -1, 3, 3))
-    expected, without = played(pushed, joints, P()), played(plain, joints, P())
+    without = played(plain, joints, P())
+    expected = push_of(plain.subject)(without, joints).vertices
     far = np.abs(expected - without).max(axis=(1, 2))
     assert far.max() > 5e-3
     truth = expected + np.float32(0.01)
@@ -110,7 +112,7 @@ def test_the_dress_is_pushed_out_of_a_leg_but_not_of_one_turned_by_hand(opened):
 
 
 def test_a_pause_stands_still_and_a_sleeping_tab_does_not_jump(opened, tmp_path):
-    garment, joints = made.live(tmp_path), made.motion(4.0, seed=2)
+    garment, joints = made.one(made.network()), made.motion(4.0, seed=2)
     browser = opened(garment, [Take("one", joints)])
     before = vertices(browser, garment, 40)
     browser.value(SOON)
@@ -133,9 +135,9 @@ def test_a_pause_stands_still_and_a_sleeping_tab_does_not_jump(opened, tmp_path)
 
 def test_parameters_have_sliders_where_they_are_read(opened, tmp_path):
     joints = made.motion(1.0, seed=2)
-    browser = opened(made.live(tmp_path), [Take("one", joints)])
+    browser = opened(made.one(made.network()), [Take("one", joints)])
     assert browser.value("document.getElementById('parameters').hidden")
-    garment = made.live(tmp_path, condition=True)
+    garment = made.one(made.network(condition=True))
     browser = opened(garment, [Take("one", joints)], parameters=P(bending=1.1))
     box = "document.querySelectorAll('#parameters input')"
     assert browser.value(f"[...{box}].map(x => Number(x.value))") == [1.1, 0.2, 1.0]
@@ -149,7 +151,7 @@ def test_parameters_have_sliders_where_they_are_read(opened, tmp_path):
 
 
 def test_a_limb_turned_by_hand_takes_the_garment_along(opened, tmp_path):
-    garment, joints = made.live(tmp_path), np.tile(np.eye(3, 4), (5, 6, 1, 1))
+    garment, joints = made.one(made.network()), np.tile(np.eye(3, 4), (5, 6, 1, 1))
     browser = opened(garment, [Take("still", joints)])
     before = vertices(browser, garment, 4)
     browser.value("garmentnet.set({ bone: 2 })")
@@ -157,7 +159,7 @@ def test_a_limb_turned_by_hand_takes_the_garment_along(opened, tmp_path):
     browser.value(f"{slide}.value = -40; {slide}.dispatchEvent(new Event('input'))")
     settle(browser)
     after = vertices(browser, garment)
-    # The pose is held for as long as the page goes on: the runtime comes to the same rest.
+    # The pose is held for as long as the page goes on: the network comes to the same rest.
     pose = joints.copy()
     turn = np.radians(-40)
     c, s = np.cos(turn), np.sin(turn)
@@ -175,7 +177,7 @@ def test_a_limb_turned_by_hand_takes_the_garment_along(opened, tmp_path):
 
 
 def test_the_truth_beside_the_prediction(opened, tmp_path):
-    garment, joints = made.live(tmp_path), made.motion(2.0, seed=2)
+    garment, joints = made.one(made.network()), made.motion(2.0, seed=2)
     truth = played(garment, joints) + np.linspace(0, 0.1, 60, dtype=np.float32)[:, None, None]
     browser = opened(garment, [Take("one", joints, truth), Take("two", joints)])
     shown = "!document.querySelector('[data-truth]').hidden"
@@ -195,7 +197,7 @@ def test_hostile_names_do_nothing(opened, tmp_path):
     joints = made.motion(0.5)
     names = [f"<img src=x onerror=alert({k})></script><!--" for k in range(3)] + ["🦴" * 5000, ""]
     title = "<b>&amp;</title>"
-    browser = opened(made.live(tmp_path), [Take(name, joints) for name in names], title=title)
+    browser = opened(made.one(made.network()), [Take(name, joints) for name in names], title=title)
     assert browser.value("document.querySelectorAll('img, b').length") == 0
     assert browser.value("document.title") == title
     assert browser.value("document.querySelector('#clip option').textContent") == names[0]
@@ -204,7 +206,7 @@ def test_hostile_names_do_nothing(opened, tmp_path):
 
 
 def test_an_arm_of_the_dress_is_clicked_and_dragged(opened):
-    garment = load_live("dress")
+    garment = load_checkpoint("dress")
     joints = np.tile(np.eye(3, 4), (3, garment.subject.skeleton.n_joints, 1, 1))
     browser = opened(garment, [Take("still", joints)])
     before = vertices(browser, garment, 2)

@@ -7,19 +7,18 @@ import pytest
 
 pytest.importorskip("torch")
 
-from garmentnet.cli import main
+
+from docs.gallery.live.page import Take, main, write_page
 from garmentnet.data.parameters import SimulationParameters as P
-from garmentnet.networks.checkpoint import Checkpoint, save_checkpoint
+from garmentnet.networks.checkpoint import Checkpoint
 from garmentnet.paper.ensemble import Kernel
-from garmentnet.runtime import load_live
-from garmentnet.viewer import Take, write_page
 from helpers import live_garment as made
 from helpers.page import Held
 from ssdr.common.errors import InputError
 
 
 def test_a_page_holds_the_motions_and_stays_small(tmp_path):
-    garment, joints = made.live(tmp_path), made.motion(1.0)
+    garment, joints = made.one(made.network()), made.motion(1.0)
     size = write_page(garment, [Take("one", joints)], tmp_path / "a.html")
     page = Held((tmp_path / "a.html").read_text())
     assert size == (tmp_path / "a.html").stat().st_size
@@ -39,7 +38,7 @@ def test_a_page_holds_the_motions_and_stays_small(tmp_path):
 
 
 def test_what_is_refused(tmp_path):
-    garment, joints = made.live(tmp_path), made.motion(1.0)
+    garment, joints = made.one(made.network()), made.motion(1.0)
     path = tmp_path / "page.html"
     one = Take("one", joints)
     for takes, options, words in (
@@ -53,30 +52,19 @@ def test_what_is_refused(tmp_path):
             write_page(garment, takes, path, **options)
     networks = made.network(seed=1), made.network(seed=2)
     several = Checkpoint(networks, (P(bending=0.2), P(bending=2.0)), Kernel())
-    ensemble = load_live(save_checkpoint(several, tmp_path / "two.safetensors"))
     with pytest.raises(InputError, match="ensemble"):
-        write_page(ensemble, [one], path)
+        write_page(several, [one], path)
     assert not path.exists()
 
 
-def test_the_command(tmp_path, capsys):
+def test_the_script(tmp_path, capsys, monkeypatch):
     page, file = tmp_path / "page.html", tmp_path / "motion.npz"
-    garment = made.live(tmp_path, condition=True)
-    model = str(tmp_path / "one.safetensors")
-    joints = made.motion(1.0)
-    np.savez(file, joints=joints)
-    assert main(["view", model, str(file), "-o", str(page), "--bending", "5"]) == 0
-    assert "warning: extrapolated: bending 5, meant for" in capsys.readouterr().err
+    model = made.saved(tmp_path / "one.safetensors", condition=True)
+    np.savez(file, joints=made.motion(1.0))
+    words = ["page.py", str(model), str(file), "-o", str(page), "--bending", "1.5"]
+    monkeypatch.setattr("sys.argv", words)
+    main()
+    assert "1 motion(s)" in capsys.readouterr().out
     held = Held(page.read_text()).document
     assert [(c["name"], c["stop"]) for c in held["clips"]] == [("motion", 30)]
-    assert held["garment"]["parameters"][0]["value"] == 5
-    assert garment.reads_parameters
-    assert main(["view", model, "-o", str(page)]) == 2
-    assert "for a body of these joints" in capsys.readouterr().err
-    for motion, target in ((file, tmp_path / "page.txt"), (tmp_path / "none.bvh", page)):
-        assert main(["view", model, str(motion), "-o", str(target)]) == 2
-    made.live(tmp_path)
-    assert main(["view", model, str(file), "-o", str(page), "--bending", "1"]) == 2
-    assert main(["view", "dress", "-o", str(page)]) == 0
-    assert len(Held(page.read_text()).document["clips"]) == 3
-    assert page.stat().st_size <= 12e6
+    assert held["garment"]["parameters"][0]["value"] == 1.5
