@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ssdr.common.errors import FormatError, InputError
+from ssdr.common.errors import FormatError
 from ssdr.io.file_errors import check, reading
 
 Float = NDArray[np.float64]
@@ -51,29 +51,6 @@ class Bvh:
     @property
     def n_frames(self) -> int:
         return len(self.root)
-
-
-def find_bvh(folder: str | os.PathLike[str]) -> tuple[Path, ...]:
-    """Paths of the BVH files (``.bvh``, ``.bvh.gz``) in a folder, sorted by name.
-
-    Raises
-    ------
-    InputError
-        If there are none.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     (Path(folder) / "walk.bvh.gz").touch()
-    ...     [path.name for path in find_bvh(folder)]
-    ['walk.bvh.gz']
-    """
-    path = Path(folder)
-    files = [p for p in path.glob("*") if p.name.lower().endswith((".bvh", ".bvh.gz"))]
-    if not files:
-        raise InputError("motion", "a folder with BVH files (.bvh, .bvh.gz)", str(path))
-    return tuple(sorted(files))
 
 
 def read_bvh(path: str | os.PathLike[str]) -> Bvh:

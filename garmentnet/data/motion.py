@@ -102,31 +102,3 @@ def interpolate(
     for j in range(skeleton.n_joints):
         turned[:, j] = Slerp(frames, Rotation.from_matrix(local[:, j]))(at).as_matrix()
     return skeleton.transforms(place, turned)
-
-
-def lead_in(
-    skeleton: Skeleton, joints: NDArray[np.float64], moving: int, still: int
-) -> NDArray[np.float64]:
-    """Transforms ``(moving + still, J, 3, 4)`` that move the body from rest to its first pose.
-
-    The motion starts in the rest pose, at the place and with the heading of the first frame,
-    reaches the first pose after `moving` frames and holds it for `still` frames.
-
-    Examples
-    --------
-    >>> body = Skeleton(("root",), [-1], [[0, 1, 0]])
-    >>> joints = body.transforms([[2.0, 1.5, 0.0]], np.eye(3)[None, None])
-    >>> body.positions(lead_in(body, joints, 2, 1))[:, 0].tolist()
-    [[2.0, 1.0, 0.0], [2.0, 1.25, 0.0], [2.0, 1.5, 0.0]]
-    """
-    root, local = skeleton.pose(joints[:1])
-    forward = local[0, 0] @ [0.0, 0.0, 1.0]
-    heading = math.atan2(forward[0], forward[2])
-    rest_root = np.array([root[0, 0], skeleton.rest[0, 1], root[0, 2]])
-    rest_local = np.broadcast_to(np.eye(3), local.shape[1:]).copy()
-    rest_local[0] = Rotation.from_euler("y", heading).as_matrix()
-    start = skeleton.transforms(rest_root[None], rest_local[None])
-    t = np.arange(moving) / max(1, moving)
-    t = t * t * (3 - 2 * t)  # starts and ends at rest
-    both = np.concatenate([start, joints[:1]])
-    return np.concatenate([interpolate(skeleton, both, t), np.repeat(joints[:1], still, axis=0)])

@@ -11,8 +11,7 @@ import types
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
-from ssdr.common.checks import LARGEST
-from ssdr.common.errors import FormatError, InputError, is_real, is_whole
+from ssdr.common.errors import FormatError, InputError
 
 T = TypeVar("T")
 _KINDS = {bool: "true or false", int: "an integer", float: "a number", str: "a string"}
@@ -108,24 +107,6 @@ def from_table(kind: type[T], table: Any, *, file: str, name: str = "") -> T:
     except InputError as error:
         argument = f"{file}: {prefix}{error.argument}"
         raise InputError(argument, error.expected, error.got) from error
-
-
-def check_numbers(values: Any, **limits: tuple[float, float]) -> None:
-    """Check the numbers of a dataclass: each from 0 on, or within its `limits`.
-
-    Raises
-    ------
-    InputError
-        If a number is out of its range or not finite, or an integer is none.
-    """
-    for field in dataclasses.fields(values):
-        if field.type not in ("int", "float"):
-            continue
-        value, (low, high) = getattr(values, field.name), limits.get(field.name, (0, LARGEST))
-        if not (is_whole(value) if field.type == "int" else is_real(value)):
-            raise InputError(field.name, _KINDS[int if field.type == "int" else float], repr(value))
-        if not low <= value <= high:
-            raise InputError(field.name, f"a number from {low:g} to {high:g}", value)
 
 
 def _value(hint: Any, value: Any, file: str, key: str) -> Any:

@@ -16,6 +16,7 @@ pytest.importorskip("zarr")
 
 import trimesh
 
+from garmentnet.runtime.onnx_file import export_onnx
 from helpers import cloth_scenes, live_garment
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -23,7 +24,9 @@ _Given = tuple[dict[str, Any], dict[str, str]]
 
 
 def _checkpoint(_: pytest.FixtureRequest) -> _Given:
+    pytest.importorskip("onnxruntime")
     live_garment.saved(Path("checkpoint.safetensors"))
+    export_onnx(live_garment.one(live_garment.network()), "dress.onnx")
     joints = live_garment.motion(0.2)
     return {"pose": joints[0], "poses": joints, "joints": joints}, {}
 

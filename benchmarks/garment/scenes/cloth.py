@@ -13,12 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 from garmentnet.collision.body_tree import tree_of
 from garmentnet.data.motion import interpolate
 from garmentnet.data.parameters import SimulationParameters
-from garmentnet.io.tables import check_numbers
 from ssdr.common.checks import LARGEST
 from ssdr.common.errors import InputError
 
 from .body import Body
 from .garments import Garment
+from .limits import check_numbers
 from .xpbd.chunks import colour, pack
 from .xpbd.contact import CLUSTER
 from .xpbd.loop import BodyArrays, ClothArrays, Step, simulate_frames

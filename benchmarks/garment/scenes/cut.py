@@ -13,11 +13,11 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from garmentnet.io.tables import check_numbers
 from ssdr.common.errors import InputError
 
 from .body import Body
 from .garments import Garment, arm_weight, follow
+from .limits import check_numbers
 from .outline import LEVEL, Outline, find_outline, section
 from .rings import ROW, Half, divide, evenly, points_at, some_of
 

@@ -8,11 +8,12 @@ import dataclasses
 import json
 import os
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from filelock import FileLock, Timeout
 
-from garmentnet.data.bvh import find_bvh, read_bvh
+from garmentnet.data.bvh import read_bvh
 from garmentnet.data.clip_files import Split
 from garmentnet.data.retarget import retarget
 from garmentnet.data.store import ClipStore
@@ -67,6 +68,29 @@ def recorded_motions(
             length = min(frames, motion.n_frames - start)
             sources.append(MotionSource(f"{stem}_{i:02d}", split, i, length, (), str(path), start))
     return tuple(sources)
+
+
+def find_bvh(folder: str | os.PathLike[str]) -> tuple[Path, ...]:
+    """Paths of the BVH files (``.bvh``, ``.bvh.gz``) in a folder, sorted by name.
+
+    Raises
+    ------
+    InputError
+        If there are none.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     (Path(folder) / "walk.bvh.gz").touch()
+    ...     [path.name for path in find_bvh(folder)]
+    ['walk.bvh.gz']
+    """
+    path = Path(folder)
+    files = [p for p in path.glob("*") if p.name.lower().endswith((".bvh", ".bvh.gz"))]
+    if not files:
+        raise InputError("motion", "a folder with BVH files (.bvh, .bvh.gz)", str(path))
+    return tuple(sorted(files))
 
 
 def make_data_set(

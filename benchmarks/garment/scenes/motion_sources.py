@@ -9,12 +9,12 @@ from garmentnet.data.bvh import read_bvh
 from garmentnet.data.clip_files import Split
 from garmentnet.data.motion import Motion
 from garmentnet.data.retarget import retarget
-from garmentnet.io.tables import check_numbers
 from ssdr.common.checks import LARGEST
 from ssdr.common.errors import InputError
 
 from .body import Body
 from .dance.choreography import DANCE_CLASSES, dance
+from .limits import check_numbers
 
 SPLITS: tuple[Split, ...] = get_args(Split)
 _SEEDS_OF_A_SPLIT = 1000

@@ -14,13 +14,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 from garmentnet.data.parameters import SimulationParameters
-from garmentnet.io.tables import check_numbers, from_table, read_toml
+from garmentnet.io.tables import from_table, read_toml
 from ssdr.common.errors import FormatError, InputError
 
 from .body import Body, default_body, load_body
 from .cloth import Solver
 from .cut import Cut, cut_garment
 from .garments import Garment, garment_from_mesh
+from .limits import check_numbers
 from .motion_sources import SPLITS, Dances, DancesOfSplits, MotionSource
 from .quality import Gate
 from .simulator import VERSION

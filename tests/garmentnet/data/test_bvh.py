@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 pytest.importorskip("zarr")
 
 from benchmarks.garment.scenes.body import default_body
-from garmentnet.data.bvh import find_bvh, read_bvh
+from benchmarks.garment.scenes.dataset import find_bvh
+from garmentnet.data.bvh import read_bvh
 from garmentnet.data.retarget import retarget
 from ssdr.common.errors import FormatError, InputError
 

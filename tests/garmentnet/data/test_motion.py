@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 pytest.importorskip("zarr")
 
 from benchmarks.garment.scenes.body import default_body
-from garmentnet.data.motion import Motion, interpolate, lead_in
+from benchmarks.garment.scenes.simulator import lead_in
+from garmentnet.data.motion import Motion, interpolate
 from garmentnet.data.parameters import RANGES, SimulationParameters
 from garmentnet.data.skeleton import REFLECTION, Skeleton, mirror_transforms
 from helpers import toy_store as toy
