@@ -122,7 +122,7 @@ class VirtualBones:
         Sweeps end when one lowers the error by less than the fraction `tolerance`.
         """
         found = ssdr.fit_bones(low, self.skinning, tolerance=tolerance, max_sweeps=_SWEEPS)
-        return np.asarray(found.skinning.transforms, np.float32)
+        return np.array(found.skinning.transforms, np.float32)
 
     def kept(self, folder: str, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         """Arrays of a clip in the subfolder `folder`, which `make` computes if they are missing.
