@@ -12,7 +12,15 @@ import numpy as np
 import ssdr
 
 from ..common.errors import InputError
-from ..io import check_outputs, list_clips, list_meshes, load_any, load_clips, save_all
+from ..io import (
+    check_outputs,
+    list_clips,
+    list_left_out,
+    list_meshes,
+    load_any,
+    load_clips,
+    save_all,
+)
 from ..mesh.clips import Clip
 from ..mesh.sequence import MeshSequence
 from ..model.shapes import Skinned
@@ -26,7 +34,7 @@ _MESH = {
     "frames": "{frames:,} at {fps:g} a second, {duration:.3g} s",
     "vertices": "{vertices:,}",
     "triangles": "{triangles:,}",
-    "surface": "UVs: {uv}, normals: {normals}, materials: {materials}",
+    "surface": "UVs: {uv}, normals: {normals}, colours: {colors}, materials: {materials}",
     "size": "diagonal {diagonal:.4g}",
 }
 _SEAMS = {
@@ -72,6 +80,8 @@ def info(source: Path, *, clip: list[str] | None = None, **options: Any) -> None
         "triangles": len(thing.faces),
         "uv": surface is not None and surface.uv is not None,
         "normals": surface is not None and surface.normals is not None,
+        "colors": surface is not None and surface.colors is not None,
+        "not_read": list(list_left_out(source)),
         "materials": [m.name for m in surface.materials] if surface is not None else [],
     }
     several = f"{len(meshes)}, read as one (--meshes NAME takes one): {', '.join(meshes[:20])}"
@@ -80,6 +90,7 @@ def info(source: Path, *, clip: list[str] | None = None, **options: Any) -> None
     rows += in_words(about, _MESH | table)
     if about.get("hierarchy") is not None:
         rows += in_words(about["hierarchy"], _TREE)
+    rows.append(("not read", ", ".join(about["not_read"])))
     document = {"input": source, "kind": kind, **about, "meshes": meshes}
     Output.current.result({**document, "clips": clips_document(clips)}, rows)
 

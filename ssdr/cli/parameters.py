@@ -119,7 +119,9 @@ def _parameter(p: inspect.Parameter, hint: Any, text: str) -> inspect.Parameter:
         flags += [_SHORT[p.name]] if p.name in _SHORT else []
         if kind is bool and (p.default is not False):
             flags[0] += "/--no-" + flags[0][2:]
-        panel = None if p.name in _FIRST else "More"
+        # the frames of a picture come first, those to read of a file do not
+        first = p.name in _FIRST and not (p.name == "frames" and p.default is None)
+        panel = None if first else "More"
         metavar = p.name.upper() if kind is str else _METAVARS.get(kind)
         info = typer.Option(*flags, help=text, rich_help_panel=panel, metavar=metavar)
         if kind is _flag_number_or_text:
@@ -148,7 +150,7 @@ def _kind(hint: Any) -> tuple[Any, bool]:
         if typing.get_origin(kind) is Literal:
             return kind, optional
         origin = typing.get_origin(kind)
-        if isinstance(origin, type) and issubclass(origin, Sequence):
+        if isinstance(origin, type) and issubclass(origin, Sequence) and origin is not tuple:
             several = typing.get_args(kind)[0]
             return list[Path] if several is Path else list[str], optional
     if str in kinds and float in kinds:

@@ -16,7 +16,7 @@ from ..common.checks import parse_normals, parse_tolerance
 from ..common.errors import Cancelled, InputError
 from ..common.signals import stop_on_signals
 from ..decomposition import decompose as _decompose
-from ..io import SaveReport, check_outputs, in_space, load_any, load_clips, save_all
+from ..io import SaveReport, check_outputs, in_space, list_left_out, load_any, load_clips, save_all
 from ..io.outputs import check_file
 from ..mesh.clips import names_of
 from ..mesh.sequence import MeshSequence, joined
@@ -184,6 +184,7 @@ def _fit(
     model: Any
     with Output.current.waiting(f"loading {', '.join(map(str, inputs))}"):
         shots = load_clips(inputs, **reading)
+        not_read = [name for path in inputs for name in list_left_out(path)]
         options |= arguments(shots)
         if start is not None:
             model = in_space(load_any(start), shots[0].space)
@@ -212,6 +213,7 @@ def _fit(
         "total_seconds": time.perf_counter() - began,
         "input": inputs[0] if len(inputs) == 1 else inputs,
         "outputs": reports,
+        "not_read": list(dict.fromkeys(not_read)),
         **_measured(result, shots),
     }
     Output.current.result(document, _rows(document, result, shots))
@@ -272,9 +274,10 @@ def _rows(
         said[name] = metres
     clips, rows = names_of(shots)["clips"], in_words(document | said, _ROWS)
     rows[1:1] = [
+        ("not read", ", ".join(document["not_read"])),
         ("clips", clips_text(clips) if len(clips) > 1 else ""),
         ("copies", f"{result.copies:,} vertices lie on others in every frame: solved as one"),
-    ][: 2 if result.copies else 1]
+    ][: 3 if result.copies else 2]
     if result.normals is not None:
         rows.append(("normals", f"{result.normals}, as engines draw them"))
     if "parsimony" in document:

@@ -1,4 +1,4 @@
-"""UVs and normals for files: vertices are split where they differ."""
+"""UVs, normals and colours for files: vertices are split where they differ."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _UP = np.array([0.0, 1.0, 0.0])  # normal of a vertex without triangles
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Corners:
-    """Mesh whose vertices are split so that each has one UV and one normal.
+    """Mesh whose vertices are split so that each has one UV, one normal and one colour.
 
     The first V of its N vertices are the model's own in their order. After them come the copies
     that seams and hard edges need.
@@ -28,6 +28,7 @@ class Corners:
     faces : (T, 3) int32
     uv : (N, 2) float32 or None
     normals : (N, 3) float32 or None
+    colors : (N, 4) float32 or None
     number : (N,) int32 or None
         For a model with shapes: index of each vertex's normal among the model's normals.
     """
@@ -36,6 +37,7 @@ class Corners:
     faces: NDArray[np.int32]
     uv: NDArray[np.float32] | None
     normals: NDArray[np.float32] | None
+    colors: NDArray[np.float32] | None = None
     number: NDArray[np.int32] | None = None
 
 
@@ -44,11 +46,12 @@ def split_corners(
     n_vertices: int,
     uv: NDArray[np.float32] | None,
     normals: NDArray[np.float32] | None,
+    colors: NDArray[np.float32] | None = None,
 ) -> Corners:
-    """Mesh with one vertex for each different (vertex, UV, normal) at the triangle corners."""
+    """Mesh with a vertex for each different (vertex, UV, normal, colour) at triangle corners."""
     flat = faces.reshape(-1).astype(np.int64)
     columns = [flat[:, None]]
-    for values in (uv, normals):
+    for values in (uv, normals, colors):
         if values is not None:
             plain = np.ascontiguousarray(values.reshape(len(flat), values.shape[-1]), np.float32)
             # 0 is added so that -0 has the bits of 0
@@ -73,7 +76,8 @@ def split_corners(
         return result
 
     triangles = split.reshape(-1, 3).astype(np.int32)
-    return Corners(vertex, triangles, spread(uv, np.zeros(2)), spread(normals, _UP))
+    fillers = (uv, np.zeros(2)), (normals, _UP), (colors, np.ones(4))
+    return Corners(vertex, triangles, *(spread(*one) for one in fillers))
 
 
 def rest_normals(model: Skinning, rest: NDArray[np.floating]) -> NDArray[np.float32] | None:

@@ -42,6 +42,7 @@ class Functions:
     write_skinning: Callable[..., SaveReport] | None = None
     list_clips: Callable[..., tuple[Clip, ...]] | None = None
     list_meshes: Callable[[Path], tuple[str, ...]] | None = None
+    list_left_out: Callable[[Path], tuple[str, ...]] | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -56,6 +57,8 @@ class Format:
     reads_skinnings : bool
         Whether skinnings and clips can be read; sequences always can.
     writes_sequences, writes_skinnings : bool
+    keeps_colors : bool
+        Whether vertex colours are written.
     shown : bool
         Whether programs show what it holds, as a surface where there are triangles.
     beside : str or None
@@ -72,6 +75,7 @@ class Format:
     reads_skinnings: bool = False
     writes_sequences: bool = True
     writes_skinnings: bool = False
+    keeps_colors: bool = False
     shown: bool = False
     beside: str | None = None
     extra: str | None = None
@@ -106,6 +110,7 @@ def _scenes(reader: Any, **writers: Callable[..., SaveReport]) -> Functions:
         read_skinning=reader.read_skinning,
         list_clips=reader.list_clips,
         list_meshes=reader.list_meshes,
+        list_left_out=reader.list_left_out,
         **writers,
     )
 
@@ -130,12 +135,8 @@ def _alembic() -> Functions:
     from .alembic.alembic_reading import AlembicFile
     from .alembic.alembic_writing import write_sequence
 
-    return Functions(
-        read=AlembicFile.read,
-        write_sequence=write_sequence,
-        list_clips=AlembicFile.list_clips,
-        list_meshes=AlembicFile.list_meshes,
-    )
+    whole = _scenes(AlembicFile, write_sequence=write_sequence)
+    return dataclasses.replace(whole, read_skinning=None)
 
 
 def _fbx() -> Functions:
@@ -155,6 +156,7 @@ _GLTF = Format(
     reads_skinnings=True,
     writes_sequences=False,
     writes_skinnings=True,
+    keeps_colors=True,
     shown=True,
     space=METRES_Y_UP,
 )
@@ -163,6 +165,7 @@ _USD = Format(
     functions=_usd,
     reads_skinnings=True,
     writes_skinnings=True,
+    keeps_colors=True,
     shown=True,
     extra="usd",
     space=UNKNOWN,
@@ -174,6 +177,7 @@ FORMATS: Mapping[str, Format] = {
         functions=_npz,
         reads_skinnings=True,
         writes_skinnings=True,
+        keeps_colors=True,
         space=UNKNOWN,
     ),
     ".npy": Format(

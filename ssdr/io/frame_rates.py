@@ -1,14 +1,18 @@
 """Frames at which a file's motion is read: their rate, their times, and the keys between them.
 
-Frames follow each other at one rate, but the keys or samples of a file need not. The module needs
-only NumPy, so that a script that runs in Blender can import it, too.
+Frames follow each other at one rate, but the keys or samples of a file need not.
 """
+
+from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ..common.errors import InputError
 
 DEFAULT_RATE = 24.0  # frames per second of a file that states and implies none
 # frames per second in use in film, television and motion capture
@@ -16,23 +20,83 @@ _RATES = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 100.0, 120.0)
 _ON = 0.01  # frames: a time closer than this, as after rounding to float32, lies on a frame
 
 Times = NDArray[np.float64]
+Range = tuple[float, float] | None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Frames:
     """The `count` frames of a clip, at the times ``first + k / rate``.
 
-    `missed` (N,) holds the times of the keys that lie on none of these frames.
+    `missed` (N,) holds the times of the keys that lie on none of these frames, and `tempo` how many
+    frames the file itself counts in a unit of time, by default `rate`.
     """
 
     first: float
     rate: float
     count: int
     missed: Times
+    tempo: float | None = None
 
     @property
     def times(self) -> Times:
         return np.asarray(self.first + np.arange(self.count) / self.rate)
+
+    @property
+    def numbers(self) -> Times:
+        """Numbers (F,) of the frames, as the file counts them from its time 0 on."""
+        return self.times * (self.tempo or self.rate)
+
+    def within(self, wanted: Range) -> Frames:
+        """These frames, without those whose own numbers lie outside the range `wanted`.
+
+        Raises
+        ------
+        InputError
+            If none is left.
+        """
+        if wanted is None:
+            return self
+        kept = frames_in(wanted, self.numbers)
+        first, last = self.times[kept[[0, -1]]]
+        inside = (self.missed > first) & (self.missed < last)
+        return dataclasses.replace(
+            self, first=float(first), count=len(kept), missed=self.missed[inside]
+        )
+
+
+def parse_range(frames: str | Sequence[float] | None) -> Range:
+    """First and last frame of ``"10:50"`` or of two numbers; None if all are wanted.
+
+    Raises
+    ------
+    InputError
+        If it is anything else, or the last comes before the first.
+    """
+    if frames is None:
+        return None
+    expected = "the first and the last frame, as 10:50 or (10, 50)"
+    try:
+        first, last = map(float, frames.split(":") if isinstance(frames, str) else frames)
+        if -math.inf < first <= last < math.inf:
+            return first, last
+    except (TypeError, ValueError):
+        pass
+    raise InputError("frames", expected, repr(frames))
+
+
+def frames_in(wanted: tuple[float, float], numbers: Times) -> NDArray[np.int64]:
+    """Indices of the frames whose `numbers` (F,) lie in a range, its ends included.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    inside = (numbers > wanted[0] - _ON) & (numbers < wanted[1] + _ON)
+    if not inside.any():
+        held = f"some of the frames {numbers.min():g} to {numbers.max():g}"
+        raise InputError("frames", held, "{:g} to {:g}".format(*wanted))
+    return np.flatnonzero(inside)
 
 
 def off_frames(stamps: Times, first: float, rate: float, count: int | None = None) -> Times:

@@ -25,7 +25,9 @@ from .formats import (
     check_readable,
     format_to_read,
     format_to_write,
+    option_names,
 )
+from .frame_rates import parse_range
 from .references import trusting
 from .save_report import SaveReport
 from .spaces import ready_to_write, scaled, with_space
@@ -43,6 +45,7 @@ def load(
     *,
     clip: str | int | None = None,
     weld: bool = False,
+    frames: str | tuple[float, float] | None = None,
     fps: float | None = None,
     scale: float = 1.0,
     units: float | None = None,
@@ -65,6 +68,9 @@ def load(
         Merge vertices that coincide in every frame, as vertices along seams of UVs or normals do.
         `vertex_map` of the result holds the merged vertex of each original one, and the log says
         how many were merged.
+    frames : "10:50" or (10, 50), optional
+        First and last frame to read, by the file's own numbers: time codes of USD, numbers in the
+        names of files, times of glTF, FBX and Alembic multiplied by their rate, else from 0 on.
     fps : float, optional
         Frames per second, in place of the rate in the file. By default the file's rate, or 24 if it
         states none.
@@ -109,6 +115,9 @@ def load(
     space, functions = Space(units, up), format_.functions()
     if functions.list_clips is not None and clip is not None:
         options["clip"] = clip
+    wanted = parse_range(frames)
+    own = "frames" in option_names(functions.read)
+    options |= {"frames": wanted} if own else {}
     check_options(functions.read, format_.title, options)
     with trusting(folder):
         if not reads(options.get("faces")):  # a scene that holds the mesh
@@ -116,6 +125,10 @@ def load(
         sequence = functions.read(source, fps=fps, **options)
     if functions.list_clips is None:
         pick([_only_clip(sequence, source).name], clip)
+    if wanted is not None and not own:
+        part = _only_clip(sequence, source).part(*wanted)
+        kept = sequence.vertices[part.frames]
+        sequence = dataclasses.replace(sequence, vertices=kept, validate=False)
     sequence = scaled(sequence, scale, space)
     if weld:
         sequence, report = sequence.weld()
@@ -186,12 +199,40 @@ def list_meshes(
     ...     ssdr.io.list_meshes(f"{place}/dance.glb")
     ('dancer_small',)
     """
+    return _listed("list_meshes", path, folder)
+
+
+def list_left_out(
+    path: str | os.PathLike[str], *, folder: str | os.PathLike[str] | None = None
+) -> tuple[str, ...]:
+    """What a scene file holds and :func:`load` does not read, by the file's own words.
+
+    These are lights, cameras, curves, extensions, hidden meshes and the like. It is empty for
+    formats that hold meshes alone.
+
+    Parameters
+    ----------
+    path, folder
+        As in :func:`load`.
+
+    Raises
+    ------
+    FormatError, InputError, MissingDependencyError, FileNotFoundError
+        As in :func:`load`.
+
+    Examples
+    --------
+    >>> ssdr.io.list_left_out(ssdr.samples.path("dancer_small"))
+    ()
+    """
+    return _listed("list_left_out", path, folder)
+
+
+def _listed(name: str, path: Any, folder: Any) -> tuple[str, ...]:
+    """What a function of a file's format lists; nothing if the format has no such function."""
     source, format_ = _to_read(path)
-    listed = format_.functions().list_meshes
-    if listed is None:
-        return ()
     with trusting(folder):
-        return listed(source)
+        return tuple((getattr(format_.functions(), name) or (lambda _: ()))(source))
 
 
 def _to_read(
@@ -223,6 +264,7 @@ def load_skinning(
     path: str | os.PathLike[str],
     *,
     clip: str | int | Sequence[str | int] | None = None,
+    frames: str | tuple[float, float] | None = None,
     fps: float | None = None,
     scale: float = 1.0,
     units: float | None = None,
@@ -238,6 +280,8 @@ def load_skinning(
         ``.npz``, ``.glb``, ``.gltf``, ``.fbx`` or USD.
     clip : str, int or several of them, optional
         Names or indices of the clips to read; all by default.
+    frames : "10:50" or (10, 50), optional
+        First and last frame of every clip, as in :func:`load`.
     fps : float, optional
         Frames per second of every clip, as in :func:`load`.
     scale : float
@@ -270,9 +314,13 @@ def load_skinning(
     source, format_ = _to_read(path, fps, scale, skinning=True)
     space, read = Space(units, up), format_.functions().read_skinning
     assert read is not None  # as the format says
+    wanted, own = parse_range(frames), "frames" in option_names(read)
+    options |= {"frames": wanted} if own else {}
     check_options(read, format_.title, options)
     with trusting(folder):
         skinning = scaled(read(source, fps=fps, **options), scale, space)
+    if wanted is not None and not own:
+        skinning = skinning.select(*range(len(skinning.clips)), between=wanted)
     if clip is None:
         return skinning
     return skinning.select(*([clip] if isinstance(clip, (str, int)) else clip))
@@ -362,6 +410,8 @@ def save(
         report = write(ready, target, **options)
     if report.lost:
         warnings.warn(f"{target}: not kept: {', '.join(report.lost)}", SsdrWarning, stacklevel=2)
+    if getattr(thing.surface, "colors", None) is not None and not format_.keeps_colors:
+        notes.append("vertex colours are not kept")
     bare = format_.shown and not len(thing.faces)
     notes = [*([_BARE] if bare else []), *([said] if said else []), *report.notes, *notes]
     back = (ready.space.units or 1.0) / (given.space.units or ready.space.units or 1.0)

@@ -25,12 +25,13 @@ _TIME_LIMIT = 600.0  # seconds after which reading is stopped
 
 def run_reader(
     script: Path, job: Mapping[str, Any], who: str, path: Path
-) -> dict[str, NDArray[Any]]:
+) -> tuple[Any, dict[str, NDArray[Any]]]:
     """Run a script's function `read` in a Python of its own, for the file `path`.
 
-    `job` holds the limit of memory as ``"max_bytes"``. Errors are those of :func:`run_script`.
+    Returns the record and the arrays of `read`. `job` holds the limit of memory as ``"max_bytes"``.
+    Errors are those of :func:`run_script`.
     """
-    return run_script(
+    arrays = run_script(
         [sys.executable, "-P", str(_READER)],
         {"path": str(path.resolve()), "script": str(script), "who": who, **job},
         who=who,
@@ -39,6 +40,7 @@ def run_reader(
         time_limit=_TIME_LIMIT,
         path=path,
     )
+    return json.loads(arrays.pop("found").tobytes()), arrays
 
 
 def run_script(

@@ -1,8 +1,9 @@
 """Program that runs the function `read` of a script: ``python reading_process.py job.json``.
 
 It needs only NumPy and what the script needs, not the package. It limits the memory of its process
-to that of the job, and writes what `read` returns for the job to an archive of arrays, or the
-reason why the file is not read: an error called Refused, or an error of the library.
+to that of the job, and writes what `read` returns for the job to an archive: a record, as the bytes
+of its JSON, and arrays; or the reason why the file is not read: an error called Refused, or an
+error of the library.
 """
 
 import contextlib
@@ -26,7 +27,8 @@ def main() -> None:
         resource.setrlimit(resource.RLIMIT_AS, (most, most))
     read = runpy.run_path(job["script"])["read"]
     try:
-        arrays = read(job)
+        found, arrays = read(job)
+        arrays["found"] = np.frombuffer(json.dumps(found).encode(), dtype=np.uint8)
     except Exception as error:
         said = (str(error).strip().splitlines() or [type(error).__name__])[-1]
         if type(error).__name__ != "Refused":

@@ -20,6 +20,7 @@ from .save_report import frame_blocks
 
 _MOST_LOOKS, _MOST_BYTES = 256, 64 << 20  # limits of the key times at which vertices are compared
 _LEAST = 1e-6  # of the diagonal: rounding of float32 vertices
+_MOST_NAMES = 8  # in a warning
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -50,6 +51,26 @@ class Sample:
     frames: Frames
     budget: SceneBudget
     own: bool
+
+    def hidden(self, vanish: bool) -> list[tuple[slice, NDArray[np.bool_]]]:
+        """Vertices that the file hides in some frames, and the mask (F,) of these frames.
+
+        A warning names the meshes and the frames' own numbers, unless they are to `vanish`.
+        """
+        starts = part_starts(self.parts)
+        found: list[tuple[slice, NDArray[np.bool_]]] = []
+        said: dict[str, list[str]] = {}
+        for part, start, stop in zip(self.parts, starts[:-1], starts[1:], strict=True):
+            hidden = ~part.shown(self.time)
+            if hidden.any():
+                found.append((slice(start, stop), hidden))
+                said.setdefault(_ranges(self.frames.numbers, hidden), []).append(part.name)
+        for frames, names in said.items() if not vanish else ():
+            listed = ", ".join(names[:_MOST_NAMES]) + " and others" * (len(names) > _MOST_NAMES)
+            text = f"{listed}: hidden in frames {frames} of the clip {self.clip.name}, shown here"
+            hint = "vanish= shrinks what is hidden to a point"
+            warnings.warn(f"{self.budget.path}: {text} ({hint})", SsdrWarning, stacklevel=2)
+        return found
 
     def tell_missed(self) -> None:
         """Warn of keys between frames, with the largest error of vertices at these keys.
@@ -98,6 +119,13 @@ def vertices_of(parts: Sequence[Any], time: Any, n_frames: int) -> NDArray[np.fl
             rest = shape(block.start) if callable(shape) else shape
             out[block] = skin(rest, part.indices, part.weights, moved[block], dtype=np.float64)
     return frames
+
+
+def _ranges(numbers: Times, mask: NDArray[np.bool_]) -> str:
+    """Text on the runs of frames in a mask (F,), such as "1 to 12, 30 to 32"."""
+    index = np.flatnonzero(mask)
+    runs = np.split(index, np.flatnonzero(np.diff(index) > 1) + 1)
+    return ", ".join(f"{numbers[run[0]]:g} to {numbers[run[-1]]:g}" for run in runs)
 
 
 def tell(path: Path, clip: Clip, count: int, distance: float, diagonal: float) -> None:

@@ -31,11 +31,13 @@ class ScenePart(Protocol):
     `shape(time)` returns the vertices (V, 3) before skinning or, if these change over time, a
     function from a frame's index to vertices. `at_rest(time)` returns the vertices without shapes,
     and the shapes. `transforms(time)` returns the transforms (F, B, 3, 4) of the bones from the
-    rest pose. `bones(transforms)` returns the skeleton with such transforms. `time` is that of a
+    rest pose. `bones(transforms)` returns the skeleton with such transforms. `shown(time)` returns
+    the mask (F,) of the frames in which the file shows the part. `time` is that of a
     :class:`Sample`.
 
     Attributes
     ----------
+    name : str
     skeleton : hashable
         Identity of the skeleton: parts whose identities are equal share its bones.
     indices : (V, K) int array
@@ -43,12 +45,13 @@ class ScenePart(Protocol):
     weights : (V, K) float array
     faces : (T, 3) int array
         Indices into the part's own vertices.
-    uv, normals : (T, 3, 2) and (T, 3, 3) float32 arrays or None
-        UVs and normals at the corners of the triangles.
+    uv, normals, colors : (T, 3, 2), (T, 3, 3) and (T, 3, 4) float32 arrays or None
+        As in :class:`~ssdr.Surface`, at the corners of the triangles.
     material : (T,) int array
         Index of each triangle's material among those of the scene; -1 stands for a default one.
     """
 
+    name: str
     skeleton: Any
     indices: NDArray[np.int32]
     weights: NDArray[np.float64]
@@ -59,10 +62,13 @@ class ScenePart(Protocol):
     def uv(self) -> NDArray[np.float32] | None: ...
     @property
     def normals(self) -> NDArray[np.float32] | None: ...
+    @property
+    def colors(self) -> NDArray[np.float32] | None: ...
     def shape(self, time: Any, /) -> Shape: ...
     def at_rest(self, time: Any, /) -> tuple[NDArray[np.float64], Shapes | None]: ...
     def transforms(self, time: Any, /) -> NDArray[np.float64]: ...
     def bones(self, transforms: NDArray[np.float64], /) -> Bones: ...
+    def shown(self, time: Any, /) -> NDArray[np.bool_]: ...
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -146,40 +152,40 @@ def join_faces(parts: Sequence[ScenePart]) -> NDArray[np.int32]:
 def _join_surface(
     parts: Sequence[ScenePart], rest: Sequence[NDArray[np.floating]], materials: list[Material]
 ) -> Surface | None:
-    """Surface of all parts joined, or None if there are no UVs, normals or materials.
+    """Surface of all parts joined, or None if there is nothing to state.
 
-    If only some parts have UVs, the others get zeros. If only some have normals, the others get the
-    normals of their rest pose.
+    If only some parts have UVs, the others get zeros; if only some have normals, the others get
+    those of their rest pose; if only some have colours, the others become white.
     """
     index = np.concatenate([part.material for part in parts])
     if not len(index):
         return None
-    uvs: list[Any] = [part.uv for part in parts]
-    normals: list[Any] = [part.normals for part in parts]
-    some_uv = any(uv is not None for uv in uvs)
-    some_normals = any(known is not None for known in normals)
-    if not (some_uv or some_normals or materials):
+    fields: dict[str, Any] = {}
+    for field, usual in (("uv", [0, 0]), ("normals", None), ("colors", [1, 1, 1, 1])):
+        held = [getattr(part, field) for part in parts]
+        if all(one is None for one in held):
+            continue
+        for k, part in enumerate(parts):
+            if held[k] is None:
+                plain = None if usual is None else np.tile(usual, (len(part.faces), 3, 1))
+                held[k] = corner_normals(rest[k], part.faces, None) if plain is None else plain
+        fields[field] = np.concatenate(held).astype(np.float32, copy=False)
+    if not (fields or materials):
         return None
     if materials and (index < 0).any():
         index = np.where(index < 0, len(materials), index)
         materials = [*materials, Material(name="default")]
-    for k, part in enumerate(parts):
-        if uvs[k] is None:
-            uvs[k] = np.zeros((len(part.faces), 3, 2), dtype=np.float32)
-        if normals[k] is None:
-            normals[k] = corner_normals(rest[k], part.faces, None)
-    return Surface(
-        uv=np.concatenate(uvs) if some_uv else None,
-        normals=np.concatenate(normals) if some_normals else None,
-        material_index=index.astype(np.int32) if materials else None,
-        materials=tuple(materials),
-    )
+    numbers = index.astype(np.int32) if materials else None
+    return Surface(material_index=numbers, materials=tuple(materials), **fields)
 
 
 def join_sequence(
-    sample: Sample, materials: list[Material], name: str, space: Space
+    sample: Sample, materials: list[Material], name: str, space: Space, vanish: bool = False
 ) -> MeshSequence:
-    """Sequence called `name` of the skinned vertices of all parts in the frames of one clip."""
+    """Sequence called `name` of the skinned vertices of all parts in the frames of one clip.
+
+    With `vanish`, a part is its centroid alone in the frames in which the file hides it.
+    """
     clip, parts = sample.clip, sample.parts
     count = int(part_starts(parts)[-1])
     sample.budget.spend(12.0 * clip.n_frames * count, f"{clip.n_frames} frames of {count} vertices")
@@ -189,18 +195,27 @@ def join_sequence(
     surface = _join_surface(parts, rest_poses, materials)
     named: dict[str, Any] = {"name": name, "clip": clip.name, "surface": surface, "space": space}
     sample.tell_missed()
+    for vertices, hidden in sample.hidden(vanish):
+        if vanish:
+            block = frames[hidden, vertices]
+            frames[hidden, vertices] = block.mean(axis=1, keepdims=True, dtype=np.float64)
     return MeshSequence(frames, join_faces(parts), clip.fps, **named)
 
 
 def join_skinning(
-    samples: Sequence[Sample], materials: list[Material], name: str, space: Space
+    samples: Sequence[Sample],
+    materials: list[Material],
+    name: str,
+    space: Space,
+    vanish: bool = False,
 ) -> Skinned:
     """Skinning called `name` of all parts, with one clip for each sample.
 
     Raises
     ------
     FormatError
-        If anything but shapes changes the vertices of a part before they are skinned.
+        If anything but shapes changes the vertices of a part before they are skinned, or the file
+        hides one that is to `vanish`.
     """
     parts = samples[0].parts
     bones: dict[Hashable, Bones] = {}
@@ -230,6 +245,8 @@ def join_skinning(
     )
     for one in samples:
         one.tell_missed()
+        problem = "a mesh is hidden in some frames: to vanish there, it is read by ssdr.load"
+        check(not (one.hidden(vanish) and vanish), problem)
     model = make_skinning(
         np.concatenate(rest),
         np.concatenate([widened(part, part.indices + first[part.skeleton]) for part in parts]),

@@ -16,6 +16,7 @@ from ..mesh.surface import Material, Space
 from ..model.shapes import Skinned, shaped
 from .file_clips import pick_clip
 from .file_errors import reading
+from .frame_rates import Range
 from .sampling import Sample
 from .scene import join_sequence, join_skinning
 
@@ -35,12 +36,15 @@ class SceneFile(ABC):
         At least one.
     driven : bool
         Whether the file says that each of its clips is an expression of a face.
+    asked : (float, float) or None
+        First and last frame to read, by the file's own numbers.
     """
 
     name: str
     space: Space
     clip_names: Sequence[str]
     driven = False
+    asked: Range = None
 
     @abstractmethod
     def __init__(self, path: Path, max_bytes: int | None = None, meshes: Any = None) -> None: ...
@@ -63,6 +67,10 @@ class SceneFile(ABC):
         """Names of the meshes that are shown, or of the nodes that hold them."""
 
     @abstractmethod
+    def left_out(self) -> Sequence[str]:
+        """What the file holds and no function here reads, as "2 lights" and names of meshes."""
+
+    @abstractmethod
     def materials(self, parts: Sequence[Any]) -> list[Material]:
         """Materials of the file, or of parts of it, in the order of their indices."""
 
@@ -74,6 +82,8 @@ class SceneFile(ABC):
         clip: str | int | None = None,
         fps: float | None = None,
         meshes: str | Sequence[str] | None = None,
+        frames: Range = None,
+        vanish: bool = False,
         max_bytes: int | None = None,
     ) -> MeshSequence:
         """Read all meshes that are shown, with skins, shapes and moving nodes baked to vertices.
@@ -91,6 +101,12 @@ class SceneFile(ABC):
         meshes : str or several of them, optional
             Names of the meshes to read, or of nodes that hold them (in USD, of prims above them);
             all by default.
+        frames : (first, last), optional
+            Frames to read, by the file's own numbers, both ends included; all by default. They are
+            time codes of USD, and else times multiplied by the file's rate.
+        vanish : bool
+            Shrink a mesh to a point in the frames in which the file hides it, while it shows it in
+            others; by default it is shown in all, with a warning.
         max_bytes : int, optional
             Most memory that reading may take; by default 1000 times the size of the file, but at
             least 1 GiB and at most 16 GiB.
@@ -107,18 +123,26 @@ class SceneFile(ABC):
             If the file is damaged, needs more memory than `max_bytes`, requires what is not
             supported, or holds no mesh that is shown, or a mesh's topology changes.
         InputError
-            If there is no such clip or mesh.
+            If there is no such clip, mesh or frame.
         """
-        with reading(path, "clip", "meshes"):
+        with reading(path, "clip", "meshes", "frames"):
             file = cls(path, max_bytes, meshes)
+            file.asked = frames
             sample = file.sample(pick_clip(file.clip_names, clip, path), fps)
-            return join_sequence(sample, file.materials(sample.parts), file.name, file.space)
+            materials = file.materials(sample.parts)
+            return join_sequence(sample, materials, file.name, file.space, vanish)
 
     @classmethod
     def list_clips(cls, path: Path, *, fps: float | None = None) -> tuple[Clip, ...]:
         """Clips of a file, with frames numbered as in :meth:`read_skinning`."""
         with reading(path):
             return in_order(cls(path).clips(fps))
+
+    @classmethod
+    def list_left_out(cls, path: Path) -> tuple[str, ...]:
+        """What the file holds and nothing here reads."""
+        with reading(path):
+            return tuple(cls(path).left_out())
 
     @classmethod
     def list_meshes(cls, path: Path) -> tuple[str, ...]:
@@ -134,6 +158,8 @@ class SceneFile(ABC):
         fps: float | None = None,
         meshes: str | Sequence[str] | None = None,
         joints_alone: bool = False,
+        frames: Range = None,
+        vanish: bool = False,
         max_bytes: int | None = None,
     ) -> Skinned:
         """Read the skins of a file without baking them; a mesh without a skin gets one bone.
@@ -143,7 +169,7 @@ class SceneFile(ABC):
 
         Parameters
         ----------
-        path, meshes, max_bytes
+        path, meshes, frames, vanish, max_bytes
             As in :meth:`read`.
         fps : float, optional
             As in :meth:`read`, for every clip; all are read.
@@ -156,13 +182,14 @@ class SceneFile(ABC):
         FormatError
             As in :meth:`read`, and if the points of a mesh move, which a skinning cannot store.
         InputError
-            If there is no such mesh.
+            If there is no such mesh, or a clip has none of the frames.
         """
-        with reading(path, "meshes"):
+        with reading(path, "meshes", "frames"):
             file = cls(path, max_bytes, meshes)
+            file.asked = frames
             samples = file.samples(range(len(file.clip_names)), fps, joints_alone)
             materials = file.materials(samples[0].parts)
-            model = join_skinning(samples, materials, file.name, file.space)
+            model = join_skinning(samples, materials, file.name, file.space, vanish)
             return _as_face(model) if file.driven else model
 
 

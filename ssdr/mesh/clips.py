@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -65,6 +66,21 @@ class Clip:
     def frames(self) -> slice:
         """The frames as an index: ``model.skin(clip.frames)``."""
         return slice(self.start, self.stop)
+
+    def part(self, first: float, last: float) -> Clip:
+        """The clip from frame `first` to `last`, both included and counted from 0 at its start.
+
+        Raises
+        ------
+        InputError
+            If it has none of these frames.
+        """
+        start = self.start + max(0, math.ceil(first))
+        stop = min(self.stop, self.start + math.floor(last) + 1)
+        if not start < stop:
+            held = f"some of the frames 0 to {self.n_frames - 1}"
+            raise InputError("frames", held, f"{first:g} to {last:g}")
+        return dataclasses.replace(self, start=start, stop=stop)
 
 
 class OneClip(tuple[Clip, ...]):

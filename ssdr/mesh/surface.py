@@ -68,6 +68,8 @@ class Surface:
         :class:`~ssdr.Skinning` belong to its rest pose, and engines skin them with the bones.
         Those of a :class:`~ssdr.MeshSequence` are of the file's reference frame and only show which
         edges are hard.
+    colors : (T, 3, 4) float32 or None
+        RGBA as a file states it, 0 to 1; glTF takes it as linear.
     material_index : (T,) int32 or None
         Index into `materials`; None means that all triangles use the first.
     materials : tuple of Material
@@ -82,6 +84,7 @@ class Surface:
 
     uv: NDArray[np.float32] | None = None
     normals: NDArray[np.float32] | None = None
+    colors: NDArray[np.float32] | None = None
     material_index: NDArray[np.int32] | None = None
     materials: tuple[Material, ...] = ()
 
@@ -110,7 +113,8 @@ def as_trimesh(points: NDArray[np.floating], faces: NDArray[np.int32]) -> Any:
 def check_surface(surface: Surface, n_faces: int) -> Surface:
     if not isinstance(surface, Surface):
         raise InputError("surface", "a Surface or None", type(surface).__name__)
-    for field, tail in (("uv", (3, 2)), ("normals", (3, 3)), ("material_index", ())):
+    tails = {"uv": (3, 2), "normals": (3, 3), "colors": (3, 4), "material_index": ()}
+    for field, tail in tails.items():
         array = getattr(surface, field)
         if array is not None and np.shape(array) != (n_faces, *tail):
             raise InputError(

@@ -198,11 +198,11 @@ class ShapedSkinning:
         points = self.skinning.rest if frame is None else self.skin(int(frame))
         return as_trimesh(points, self.faces)
 
-    def select(self, *clips: str | int) -> ShapedSkinning:
+    def select(self, *clips: str | int, **options: Any) -> ShapedSkinning:
         """A copy with only the given clips, as :meth:`Skinning.select` has them."""
-        _, index = self.skinning.frames_of(*clips)
-        shapes = self.shapes.in_frames(index)
-        return dataclasses.replace(self, skinning=self.skinning.select(*clips), shapes=shapes)
+        _, index = self.skinning.frames_of(*clips, **options)
+        shapes, skinning = self.shapes.in_frames(index), self.skinning.select(*clips, **options)
+        return dataclasses.replace(self, skinning=skinning, shapes=shapes)
 
 
 Skinned = Skinning | ShapedSkinning

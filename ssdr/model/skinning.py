@@ -251,13 +251,16 @@ class Skinning(Articulated):
         """One frame, or the rest pose, as a ``trimesh.Trimesh`` of copies."""
         return as_trimesh(self.rest if frame is None else self.skin(int(frame)), self.faces)
 
-    def select(self, *clips: str | int) -> Skinning:
+    def select(self, *clips: str | int, between: tuple[float, float] | None = None) -> Skinning:
         """A copy of the model with only the given clips (names or indices), in the given order.
+
+        Of each clip it has all frames, or those `between` two numbers (both included), counted from
+        0 at the clip's first frame.
 
         Raises
         ------
         InputError
-            If there is no such clip, or one is named twice.
+            If there is no such clip, one is named twice, or one has no such frame.
 
         Examples
         --------
@@ -269,7 +272,7 @@ class Skinning(Articulated):
         >>> jump.n_frames, jump.fps, jump.clips
         (2, 60.0, (Clip(name='jump', start=0, stop=2, fps=60.0),))
         """
-        chosen, index = self.frames_of(*clips)
+        chosen, index = self.frames_of(*clips, between=between)
         keyframes = self.keyframes
         if keyframes is not None:
             keyframes = keyframes.copy()
@@ -284,7 +287,9 @@ class Skinning(Articulated):
             clips=in_order(chosen),
         )
 
-    def frames_of(self, *clips: str | int) -> tuple[list[Clip], NDArray[np.int64]]:
+    def frames_of(
+        self, *clips: str | int, between: tuple[float, float] | None = None
+    ) -> tuple[list[Clip], NDArray[np.int64]]:
         """The clips that names or indices choose, and their frames in the given order.
 
         Raises
@@ -296,6 +301,8 @@ class Skinning(Articulated):
         chosen = [self.clips[pick(known, clip)] for clip in clips]
         if not chosen or len(set(chosen)) < len(chosen):
             raise InputError("clip", f"some of {known}, each once", list(clips))
+        if between is not None:
+            chosen = [clip.part(*between) for clip in chosen]
         return chosen, np.concatenate([np.arange(clip.start, clip.stop) for clip in chosen])
 
     def dense_weights(self) -> NDArray[np.floating]:

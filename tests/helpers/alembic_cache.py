@@ -111,6 +111,17 @@ class Cache:
         param.setScope(getattr(self.geometry.GeometryScope, f"k{scope}Scope"))
         return param
 
+    def colors(self, item: Any, rgba: Any) -> None:
+        """Give a mesh a colour (V, 4) for each vertex."""
+        g, values = self.geometry, self.imath.C4fArray(len(rgba))
+        for k, color in enumerate(rgba):
+            values[k] = self.imath.Color4f(*map(float, color))
+        held, scope = item.getSchema().getArbGeomParams(), g.GeometryScope.kVertexScope
+        param, sample = g.OC4fGeomParam(held, "Cs", False, scope, 1), g.OC4fGeomParamSample()
+        sample.setVals(values)
+        sample.setScope(scope)
+        param.set(sample)
+
     def close(self) -> Path:
         del self.top, self._archive
         return self.path

@@ -57,18 +57,26 @@ class FbxText:
         return self._add("Model", f"Model::{name}", kind, self._properties(rows), parent)
 
     def mesh(
-        self, node: int, points: Any, polygons: Any, *, uv: Any = None, normals: Any = None
+        self,
+        node: int,
+        points: Any,
+        polygons: Any,
+        *,
+        uv: Any = None,
+        normals: Any = None,
+        colors: Any = None,
     ) -> int:
-        """A mesh; `uv` and `normals` have a row for each corner."""
+        """A mesh; `uv`, `normals` and `colors` have a row for each corner."""
         ends = np.concatenate([[*row[:-1], -1 - row[-1]] for row in polygons])
         body = self._array("Vertices", points) + self._array("PolygonVertexIndex", ends)
-        for name, values in (("UV", uv), ("Normal", normals)):
+        layers = {"UV": (uv, "UV"), "Normal": (normals, "Normals"), "Color": (colors, "Colors")}
+        for name, (values, key) in layers.items():
             if values is not None:
                 how = 'MappingInformationType: "ByPolygonVertex"\n'
                 how += 'ReferenceInformationType: "Direct"\n'
-                values = self._array("UV" if name == "UV" else "Normals", values)
+                values = self._array(key, values)
                 body += f'LayerElement{name}: 0 {{\nName: ""\n{how}{values}}}\n'
-        named = [n for n, v in (("UV", uv), ("Normal", normals)) if v is not None]
+        named = [name for name, (values, _) in layers.items() if values is not None]
         rows = [f'LayerElement:  {{\nType: "LayerElement{n}"\nTypedIndex: 0\n}}\n' for n in named]
         body += "Layer: 0 {\n" + "".join(rows) + "}\n"
         return self._add("Geometry", "Geometry::", "Mesh", body, node)
@@ -93,6 +101,12 @@ class FbxText:
             body = self._array("Indexes", vertices) + self._array("Vertices", moved)
             self._add("Geometry", f"Geometry::{name}{percent:g}", "Shape", body, channel)
         return channel
+
+    def lamp(self, parent: int) -> int:
+        """A node with a light."""
+        return self._add(
+            "NodeAttribute", "NodeAttribute::", "Light", "", self.node("lamp", parent, kind="Light")
+        )
 
     def material(self, node: int, name: str) -> int:
         return self._add("Material", f"Material::{name}", "", 'ShadingModel: "phong"\n', node)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import dataclasses
 import logging
 from collections.abc import Sequence
 from pathlib import Path
@@ -49,6 +49,11 @@ class AlembicFile(SceneFile):
         found, _ = self._read([])
         return sorted(object_name(names) for names in found["names"])
 
+    def left_out(self) -> list[str]:
+        found, _ = self._read([])
+        hidden = [f"{readable(name).rsplit('/', 1)[-1]} (hidden)" for name in found["hidden"]]
+        return hidden + [f"{count} {readable(kind)}" for kind, count in found["others"].items()]
+
     def materials(self, _parts: Sequence[Any]) -> list[Material]:
         return [Material(name=one) for one in self._materials]
 
@@ -64,10 +69,13 @@ class AlembicFile(SceneFile):
         check(parts, "no mesh with vertices")
         if len(parts) == 1:
             self.name = object_name(parts[0].names)
-        frames = sample_frames(_stamps([times for part in parts for times in part.clocks]), fps)
+        stamps = _stamps([times for part in parts for times in part.clocks])
+        frames = sample_frames(stamps, fps)
+        own = frames.rate if fps is None else sample_frames(stamps, None).rate
+        frames = dataclasses.replace(frames, tempo=own).within(self.asked)
         n_vertices = sum(part.n_points for part in parts)
         what = f"{frames.count} frames of {n_vertices} vertices"
-        self.budget.spend(256.0 * frames.count * len(parts), what)
+        self.budget.spend(256.0 * frames.count * (len(parts) + len(nodes.clocks)), what)
         return Sample(
             clip=Clip(self.clip_names[0], 0, frames.count, frames.rate),
             parts=parts,
@@ -81,8 +89,7 @@ class AlembicFile(SceneFile):
     def _read(self, wanted: list[str] | None) -> tuple[dict[str, Any], dict[str, Any]]:
         """Run ``alembic_script.py``; return records and arrays of the meshes `wanted`, or all."""
         job = {"meshes": wanted, "max_bytes": self.budget.most}
-        arrays = run_reader(_SCRIPT, job, "alembic3d", self.budget.path)
-        found = json.loads(str(arrays.pop("found")))
+        found, arrays = run_reader(_SCRIPT, job, "alembic3d", self.budget.path)
         check(found["names"], "no mesh that is shown")
         found["names"] = [[readable(name) for name in one] for one in found["names"]]
         return found, arrays

@@ -4,7 +4,7 @@
 library. It needs only NumPy and alembic3d, not the package.
 """
 
-import json
+import dataclasses
 from collections.abc import Iterator
 from typing import Any
 
@@ -18,11 +18,36 @@ _SCOPES = {
     "kUniformScope": "uniform",
     "kConstantScope": "constant",
 }
+_WRAP = Abc.WrapExistingFlag.kWrapExisting
 _MOST_SAMPLES = 1 << 22  # of a property; two days at 24 a second
 
 
 class Refused(Exception):
     """An archive is not read; the message is all that the user sees."""
+
+
+@dataclasses.dataclass(eq=False)
+class Place:
+    """An object of an archive, and the one above it.
+
+    Attributes
+    ----------
+    shown : (list of float, list of bool)
+        Times in seconds from which on the object is visible or not; before the first, it is as it
+        is then.
+    number : int
+        Index of its transform, or else of the next one above, among those that were read; -1 where
+        there is none, and None if it has not been looked for.
+    size : int
+        Characters of its path.
+    """
+
+    name: str
+    above: Any
+    item: Any
+    shown: Any
+    number: Any = None
+    size: int = 0
 
 
 class Reader:
@@ -34,6 +59,8 @@ class Reader:
         Each transform comes after its parent.
     names : list of lists of str
         For each visible mesh, read or not: names of all objects above it, then its own name.
+    others : dict
+        Number of the objects of each further kind.
     arrays : dict
     """
 
@@ -42,52 +69,64 @@ class Reader:
         self.most, self.need = int(job["max_bytes"]), 0
         self.names: list[list[str]] = []
         self.hidden: list[str] = []
+        self.others: dict[str, int] = {}
         self.meshes: list[dict[str, Any]] = []
         self.transforms: list[dict[str, Any]] = []
         self.arrays: dict[str, Any] = {}
-        self._known: dict[str, int] = {}
 
     def read(self, top: Any) -> None:
-        for names, chain, mesh in self.find(top):
+        for place, mesh in self.find(top):
+            line = [place]
+            while line[-1].above is not None:
+                line.append(line[-1].above)
+            names = [one.name for one in line[::-1]]
+            size = sum(2 * len(name) + 64 for name in names)  # here and in the package
+            self.afford(size, f"{len(names)} names of objects above a mesh, beside others,")
+            if not any(place.shown[1]):
+                self.hidden.append("/".join(names))
+                continue
             self.names.append(names)
             if self.wanted is None or not self.wanted.isdisjoint(names):
                 try:
-                    self.read_mesh(names, chain, mesh)
+                    self.meshes.append(self.mesh(mesh, names, self.transform_of(line[:0:-1])))
+                    self.meshes[-1]["shown"] = place.shown
                 except Refused as error:
                     raise Refused(f"/{'/'.join(names)}: {error}") from error
 
-    def read_mesh(self, names: list[str], chain: list[tuple[str, Any]], mesh: Any) -> None:
+    def transform_of(self, line: list[Place]) -> int:
+        """Read the transforms of a line of objects, the highest first; index of the last one."""
         above = -1
-        for path, node in chain:
-            if path not in self._known:
-                self._known[path] = len(self.transforms)
-                self.transforms.append(self.transform(node.getSchema(), above))
-            above = self._known[path]
-        self.meshes.append(self.mesh(mesh, names, above))
+        for one in line:
+            if one.number is None:
+                one.number = above
+                if AbcGeom.IXform.matches(one.item.getHeader()):
+                    node = AbcGeom.IXform(one.item, _WRAP)
+                    self.transforms.append(self.transform(node.getSchema(), above))
+                    one.number = len(self.transforms) - 1
+            above = one.number
+        return above
 
-    def find(self, top: Any) -> Iterator[tuple[list[str], list[tuple[str, Any]], Any]]:
-        """Yield names, transforms above and object of each visible mesh.
-
-        The paths of meshes that are not visible are added to `hidden`.
-        """
-        waiting: list[Any] = [(top, [], [], False)]
+    def find(self, top: Any) -> Iterator[tuple[Place, Any]]:
+        """Yield place and object of each mesh, in their order, and count what is no mesh."""
+        waiting: list[Any] = [(top, None, ([0.0], [True]))]
         while waiting:
-            item, names, chain, hidden = waiting.pop()
+            item, above, shown = waiting.pop()
             below = []
             for k in range(item.getNumChildren()):
-                header = item.getChildHeader(k)
-                child, name = item.getChild(k), header.getName()
-                shown = str(AbcGeom.GetVisibility(child))
-                unseen = shown == "kVisibilityHidden" or (hidden and shown != "kVisibilityVisible")
-                path, above = [*names, name], chain
-                if AbcGeom.IXform.matches(header):
-                    above = [*chain, ("/".join(path), AbcGeom.IXform(item, name))]
-                for kind in (AbcGeom.IPolyMesh, AbcGeom.ISubD):
-                    if kind.matches(header) and unseen:
-                        self.hidden.append("/".join(path))
-                    elif kind.matches(header):
-                        yield path, chain, kind(item, name)
-                below.append((child, path, above, unseen))
+                child = item.getChild(k)
+                header = child.getHeader()  # of an instance, that of its source
+                place = Place(child.getName(), above, child, visibility(child, shown))
+                # the library holds the path of each object
+                place.size = len(place.name) + (above.size if above else 0)
+                self.afford(place.size, "the path of an object beside others")
+                kinds = AbcGeom.IPolyMesh, AbcGeom.ISubD, AbcGeom.IXform, AbcGeom.IFaceSet
+                found = [kind for kind in kinds if kind.matches(header)]
+                if not found:
+                    schema = str(header.getMetaData().get("schema")).split("_")[1:2]
+                    self.others["".join(schema)] = self.others.get("".join(schema), 0) + 1
+                elif found[0] in kinds[:2]:
+                    yield place, found[0](child, _WRAP)
+                below.append((child, place, place.shown))
             waiting += below[::-1]
 
     def afford(self, n_bytes: int, what: str) -> None:
@@ -105,13 +144,15 @@ class Reader:
         """
         if not schema.getNumSamples():
             values = self.put(np.eye(4)[None])
-            return {"parent": above, "clock": ([0.0], 1.0, 1), "values": values}
+            return {"parent": above, "times": self.put(np.zeros(1)), "values": values}
         times = selectors(schema)
         self.afford(128 * len(times), f"a transform of {len(times)} samples")
-        found = [np.array(schema.getValue(t).getMatrix(), dtype=np.float64) for t in times]
+        found = np.empty((len(times), 4, 4))
+        for k, time in enumerate(times):
+            found[k] = np.array(schema.getValue(time).getMatrix(), dtype=np.float64)
         parent = above if schema.getInheritsXforms() else -1
-        values = self.put(np.array(found).reshape(-1, 4, 4))
-        return {"parent": parent, "clock": clock(schema), "values": values}
+        values = self.put(found)
+        return {"parent": parent, "times": self.times(schema), "values": values}
 
     def mesh(self, item: Any, names: list[str], above: int) -> dict[str, Any]:
         """Store the arrays of a mesh and return its record."""
@@ -124,12 +165,13 @@ class Reader:
         record: dict[str, Any] = {
             "names": names,
             "transform": above,
-            "clock": clock(points),
+            "times": self.times(points),
             "subdivision": isinstance(item, AbcGeom.ISubD),
             "counts": self.put(array(topology[0], np.int64)),
             "indices": self.put(array(topology[1], np.int64)),
             "changes": change(points, topology),
             "uv": self.param(schema.getUVsParam(), 2),
+            "colors": self.colors(item),
             "normals": None,
             "sets": [],
         }
@@ -157,17 +199,51 @@ class Reader:
         key = self.put(values.ravel()[:whole].reshape(-1, width))
         return scope, key, None if index is None else self.put(index)
 
+    def colors(self, item: Any) -> tuple[str, str, str | None] | None:
+        """Store the first colours of a mesh, if any, as `param` does."""
+        geom = Abc.ICompoundProperty(item.getProperties(), ".geom")
+        # the library crashes where what is asked for is missing
+        if not geom.getPropertyHeader(".arbGeomParams"):
+            return None
+        held = Abc.ICompoundProperty(geom, ".arbGeomParams")
+        for header in map(held.getPropertyHeader, range(held.getNumProperties())):
+            for width, kind in ((3, AbcGeom.IC3fGeomParam), (4, AbcGeom.IC4fGeomParam)):
+                if kind.matches(header):
+                    return self.param(kind(held, header.getName()), width)
+        return None
+
+    def times(self, item: Any) -> str:
+        """Store the times (S,) in seconds of all samples of a schema or property."""
+        count, time = item.getNumSamples(), item.getTimeSampling().getSampleTime
+        self.afford(32 * count, f"the times of {count} samples")
+        return self.put(np.array([time(k) for k in range(count)], dtype=np.float64))
+
     def put(self, values: Any) -> str:
         key = f"array_{len(self.arrays)}"
         self.arrays[key] = values
         return key
 
 
-def clock(item: Any) -> tuple[list[float], float, int]:
-    """Stored times of a schema or property in seconds, their period, and the number of samples."""
-    sampling, count = item.getTimeSampling(), item.getNumSamples()
-    stored = [sampling.getSampleTime(k) for k in range(min(count, sampling.getNumStoredTimes()))]
-    return stored, sampling.getTimeSamplingType().getTimePerCycle(), count
+def visibility(item: Any, above: Any) -> Any:
+    """Times from which on an object is shown or hidden, and these states.
+
+    `above` are those of the object above it, which hold where it states nothing of its own.
+    """
+    held = item.getProperties()
+    if not held.getPropertyHeader("visible"):
+        return above
+    own = Abc.ICharProperty(held, "visible")
+    chosen = selectors(own)
+    stamps = [one.getRequestedTime() for one in chosen]
+    times = np.union1d(above[0], stamps)
+
+    def at(known: Any, values: Any) -> Any:
+        return np.array(values)[np.maximum(np.searchsorted(known, times, "right") - 1, 0)]
+
+    states = at(stamps, [int(own.getValue(one)) for one in chosen])
+    shown = np.where(states < 0, at(*above), states > 0)
+    changes = np.flatnonzero(np.diff(shown, prepend=~shown[:1]))
+    return times[changes].tolist(), shown[changes].tolist()
 
 
 def selectors(item: Any) -> list[Any]:
@@ -216,10 +292,9 @@ def change(points: Any, topology: list[Any]) -> str:
     return ""
 
 
-def read(job: dict[str, Any]) -> dict[str, Any]:
-    """Arrays for the package, which checks them."""
+def read(job: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Record and arrays for the package, which checks them."""
     reader = Reader(job)
     reader.read(Abc.IArchive(job["path"]).getTop())
-    fields = ("names", "hidden", "meshes", "transforms")
-    found = json.dumps({name: getattr(reader, name) for name in fields})
-    return {"found": np.array(found), **reader.arrays}
+    fields = ("names", "hidden", "others", "meshes", "transforms")
+    return {name: getattr(reader, name) for name in fields}, reader.arrays

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from ...mesh.clips import readable
 from ...mesh.normals import unit
 from ..file_errors import check
-from ..meshes.polygons import cut, value_index
+from ..meshes.polygons import at_corners, check_polygons, cut, opaque
 from ..scene import Bones, Shape, facing
 
 _log = logging.getLogger(__name__)
-_MOST_SAMPLES = 1 << 22
+_LEAST = 1e-6  # seconds; equal times of two objects may differ by their rounding
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -29,32 +29,22 @@ def object_name(names: Sequence[str]) -> str:
     return names[-2:][0]
 
 
-def sample_times(stored: Sequence[float], period: float, count: int) -> NDArray[np.float64]:
-    """Times (S,) in seconds of `count` samples, where the times `stored` repeat every `period`.
-
-    Raises
-    ------
-    FormatError
-        If there are too many samples, or their times do not increase.
-    """
-    check(0 < count <= _MOST_SAMPLES and len(stored), f"{count} samples at {len(stored)} times")
-    cycle, place = np.divmod(np.arange(count), len(stored))
-    with np.errstate(over="ignore", invalid="ignore"):
-        # the period of times that never repeat is too large to be multiplied by 0
-        times = np.asarray(stored, dtype=np.float64)[place] + np.where(cycle, cycle * period, 0.0)
-        rising = np.isfinite(times).all() and (np.diff(times) > 0).all()
-    check(rising, "its times do not rise")
-    return times
-
-
 class SampledArray:
     """Values (S, ...) of an array over time, interpolated linearly between its samples.
 
     An array that never changes has one value, however many samples are stated.
+
+    Raises
+    ------
+    FormatError
+        If times do not increase, or not those of the values.
     """
 
-    def __init__(self, record: Mapping[str, Any], values: NDArray[Any]) -> None:
-        self.times, self.values = sample_times(*record["clock"]), values
+    def __init__(self, times: NDArray[np.float64], values: NDArray[Any]) -> None:
+        self.times, self.values = times, values
+        self._index = np.arange(len(times), dtype=np.float64)
+        rising = len(times) and np.isfinite(times).all() and (np.diff(times) > _LEAST).all()
+        check(rising, "its samples do not follow each other by more than a microsecond")
         check(len(values) in (1, len(self.times)), "samples that its times do not match")
 
     @property
@@ -66,7 +56,7 @@ class SampledArray:
         values, exact = self.values, np.float64
         if not self.moves:
             return np.broadcast_to(values[0].astype(exact), (len(times), *values.shape[1:]))
-        place = np.interp(times, self.times, np.arange(len(self.times)))
+        place = np.interp(times, self.times, self._index)
         near = np.rint(place).astype(np.int64)
         place = np.where(np.abs(times - self.times[near]) < 1e-4, near, place)
         left = np.minimum(place.astype(np.int64), len(values) - 2)
@@ -76,26 +66,42 @@ class SampledArray:
 
 
 class Transforms:
-    """The transforms of a cache, each relative to its parent, from local to world space."""
+    """The transforms of a cache, each relative to its parent, from local to world space.
+
+    Attributes
+    ----------
+    clocks : list of (S,) arrays
+        Times of all samples of each transform and of those above it.
+
+    Raises
+    ------
+    FormatError
+        If a transform is not finite, or its matrix is not affine.
+    """
 
     def __init__(self, records: Sequence[Mapping[str, Any]], arrays: Arrays) -> None:
-        self.parents = [int(record["parent"]) for record in records]
-        self.tracks = [SampledArray(record, arrays[record["values"]]) for record in records]
-
-    def chain(self, k: int) -> list[int]:
-        """Indices of transform `k` and of all above it, the highest first."""
-        found = []
-        while k >= 0:
-            found.append(k)
-            k = self.parents[k]
-        return found[::-1]
+        self._parents = [int(record["parent"]) for record in records]
+        self._tracks = [SampledArray(arrays[r["times"]], arrays[r["values"]]) for r in records]
+        self.clocks: list[NDArray[np.float64]] = []
+        for parent, track in zip(self._parents, self._tracks, strict=True):
+            check(np.isfinite(track.values).all(), "a transform that is not finite")
+            affine = np.abs(track.values[:, :, 3] - [0, 0, 0, 1]).max(initial=0) < 1e-6
+            check(affine, "a transform that is not affine: its last column is not 0, 0, 0, 1")
+            above = track.times if parent < 0 else self.clocks[parent]
+            same = np.array_equal(above, track.times)
+            self.clocks.append(above if same else np.union1d(above, track.times))
+        self._worlds: tuple[bytes, dict[int, NDArray[np.float64]]] = b"", {}
 
     def world(self, k: int, times: NDArray[np.float64]) -> NDArray[np.float64]:
         """Matrices (F, 4, 4) from the space of transform `k` to world space, for column vectors."""
-        found = np.broadcast_to(np.eye(4), (len(times), 4, 4))
-        for one in self.chain(k):
-            found = found @ np.swapaxes(self.tracks[one].at(times), 1, 2)
-        return found
+        if self._worlds[0] != times.tobytes():
+            self._worlds = times.tobytes(), {-1: np.broadcast_to(np.eye(4), (len(times), 4, 4))}
+        known, chain = self._worlds[1], [k]
+        while chain[-1] not in known:
+            chain.append(self._parents[chain[-1]])
+        for above, one in zip(chain[:0:-1], chain[-2::-1], strict=True):
+            known[one] = known[above] @ np.swapaxes(self._tracks[one].at(times), 1, 2)
+        return known[k]
 
 
 class CacheMesh:
@@ -114,7 +120,7 @@ class CacheMesh:
     names : list of str
         Names of all objects above the mesh, the highest first, then its own.
     clocks : list of (S,) arrays
-        Times of the samples of the points, and of those of each transform above the mesh.
+        Times of the samples of the points, and of those of the transforms above the mesh.
     """
 
     def __init__(
@@ -128,13 +134,13 @@ class CacheMesh:
         self.path = "/" + "/".join(self.names)
         check(not record["changes"], f"{self.path}: its topology changes: {record['changes']}")
         self._transforms, self._above = transforms, int(record["transform"])
-        self.points = SampledArray(record, arrays[record["points"]])
+        self.points = SampledArray(arrays[record["times"]], arrays[record["points"]])
         self.clocks = [self.points.times]
-        tracks = [transforms.tracks[k] for k in transforms.chain(self._above)]
-        finite = all(np.isfinite(track.values).all() for track in tracks)
-        check(finite, f"{self.path}: a transform that is not finite")
-        self.clocks += [track.times for track in tracks]
+        if self._above >= 0:
+            self.clocks.append(transforms.clocks[self._above])
         self.n_points = self.points.values.shape[1]
+        self.name = object_name(self.names)
+        self._shown = record["shown"]
         self.skeleton: Any = self.path
         self.indices = np.zeros((self.n_points, 1), dtype=np.int32)
         self.weights = np.ones((self.n_points, 1))
@@ -147,22 +153,16 @@ class CacheMesh:
         if normals is not None:
             normals = unit(normals @ np.linalg.pinv(linear[seen])).astype(np.float32)
         self.normals = normals
+        colors = self._at_corners(record["colors"], arrays, "colours")
+        self.colors = None if colors is None else opaque(colors)
         if record["subdivision"]:
             _log.info("%s: a subdivision surface, of which the cage is read", self.path)
 
-    def _check(self, valid: Any, problem: str) -> None:
-        """Raise a FormatError with the text `problem` unless `valid` is true."""
-        check(valid, f"{self.path}: {problem}")
-
     def _read_polygons(self, counts: NDArray[np.int64], indices: NDArray[np.int64]) -> None:
-        total, least, most = counts.sum(), indices.min(initial=0), indices.max(initial=-1)
-        problem = f"its polygons have {total} corners, there are {len(indices)} indices"
-        self._check((counts >= 0).all() and total == len(indices), problem)
-        problem = f"indices from {least} to {most} for {self.n_points} vertices"
-        self._check(least >= 0 and most < self.n_points, problem)
+        check_polygons(counts, indices, self.n_points, self.path)
         # Alembic's polygons are clockwise.
         ends = 2 * (np.cumsum(counts) - counts) + counts - 1
-        order = np.repeat(ends, counts) - np.arange(total)
+        order = np.repeat(ends, counts) - np.arange(len(indices))
         corners, self.polygon = cut(counts, indices[order], self.points.values[0])
         self.corners = order[corners]
         if self._mirrored:
@@ -193,15 +193,8 @@ class CacheMesh:
         if record is None:
             return None
         how, values, index = record
-        rows, place = arrays[values], value_index(how, self.corners, self.faces, self.polygon)
-        if place is not None and index is not None:
-            own = arrays[index]
-            inside = place.max(initial=-1) < len(own) and own.min(initial=0) >= 0
-            place = own[place] if inside else None
-        if place is None or place.max(initial=-1) >= len(rows) or not np.isfinite(rows).all():
-            _log.warning("%s: %s do not match the mesh and are left out", self.path, what)
-            return None
-        return np.asarray(rows[place])
+        own = None if index is None else arrays[index]
+        return at_corners(self, arrays[values], how, f"{self.path}: {what}", own)
 
     def shape(self, times: NDArray[np.float64]) -> Shape:
         """Points (V, 3) before the transforms; if they change, a function from frame to points."""
@@ -212,6 +205,11 @@ class CacheMesh:
     def transforms(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
         """Transforms (F, 1, 3, 4) from the space of the points to world space."""
         return self._transforms.world(self._above, times)[:, None, :3]
+
+    def shown(self, times: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Mask (F,) of the frames in which the mesh is visible."""
+        stamps, states = self._shown
+        return np.asarray(states)[np.maximum(np.searchsorted(stamps, times + 1e-4, "right") - 1, 0)]
 
     def bones(self, transforms: NDArray[np.float64]) -> Bones:
         """One bone without a parent."""

@@ -34,11 +34,13 @@ _log = logging.getLogger(__name__)
 # shapes; files without shapes have version 2.
 FORMAT_VERSION = 3
 _SURFACE = (
-    *("surface_uv", "surface_normals", "surface_material_index", "materials", "texture_*"),
+    *("surface_uv", "surface_normals", "surface_colors", "surface_material_index"),
+    *("materials", "texture_*"),
     "vertex_normals",  # (V, 3), in place of surface_normals where no vertex has two
 )
 _SKINNING = ("rest", "indices", "weights", "transforms", "faces", "fps", "format_version")
-_FIELDS = {"uv": "float32", "normals": "float32", "material_index": "int32"}  # of a Surface
+# of a Surface
+_FIELDS = dict.fromkeys(("uv", "normals", "colors"), "float32") | {"material_index": "int32"}
 _SPACE = ("units", "up")
 _WHERE_GIVEN = ("keyframes", "vertex_map", "parents", "joint_positions")
 # displacements (N, 3) that are not 0, the shape and vertex (N, 2) of each; amounts (F, S)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
-import json
 import logging
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -72,13 +72,18 @@ class FbxFile(SceneFile):
         job: dict[str, Any] = {"moments": moments, "meshes": self._wanted}
         job |= {"joints_alone": joints_alone, "max_bytes": self.budget.most}
         job |= {"folders": folders_of(path), "outside": f"{OUTSIDE}; {HINT}"}
-        arrays = run_reader(_SCRIPT, job, "ufbx", path)
+        found, arrays = run_reader(_SCRIPT, job, "ufbx", path)
         finite = all(np.isfinite(one).all() for one in arrays.values() if one.dtype.kind == "f")
         check(finite, "truncated or damaged: a number that is not finite")
-        return json.loads(str(arrays.pop("found"))), arrays
+        return found, arrays
 
     def mesh_names(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(readable(names[-2]) for names in self._found["names"]))
+
+    def left_out(self) -> list[str]:
+        hidden = [f"{readable(name)} (hidden)" for name in self._found["hidden"]]
+        others = self._found["others"].items()
+        return hidden + [f"{kind.replace('_', ' ')}: {count}" for kind, count in others if count]
 
     def materials(self, _parts: Sequence[Any]) -> list[Material]:
         return [Material(name=readable(one) or "material") for one in self._found["materials"]]
@@ -90,11 +95,13 @@ class FbxFile(SceneFile):
         check(np.isfinite([first, last, *keys]).all(), "a time that is not finite")
         check(0 < stated < math.inf, f"{stated} frames a second")
         if len(keys) < 2:
-            return Frames(float(keys[0]) if len(keys) else first, fps or stated, 1, keys[:0])
+            first = float(keys[0]) if len(keys) else first
+            return Frames(first, fps or stated, 1, keys[:0], stated).within(self.asked)
         if not first <= keys[0] <= keys[-1] <= last:  # a range of the timeline, not of the stack
             first, last = float(keys[0]), float(keys[-1])
         rate = fps or frame_rate(np.union1d(first, keys), stated) or stated
-        return frames_between(keys, first, last, rate, asked=fps is not None)
+        frames = frames_between(keys, first, last, rate, asked=fps is not None)
+        return dataclasses.replace(frames, tempo=stated).within(self.asked)
 
     def clips(self, fps: float | None) -> list[Clip]:
         found = [self._frames(k, fps) for k in range(len(self._stacks))]
@@ -209,6 +216,7 @@ class FbxMesh:
         self.uv = None if uv is None else uv[corners].astype(np.float32)
         turned = None if normals is None else unit(normals[corners] @ np.linalg.inv(turn))
         self.normals = None if turned is None else turned.astype(np.float32)
+        self.colors = None if own("colors") is None else own("colors")[corners].astype(np.float32)
         self._rest, self._names = points @ turn.T + place[:3, 3], record["shapes"]
         self._moved = np.zeros((len(self._names), *points.shape))
         for k, into in enumerate(self._moved):
@@ -234,6 +242,10 @@ class FbxMesh:
             return self._rest, None
         names = [readable(name) for name in self._names]
         return self._rest, Shapes(self._moved, self._values("amounts", moment), names=names)
+
+    def shown(self, moment: Moment) -> NDArray[np.bool_]:
+        """Mask (F,) of the frames in which the mesh is visible."""
+        return np.asarray(self._arrays[f"shown_{moment[0]}"][moment[1], self._number])
 
     def _values(self, kind: str, moment: Moment) -> NDArray[Any]:
         return self._arrays[f"{kind}_{moment[0]}_{self._number}"][moment[1]]

@@ -7,7 +7,6 @@ package.
 
 import ctypes
 import gc
-import json
 import os
 from collections.abc import Iterator
 from typing import Any
@@ -16,6 +15,11 @@ import numpy as np
 import ufbx
 
 _MOVES = {"Lcl Translation", "Lcl Rotation", "Lcl Scaling", "DeformPercent", "Weight"}
+# lists of what no mesh is, and nothing here reads
+_OTHERS = (
+    *("lights", "cameras", "stereo_cameras", "line_curves", "nurbs_curves", "nurbs_surfaces"),
+    *("procedural_geometries", "constraints", "characters", "audio_clips", "textures"),
+)
 # what ufbx repairs so that another shape results
 _DAMAGED = {"TRUNCATED_ARRAY", "MISSING_GEOMETRY_DATA", "INDEX_CLAMPED", "DUPLICATE_OBJECT_ID"}
 
@@ -92,25 +96,33 @@ class Reader:
             if other.startswith(stem) and not inside:
                 raise Refused(f"its geometry cache {name} {self.job['outside']}")
 
-    def walk(self) -> Iterator[tuple[Any, list[str], bool]]:
-        """Yield each node, the names down to it, and whether it is hidden, as an outliner does."""
+    def walk(self, nodes: list[Any], keyed: set[int]) -> Iterator[tuple[Any, list[str], bool]]:
+        """Yield each node, the names down to it, and whether it is hidden, as an outliner does.
+
+        `nodes` are those of a scene, of which the `keyed` ones hide nothing by themselves.
+        """
         layers = [one for one in each(self.scene.display_layers) if not one.visible]
-        off = [node for layer in layers for node in each(layer.nodes)]
+        off = [node.typed_id for layer in layers for node in each(layer.nodes)]
         groups = [node for group in each(self.scene.lod_groups) for node in each(group.instances)]
-        off += [level for group in groups for level in each(group.children)[1:]]
-        waiting: list[Any] = [(self.nodes[0], [], False)]
+        off += [level.typed_id for group in groups for level in each(group.children)[1:]]
+        waiting: list[Any] = [(nodes[0], [], False)]
         while waiting:
             node, names, hidden = waiting.pop()
             names, props = [*names, node.name], node.props
             shown = node.visible or props.find_real("Visibility", 0.0) > 0  # a share in old files
             hidden &= props.find_bool("Visibility Inheritance", True)
-            hidden |= not shown or node in off
+            hidden |= not (shown or node.typed_id in keyed) or node.typed_id in off
             yield node, names, hidden
             waiting += [(child, names, hidden) for child in each(node.children)[::-1]]
 
     def read(self) -> dict[str, Any]:
         """Names, stacks and materials of the file and, if frames are wanted, records of meshes."""
-        walked, wanted, moments = list(self.walk()), self.job["meshes"], self.job["moments"]
+        layers = [layer for stack in each(self.scene.anim_stacks) for layer in each(stack.layers)]
+        props = [prop for layer in layers for prop in layer.anim_props]
+        seen = [kept(prop.element) for prop in props if prop.prop_name == "Visibility"]
+        self.keyed = {one.typed_id for one in seen if one.type == ufbx.ElementType.NODE}
+        walked = list(self.walk(self.nodes, self.keyed))
+        wanted, moments = self.job["meshes"], self.job["moments"]
         held = [one for one in walked if kept(one[0].mesh) and one[0].mesh.num_vertices]
         shown = [(node, [*names, node.mesh.name]) for node, names, hidden in held if not hidden]
         chosen = [node for node, names in shown if wanted is None or {*names} & {*wanted}]
@@ -131,6 +143,7 @@ class Reader:
                 (n.name, a.typed_id if a else -1) for n, a in zip(self.nodes, above, strict=True)
             ],
             "meshes": meshes,
+            "others": {kind: len(getattr(self.scene, kind)) for kind in _OTHERS},
             "materials": [one.name for one in each(self.scene.materials)],
             "stacks": [self.stack(one) for one in each(self.scene.anim_stacks)],
             "fps": rate if custom else television,
@@ -165,7 +178,8 @@ class Reader:
         self.put(number, points=rows(mesh.vertices, 3), counts=sizes)
         self.put(number, indices=whole(mesh.vertex_indices)[corner])
         self.put(number, material=np.array([*known, -1])[slots])
-        for name, held, width in (("uv", mesh.vertex_uv, 2), ("normals", mesh.vertex_normal, 3)):
+        own = ("uv", mesh.vertex_uv, 2), ("normals", mesh.vertex_normal, 3)
+        for name, held, width in (*own, ("colors", mesh.vertex_color, 4)):
             if held.exists and not (name == "normals" and mesh.generated_normals):
                 self.put(number, **{name: rows(held.values, width)[whole(held.indices)[corner]]})
         shapes = [] if baked else targets(mesh)
@@ -225,6 +239,7 @@ class Reader:
         used = sorted({node for one in meshes for node in one["bones"]} - {-1})
         baked = any(one["baked"] for one in meshes)
         worlds = np.tile(np.eye(4), (len(times), len(used) + 1, 1, 1))  # the last is of no node
+        shown = np.ones((len(times), len(self.nodes)), dtype=bool)
         values: dict[str, list[Any]] = {}
         options = dict.fromkeys(
             ("evaluate_skinning", "evaluate_caches", "load_external_files"), baked
@@ -232,6 +247,8 @@ class Reader:
         for k, time in enumerate(times):
             scene = self.scene.evaluate(anim, time, **options)
             nodes = each(scene.nodes)
+            for node, _, hidden in self.walk(nodes, set()) if self.keyed else ():
+                shown[k, node.typed_id] = not hidden
             worlds[k, :-1] = matrices(nodes[one].node_to_world for one in used)
             for part, one in enumerate(meshes):
                 node, mesh = nodes[one["node"]], kept(nodes[one["node"]].mesh)
@@ -247,14 +264,15 @@ class Reader:
             scene.free()
         self.arrays |= {key: np.array(found) for key, found in values.items()}
         self.arrays |= {f"worlds_{number}": worlds, "used": np.array([*used, -1])}
+        self.arrays[f"shown_{number}"] = shown[:, [one["node"] for one in meshes]]
 
 
-def read(job: dict[str, Any]) -> dict[str, Any]:
-    """Arrays for the package, which checks them."""
+def read(job: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Record and arrays for the package, which checks them."""
     gc.disable()  # a collection crashes in ufbx
     try:
         reader = Reader(job)
-        return {"found": np.array(json.dumps(reader.read())), **reader.arrays}
+        return reader.read(), reader.arrays
     except ufbx.ExternalFileNotFoundError as error:
         raise Refused(f"its geometry cache is missing: {error}") from error
     except ufbx.UfbxError as error:

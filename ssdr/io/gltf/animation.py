@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
@@ -16,8 +17,12 @@ from ..file_errors import check
 from ..frame_rates import DEFAULT_RATE, Frames, frame_rate, frames_between, off_frames
 from ..played_model import interpolate_quaternions
 from .document import Document
+from .numbering import pointer_of
 
 _KINDS = {"translation": "VEC3", "rotation": "VEC4", "scale": "VEC3", "weights": "SCALAR"}
+_KINDS["visible"] = "SCALAR"
+_VISIBILITY = "KHR_node_visibility"
+_VISIBLE = re.compile(rf"/nodes/(\d+)/extensions/{_VISIBILITY}/visible")
 _AT_REST = {
     "translation": [0.0, 0.0, 0.0],
     "rotation": [0.0, 0.0, 0.0, 1.0],
@@ -39,7 +44,7 @@ class Animation:
         Time of each frame.
     channels : dict
         Key times, values and interpolation of each channel, by the index of its node and its path
-        ("translation", "rotation", "scale" or "weights").
+        ("translation", "rotation", "scale", "weights" or "visible").
     """
 
     name: str
@@ -115,12 +120,27 @@ def still_frame(name: str = "", fps: float | None = None) -> Animation:
     return Animation(name, frames, frames.times, {})
 
 
+def animated(target: dict[str, Any]) -> tuple[int, str] | None:
+    """Node and path that a channel animates; None if it moves and hides no vertex."""
+    if seen := _VISIBLE.fullmatch(pointer_of(target)):
+        return int(seen[1]), "visible"
+    node, path = target.get("node"), target.get("path")
+    return (node, path) if node is not None and path in _KINDS else None
+
+
+def every_track(document: Document) -> set[tuple[int, str]]:
+    """Nodes and paths that some channel of the file animates."""
+    items = document.items("animations")
+    found = [animated(one["target"]) for item in items for one in item.get("channels", [])]
+    return {track for track in found if track is not None}
+
+
 def _channels(document: Document, item: dict[str, Any]) -> dict[tuple[int, str], _Channel]:
     channels = {}
     for channel in item.get("channels", []):
-        path, node = channel["target"].get("path"), channel["target"].get("node")
-        if node is None or path not in _KINDS:
-            continue  # KHR_animation_pointer and the like move no vertex
+        if (moved := animated(channel["target"])) is None:
+            continue
+        path = moved[1]
         sampler = item["samplers"][document.integer(channel, "sampler", "a channel", 0)]
         how = sampler.get("interpolation", "LINEAR")
         check(how in ("LINEAR", "STEP", "CUBICSPLINE"), f"the interpolation {how!r}")
@@ -131,7 +151,7 @@ def _channels(document: Document, item: dict[str, Any]) -> dict[tuple[int, str],
         rows = len(keys) * (3 if how == "CUBICSPLINE" else 1)
         fits = len(values) == rows if path != "weights" else values.size % rows == 0
         check(fits, f"{len(values)} keys of {path} for {rows}")
-        channels[node, path] = keys, values.reshape(rows, -1), how
+        channels[moved] = keys, values.reshape(rows, -1), how
     return channels
 
 
@@ -191,6 +211,8 @@ class Nodes:
         Indices of all nodes, each before its children.
     shown : list of int
         Indices of the nodes in the file's default scene; all nodes if the file has no scenes.
+    meshes, hidden : list of int
+        Those of them that hold a mesh and are shown at some time, and those that never are.
 
     Raises
     ------
@@ -213,16 +235,34 @@ class Nodes:
         if len(self.order) < len(every):
             node = min(every.difference(self.order))
             raise FormatError(f"node {node} is its own ancestor, or is below one that is")
-        animated = {node for node, path in animation.channels if path != "weights"}
+        moved = {node for node, path in animation.channels if path in _AT_REST}
         self._moving: set[int] = set()
         for node in self.order:
-            own = node in animated and "matrix" not in self.items[node]
+            own = node in moved and "matrix" not in self.items[node]
             if own or self._parent.get(node) in self._moving:
                 self._moving.add(node)
         self.shown = self.order
         if document.items("scenes"):
             scene = document.items("scenes")[document.json.get("scene", 0)]
             self.shown = descendants(self.items, scene.get("nodes", []))
+        held = [node for node in self.shown if "mesh" in self.items[node]]
+        keyed = {node for node, path in every_track(document) if path == "visible"}
+        dark = {k for k in range(len(self.items)) if k not in keyed and not self._visible(k)}
+        self.hidden = [node for node in held if dark.intersection([node, *self.ancestors(node)])]
+        self.meshes = [node for node in held if node not in self.hidden]
+
+    def _visible(self, node: int) -> bool:
+        stated = self.items[node].get("extensions", {}).get(_VISIBILITY, {}).get("visible", True)
+        check(isinstance(stated, bool), f"visible of node {node} is {repr(stated)[:200]}")
+        return bool(stated)
+
+    def visible(self, node: int) -> NDArray[np.bool_]:
+        """Mask (F,) of the frames in which neither a node nor one above it is hidden."""
+        shown = np.ones(len(self.animation.times), dtype=bool)
+        for one in (node, *self.ancestors(node)):
+            keys = self.animation.sample(one, "visible")
+            shown &= self._visible(one) if keys is None else keys[:, 0] >= 0.5
+        return shown
 
     def ancestors(self, node: int) -> Iterator[int]:
         """Yield the indices of the nodes above a node, the nearest first."""

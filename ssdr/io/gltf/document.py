@@ -19,12 +19,15 @@ from ..file_errors import SceneBudget, check
 from ..references import HINT, OUTSIDE, locate
 from ..signatures import describe
 from .compression import DRACO, MESHOPT, decode_view
-from .numbering import check_numbers
+from .numbering import check_numbers, resolve_pointers
 
 _KINDS = {5120: "i1", 5121: "u1", 5122: "i2", 5123: "u2", 5125: "u4", 5126: "f4"}
 COMPONENTS: dict[int, np.dtype[Any]] = {k: np.dtype(f"<{kind}") for k, kind in _KINDS.items()}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-_READ = ("KHR_mesh_quantization", "KHR_texture_transform", "KHR_lights_punctual")
+_READ = (
+    *("KHR_mesh_quantization", "KHR_texture_transform", "KHR_lights_punctual"),
+    *("KHR_animation_pointer", "KHR_node_visibility"),
+)
 _READ_EXTENSIONS = (*_READ, "KHR_materials_", DRACO, *MESHOPT)
 
 
@@ -72,6 +75,7 @@ class Document:
             check(extension.startswith(_READ_EXTENSIONS), problem)
         problem = check_numbers(self.json)
         check(not problem, problem)
+        resolve_pointers(self.json)
 
     def _finite(self, text: str) -> float:
         value = float(text)
@@ -190,13 +194,13 @@ class Document:
 
         Values become float64, and are normalised if the accessor says so. With `integers`, they
         must be unsigned integers and keep their type. `kind` is the type that the accessor must
-        have, such as "VEC3"; `what` names the values in errors.
+        have, such as "VEC3", or several that it may have; `what` names the values in errors.
         """
         item = self.items("accessors")[index]
         code = item.get("componentType")
-        check(item.get("type") == kind, f"{what} is {item.get('type')!r}, not {kind}")
+        check(item.get("type") in kind.split(), f"{what} is {item.get('type')!r}, not {kind}")
         check(code in COMPONENTS, f"{what} has the component type {code!r}")
-        dtype, width = COMPONENTS[code], WIDTHS[kind]
+        dtype, width = COMPONENTS[code], WIDTHS[item["type"]]
         check(dtype.kind == "u" or not integers, f"{what} holds {dtype}, not unsigned integers")
         count = self.integer(item, "count", what)
         self.budget.spend(8 * count * width, f"{what} of {count} elements")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from ..scene_file import SceneFile
 from ..signatures import picture_type
 from .animation import (
     Nodes,
+    animated,
     animation_names,
     mesh_name,
     read_animation,
@@ -25,9 +27,17 @@ from .animation import (
     still_frame,
 )
 from .document import Document
+from .numbering import pointer_of
 from .primitives import JointPoints, PrimitiveGroup, names_of, read_parts
 
 _log = logging.getLogger(__name__)
+# Extensions, properties of materials and attributes that are read; all others are named.
+_READ = re.compile(
+    "|KHR_(mesh_quantization|draco_mesh_compression|node_visibility|animation_pointer)"
+    "|(EXT|KHR)_meshopt_compression|name|extras|extensions|pbrMetallicRoughness|doubleSided"
+    "|baseColor(Factor|Texture)|(metallic|roughness)Factor"
+    "|POSITION|NORMAL|COLOR_0|TEXCOORD_0|(JOINTS|WEIGHTS)_.*|_VERTEX"
+)
 
 
 class GltfFile(SceneFile):
@@ -49,8 +59,21 @@ class GltfFile(SceneFile):
     def mesh_names(self) -> tuple[str, ...]:
         """Names of the meshes of the scene: that of the node, or else that of the mesh itself."""
         still = Nodes(self.document, still_frame())
-        held = [number for number in still.shown if "mesh" in still.items[number]]
-        return tuple(dict.fromkeys(names_of(self.document, number)[0] for number in held))
+        return tuple(dict.fromkeys(names_of(self.document, one)[0] for one in still.meshes))
+
+    def left_out(self) -> list[str]:
+        document, still = self.document, Nodes(self.document, still_frame())
+        found = [f"{names_of(document, one)[0]} (hidden)" for one in still.hidden]
+        if cameras := sum("camera" in still.items[node] for node in still.shown):
+            found.append(f"{cameras} camera")
+        channels = [one for item in document.items("animations") for one in item["channels"]]
+        targets = [one["target"] for one in channels if not animated(one["target"])]
+        looks = document.items("materials")
+        primitives = [one for mesh in document.items("meshes") for one in mesh["primitives"]]
+        held = set(map(pointer_of, targets)).union(document.items("extensionsUsed"), *looks)
+        held.update(*(one.get("pbrMetallicRoughness", {}) for one in looks))
+        held.update(*(one["attributes"] for one in primitives))
+        return found + sorted(one for one in map(str, held) if not _READ.fullmatch(one))
 
     def sample(self, index: int, fps: float | None, joints_alone: bool = False) -> Sample:
         """Parts of the scene and the nodes that move them in one animation.
@@ -59,9 +82,11 @@ class GltfFile(SceneFile):
         """
         document = self.document
         one = read_animation(document, index, fps, self.clip_names[index])
+        frames = one.frames.within(self.asked)
+        one = dataclasses.replace(one, frames=frames, times=frames.times)
         nodes = Nodes(document, one)
         if not self._parts:
-            if joints_alone and not any("mesh" in nodes.items[k] for k in nodes.shown):
+            if joints_alone and not nodes.meshes:
                 self._parts = [JointPoints(document)]
             else:
                 self._parts = read_parts(document, nodes, self._wanted)

@@ -132,8 +132,8 @@ def _mesh(builder: Builder, model: Skinned, played: PlayedModel) -> list[dict[st
     if shapes is not None and normals is not None:
         fitted = shaped_normals(ShapedSkinning(skinning, shapes))
         normals = fitted.rest[fitted.corner].astype(np.float32)
-    uv = None if surface is None else surface.uv
-    corners = split_corners(model.faces, model.n_vertices, uv, normals)
+    uv, colors = (None, None) if surface is None else (surface.uv, surface.colors)
+    corners = split_corners(model.faces, model.n_vertices, uv, normals, colors)
     if fitted is not None:
         number = np.zeros(len(corners.vertex), dtype=np.int32)
         number[corners.faces] = fitted.corner
@@ -170,6 +170,8 @@ def _attributes(builder: Builder, played: PlayedModel, corners: Corners) -> dict
     if corners.uv is not None:
         flipped = np.stack([corners.uv[:, 0], 1 - corners.uv[:, 1]], axis=1)
         attributes["TEXCOORD_0"] = put(flipped.astype(np.float32), "VEC2")
+    if corners.colors is not None:
+        attributes["COLOR_0"] = put(corners.colors, "VEC4")
     attributes |= add_weights(builder, played, vertex)
     # The model's vertex at each vertex of the file, so that reading can close the seams. Attributes
     # cannot be uint32, and float32 holds integers exactly up to 2^24.

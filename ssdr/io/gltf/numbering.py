@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -29,6 +30,35 @@ _PLACES = {
 # Beginnings of the names of extensions that hold no indices except at the paths above.
 _KNOWN = """EXT_mesh_gpu_instancing EXT_meshopt_ EXT_texture_ KHR_draco_mesh_compression
     KHR_lights_punctual KHR_materials_ KHR_mesh KHR_node_visibility KHR_texture_ KHR_xmp"""
+
+
+# Properties to which channels of KHR_animation_pointer point, and which ordinary channels have.
+_POINTER = re.compile(r"/(?:nodes/(\d+)/(translation|rotation|scale|weights)|meshes/(\d+)/weights)")
+
+
+def pointer_of(target: dict[str, Any]) -> str:
+    """What a channel's target points at by KHR_animation_pointer; empty if it does not."""
+    return str(target.get("extensions", {}).get("KHR_animation_pointer", {}).get("pointer", ""))
+
+
+def resolve_pointers(json: dict[str, Any]) -> None:
+    """Replace pointers at what ordinary channels animate, too, by such channels.
+
+    The weights of a mesh are those of all its nodes that have none of their own.
+    """
+    nodes = json.get("nodes", [])
+    for animation in json.get("animations", []):
+        channels: list[Any] = []
+        for channel in animation.get("channels", []):
+            found = _POINTER.fullmatch(pointer_of(channel["target"]))
+            node, path, mesh = found.groups() if found else (None, None, None)
+            chosen = [k for k in range(len(nodes)) if str(k) == node]
+            if mesh is not None:
+                of_mesh = (k for k, one in enumerate(nodes) if str(one.get("mesh")) == mesh)
+                chosen = [k for k in of_mesh if "weights" not in nodes[k]]
+            targets = [{"node": k, "path": path or "weights"} for k in chosen]
+            channels += [{**channel, "target": one} for one in targets] if found else [channel]
+        animation["channels"] = channels
 
 
 def check_numbers(json: dict[str, Any]) -> str:

@@ -15,8 +15,9 @@ from ...mesh.normals import unit
 from ...model.shapes import Shapes
 from ..file_errors import check
 from ..mesh_names import choose
+from ..meshes.polygons import opaque
 from ..scene import Bones, Shape, facing, file_weights, nearest_joints, vertices_at_joints
-from .animation import Nodes, descendants, still_frame
+from .animation import Nodes, descendants, every_track, still_frame
 from .compression import DRACO, decode_mesh
 from .document import Document
 
@@ -50,7 +51,7 @@ class PrimitiveGroup:
         Vertex of the file at each corner.
     material : (T,) int
         Index of each triangle's material; -1 for a triangle without one.
-    skeleton, indices, weights, faces, uv, normals
+    name, skeleton, indices, weights, faces, uv, normals, colors
         As in `ScenePart`.
     """
 
@@ -65,7 +66,7 @@ class PrimitiveGroup:
         primitives: dict[int, dict[str, Any]],
     ) -> None:
         self.document, self.node, self.mesh, self.primitives = document, node, mesh, primitives
-        self._nodes = nodes
+        self._nodes, self.name = nodes, names_of(document, node)[0]
         group = list(primitives.values())
         self._attributes = group[0]["attributes"]
         positions = self._attribute("POSITION", "VEC3")
@@ -95,7 +96,9 @@ class PrimitiveGroup:
                 faces = faces[:, ::-1]  # a mirrored node turns triangles inside out
             if normals is not None:
                 normals = normals @ np.linalg.pinv(linear[frame])
-        self.uv = self.normals = None
+        self.uv = self.normals = self.colors = None
+        if (color := self._attribute("COLOR_0", "VEC4 VEC3")) is not None:
+            self.colors = opaque(color)[faces]
         if uv is not None:
             self.uv = (np.array([0, 1]) + uv * [1, -1])[faces].astype(np.float32)
         if normals is not None:
@@ -210,6 +213,10 @@ class PrimitiveGroup:
         check(amounts.shape[1] == count, f"{amounts.shape[1]} morph weights for {count} targets")
         return amounts
 
+    def shown(self, nodes: Nodes) -> NDArray[np.bool_]:
+        """Mask (F,) of the frames in which the mesh is visible."""
+        return nodes.visible(self.node)
+
     def transforms(self, nodes: Nodes) -> NDArray[np.float64]:
         """Transforms ``(F, B, 3, 4)`` of the bones from the rest pose to world space."""
         nodes.reserve(self._joints)
@@ -254,9 +261,8 @@ def read_parts(
         If one of the names is that of no mesh of the scene.
     """
     parts: list[PrimitiveGroup] = []
-    numbers = [number for number in nodes.shown if "mesh" in nodes.items[number]]
-    names = [names_of(document, number) for number in numbers]
-    numbers = [numbers[k] for k in choose(meshes, names)]
+    names = [names_of(document, number) for number in nodes.meshes]
+    numbers = [nodes.meshes[k] for k in choose(meshes, names)]
     skins = {node["skin"] for node in (nodes.items[number] for number in numbers) if "skin" in node}
     nodes.reserve(joint for skin in skins for joint in document.items("skins")[skin]["joints"])
     nodes.reserve(number for number in numbers if "skin" not in nodes.items[number])
@@ -293,13 +299,7 @@ class JointPoints(PrimitiveGroup):
 
     def __init__(self, document: Document) -> None:
         still = Nodes(document, still_frame())
-        moved = {
-            channel["target"]["node"]
-            for one in document.items("animations")
-            for channel in one.get("channels", [])
-            if "node" in channel["target"]
-            and channel["target"].get("path") in ("translation", "rotation", "scale")
-        }
+        moved = {node for node, path in every_track(document) if path not in ("weights", "visible")}
         below = set(descendants(still.items, sorted(moved))).intersection(still.shown)
         joints = [node for node in still.order if node in below]
         check(joints, "the scene holds no mesh, and no node moves")
@@ -310,7 +310,10 @@ class JointPoints(PrimitiveGroup):
         self.positions, self.targets = rest[:, :3, 3], np.zeros((0, len(joints), 3))
         self.indices, self.weights, self.faces = vertices_at_joints(len(joints))
         self.material = np.zeros(0, dtype=np.int64)
-        self.uv = self.normals = None
+        self.uv = self.normals = self.colors = None
+
+    def shown(self, nodes: Nodes) -> NDArray[np.bool_]:
+        return np.ones(len(nodes.animation.times), dtype=bool)
 
 
 def _decode(document: Document, primitive: dict[str, Any]) -> None:

@@ -12,16 +12,18 @@ import numpy as np
 from ...common.errors import FormatError, InputError, SsdrWarning
 from ...mesh.sequence import MeshSequence
 from ..file_errors import check, reading
+from ..frame_rates import Range, frames_in
 from ..mesh_names import natural_key
 from ..save_report import SaveReport
 from .obj import obj_lines, parse_obj, write_obj
 from .ply import parse_ply, write_ply
 from .polygons import Mesh
 
+_NUMBER = re.compile(r"(.*?)([0-9]+)([^0-9]*)")
 _PRINTF = re.compile(r"%0?([0-9]{0,2})d")
 
 
-def read(path: Path, *, fps: float | None = None) -> MeshSequence:
+def read(path: Path, *, frames: Range = None, fps: float | None = None) -> MeshSequence:
     """Read a mesh file, or a folder or pattern of numbered files with one frame each.
 
     Frames follow the natural order of the files' names (2 before 10). Polygons are cut into
@@ -31,6 +33,9 @@ def read(path: Path, *, fps: float | None = None) -> MeshSequence:
     ----------
     path : Path
         A file, a folder, a glob (``frame_*.ply``) or a printf pattern (``frame_%04d.obj``).
+    frames : (first, last), optional
+        Numbers of the first and last file to read; all by default. Files without a number count
+        from 0 on.
     fps : float, optional
         Frames per second; 24 by default, because such files state no rate.
 
@@ -42,17 +47,17 @@ def read(path: Path, *, fps: float | None = None) -> MeshSequence:
     FileNotFoundError
         If no file matches `path`.
     """
-    files = _files(path)
+    files = _files(path, frames)
     parse = _PARSERS[files[0].suffix.lower()]
     first = parse(files[0], None)
-    frames = [first.vertices]
+    read = [first.vertices]
     for file in files[1:]:
         mesh = parse(file, first)  # of two files with the same text, the faces are parsed once
         _compare(file, mesh, files[0], first)
-        frames.append(mesh.vertices)
+        read.append(mesh.vertices)
     with reading(files[0] if len(files) == 1 else path):
         return MeshSequence(
-            np.stack(frames), first.faces, fps or 24.0, name=_name(path), surface=first.surface
+            np.stack(read), first.faces, fps or 24.0, name=_name(path), surface=first.surface
         )
 
 
@@ -112,7 +117,7 @@ def _matching(path: Path) -> list[Path]:
     return [f for f in path.parent.glob("*") if re.fullmatch(name, f.name)]
 
 
-def _files(path: Path) -> list[Path]:
+def _files(path: Path, wanted: Range) -> list[Path]:
     if path.is_dir():
         found = [f for f in path.iterdir() if f.suffix.lower() in _PARSERS and f.name[0] != "."]
     elif path.exists():
@@ -128,6 +133,10 @@ def _files(path: Path) -> list[Path]:
     known = ", ".join(_PARSERS)
     problem = f"{path}: files of {', '.join(kinds)}; name one of {known} by a pattern"
     check(len(kinds) == 1 and kinds[0] in _PARSERS, problem)
+    if wanted is not None:
+        parts = [_NUMBER.fullmatch(f.stem) for f in found]
+        numbers = [float(m[2]) if m else k for k, m in enumerate(parts)]
+        found = [found[k] for k in frames_in(wanted, np.array(numbers, dtype=np.float64))]
     _report_gaps(path, found)
     return found
 
@@ -139,7 +148,7 @@ def _report_gaps(path: Path, files: list[Path]) -> None:
     """
     if len(files) < 2:
         return
-    parts = [re.fullmatch(r"(.*?)([0-9]+)([^0-9]*)", f.stem) for f in files]
+    parts = [_NUMBER.fullmatch(f.stem) for f in files]
     if len({m and (m[1], m[3]) for m in parts}) > 1 or parts[0] is None:
         first, last = files[0].name, files[-1].name
         text = f"{path}: names differ in more than a number: {first}, {last}"

@@ -7,6 +7,7 @@ are not split, and the coordinates are stored at the corners of triangles.
 from __future__ import annotations
 
 import array
+import dataclasses
 import logging
 import re
 from pathlib import Path
@@ -20,7 +21,7 @@ from ...mesh.surface import Material, Surface
 from ..atomic import write_bytes
 from ..file_errors import check, read_file, reading
 from ..signatures import describe
-from .polygons import Mesh, cut
+from .polygons import Mesh, cut, opaque
 
 _log = logging.getLogger(__name__)
 
@@ -42,13 +43,18 @@ def parse_obj(path: Path, like: Mesh | None = None) -> Mesh:
         lines = [line.replace(b"\t", b" ") for line in lines if line and line[0] != 35]
         rows = [line.split()[1:] for line in lines if line.startswith(b"v ")]
         check(rows, f"no vertices: {describe(data[:64])}")
-        vertices = _vertex_rows(rows)
+        vertices, colors = _vertex_rows(rows), None
+        if like is None and all(len(row) in (6, 7) for row in rows):  # with or without alpha
+            colors = opaque(np.array([row[3:] for row in rows], dtype=np.float32))
         topology = b"\n".join(line for line in lines if line.startswith(b"f "))
         # Negative indices count back from their line, so equal text may name other vertices.
         if like is not None and topology == like.topology and b"-" not in topology:
             return Mesh(vertices=vertices, faces=like.faces, topology=topology)
         first = vertices if like is None else like.vertices
         faces, surface = _faces(path, lines, first, with_surface=like is None)
+        if colors is not None:
+            check(np.isfinite(colors).all(), "colours are not finite")
+            surface = dataclasses.replace(surface or Surface(), colors=colors[faces])
         return Mesh(vertices=vertices, faces=faces, surface=surface, topology=topology)
 
 

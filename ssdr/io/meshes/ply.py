@@ -19,7 +19,7 @@ from ...mesh.surface import Surface
 from ..atomic import write_bytes
 from ..file_errors import check, read_file, reading
 from ..signatures import describe
-from .polygons import Mesh, cut
+from .polygons import Mesh, cut, opaque
 
 _KINDS = {  # type codes of struct and NumPy
     **dict.fromkeys(("char", "int8"), "b"),
@@ -47,7 +47,7 @@ def parse_ply(path: Path, like: Mesh | None = None) -> Mesh:
     """Read one PLY file; normals and UVs of its vertices are copied to the triangle corners."""
     with reading(path):
         data = read_file(path)
-        elements, ascii_, start = _header(data)
+        elements, most, ascii_, start = _header(data)
         body = memoryview(data)[start:]
         if ascii_:  # words become doubles, the type that _header states for ASCII
             body = memoryview(np.array(data[start:].split(), dtype=np.float64).tobytes())
@@ -69,7 +69,7 @@ def parse_ply(path: Path, like: Mesh | None = None) -> Mesh:
             check((indices == values).all(), "the faces are not lists of integers")
             first = vertices if like is None else like.vertices
             faces = indices[cut(counts, indices, first)[0]]
-        return Mesh(vertices=vertices, faces=faces, surface=_surface(vertex, faces))
+        return Mesh(vertices=vertices, faces=faces, surface=_surface(vertex, faces, most))
 
 
 def write_ply(path: Path, vertices: NDArray[Any], faces: NDArray[np.int32]) -> int:
@@ -92,13 +92,17 @@ def write_ply(path: Path, vertices: NDArray[Any], faces: NDArray[np.int32]) -> i
     return write_bytes(path, header.encode() + points + rows.tobytes(), flush=False)
 
 
-def _header(data: bytes) -> tuple[_Elements, bool, int]:
-    """Elements of a file, whether its body is ASCII, and the offset of the body in bytes."""
+def _header(data: bytes) -> tuple[_Elements, dict[str, int], bool, int]:
+    """Elements of a file, whether its body is ASCII, and the offset of the body in bytes.
+
+    The second is the largest number of each property of vertices that is an unsigned integer.
+    """
     check(data.startswith((b"ply\n", b"ply\r")), f"not a PLY file: {describe(data[:64])}")
     end = data.find(b"end_header", 0, _MOST_HEADER)
     newline = data.find(b"\n", end, end + 16)
     check(end >= 0 and newline >= 0, "its header does not end")
     order = ""
+    most: dict[str, int] = {}
     elements: _Elements = {}
     properties: list[_Property] = []
 
@@ -118,11 +122,13 @@ def _header(data: bytes) -> tuple[_Elements, bool, int]:
                 properties.append((name, kind(word), kind(count)))
             case ["property", word, name] if order and word in _KINDS:
                 properties.append((name, kind(word), None))
+                if properties is elements.get("vertex", (0, None))[1] and _KINDS[word] in "BHI":
+                    most[name] = np.iinfo(_KINDS[word]).max
             case [] | ["comment" | "obj_info", *_]:
                 pass
             case _:
                 raise FormatError(f"unknown line in its header: {line[:60]!r}")
-    return elements, order == "ascii", newline + 1
+    return elements, most, order == "ascii", newline + 1
 
 
 def _even(
@@ -202,14 +208,20 @@ def _lengths(length: int, properties: list[_Property], body: memoryview) -> Iter
         at += skipped
 
 
-def _surface(vertex: _Columns, faces: NDArray[np.int64]) -> Surface | None:
+def _surface(vertex: _Columns, faces: NDArray[np.int64], most: dict[str, int]) -> Surface | None:
+    """UVs, normals and colours of vertices; unsigned integers are shares of the largest, `most`."""
+
     def at_corners(names: tuple[str, ...]) -> NDArray[np.float32] | None:
         if not set(names) <= set(vertex):
             return None
-        table = np.stack([vertex[name][1] for name in names], axis=1).astype(np.float32)
+        columns = [vertex[name][1] / most.get(name, 1) for name in names]
+        table = np.stack(columns, axis=1).astype(np.float32)
         check(np.isfinite(table).all(), f"{', '.join(names)} are not finite")
         return np.asarray(table[faces])
 
     uv = next((t for t in map(at_corners, _UV_NAMES) if t is not None), None)
-    normals = at_corners(("nx", "ny", "nz"))
-    return None if uv is None and normals is None else Surface(uv=uv, normals=normals)
+    normals, rgb = at_corners(("nx", "ny", "nz")), ("red", "green", "blue")
+    colors = next((c for c in map(at_corners, ((*rgb, "alpha"), rgb)) if c is not None), None)
+    if uv is None and normals is None and colors is None:
+        return None
+    return Surface(uv=uv, normals=normals, colors=None if colors is None else opaque(colors))

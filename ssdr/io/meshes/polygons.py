@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,9 @@ from numpy.typing import NDArray
 
 from ...common.errors import FormatError
 from ...mesh.surface import Surface
+from ..file_errors import check
+
+_log = logging.getLogger(__name__)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -115,30 +119,51 @@ def _ears(points: NDArray[Any], area: NDArray[np.float64]) -> list[list[int]]:
     return triangles + [[left[0], left[k], left[k + 1]] for k in range(1, len(left) - 1)]
 
 
-def value_index(
-    interpolation: str,
-    corners: NDArray[np.int64],
-    faces: NDArray[np.int64],
-    polygon: NDArray[np.int64],
-) -> NDArray[np.int64] | None:
-    """Index (T, 3) of the value that UVs or normals have at each triangle corner.
+def check_polygons(
+    counts: NDArray[np.int64], indices: NDArray[np.int64], count: int, what: str
+) -> None:
+    """Raise a FormatError unless polygons of `what` have the corners `indices` of V vertices."""
+    total, least, most = counts.sum(), indices.min(initial=0), indices.max(initial=-1)
+    problem = f"{what}: its polygons have {total} corners, there are {len(indices)} indices"
+    check((counts >= 0).all() and total == len(indices), problem)
+    problem = f"{what}: indices from {least} to {most} for {count} vertices"
+    check(least >= 0 and most < count, problem)
+
+
+def at_corners(
+    mesh: Any, rows: NDArray[Any], how: str, what: str, index: NDArray[np.int64] | None = None
+) -> NDArray[np.float32] | None:
+    """Values (T, 3, N) at the corners of triangles, of UVs, normals or colours `rows`.
+
+    None, with a warning that begins with `what`, if they do not match the mesh.
 
     Parameters
     ----------
-    interpolation : str
+    mesh : object
+        It has `corners`, `polygon` (as :func:`cut` returns them) and `faces`.
+    rows : (M, N) float
+    how : str
         USD's word for how many values there are, such as "vertex" for one per vertex.
-    corners, faces : (T, 3) int arrays
-        Corners of each triangle, as indices into those of all polygons, and its vertices.
-    polygon : (T,) int array
-
-    Returns
-    -------
-    (T, 3) int array, or None if the word is unknown.
+    index : (M0,) int, optional
+        Row of each value, if values are not rows in their order.
     """
-    return {
-        "faceVarying": corners,
-        "vertex": faces,
-        "varying": faces,
-        "uniform": np.repeat(polygon[:, None], 3, axis=1),
-        "constant": np.zeros_like(faces),
-    }.get(interpolation)
+    place = {
+        "faceVarying": mesh.corners,
+        "vertex": mesh.faces,
+        "varying": mesh.faces,
+        "uniform": np.repeat(mesh.polygon[:, None], 3, axis=1),
+        "constant": np.zeros_like(mesh.faces),
+    }.get(how)
+    if place is not None and index is not None:
+        inside = place.max(initial=-1) < len(index) and index.min(initial=0) >= 0
+        place = index[place] if inside else None
+    if place is None or place.max(initial=-1) >= len(rows) or not np.isfinite(rows).all():
+        _log.warning("%s do not match the mesh and are left out", what)
+        return None
+    return np.asarray(rows[place], dtype=np.float32)
+
+
+def opaque(colors: NDArray[Any]) -> NDArray[np.float32]:
+    """Colours (..., 4) of which those without an alpha (..., 3) become opaque."""
+    alpha = np.ones((*colors.shape[:-1], 4 - colors.shape[-1]))
+    return np.concatenate([colors, alpha], axis=-1).astype(np.float32)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import logging
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +13,24 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from ...mesh.normals import unit
 from ...model.shapes import Shapes
 from ..file_errors import check
-from ..meshes.polygons import cut, value_index
+from ..meshes.polygons import at_corners, check_polygons, cut, opaque
 from ..scene import Bones, Shape, facing, file_weights, vertices_at_joints
 
-_log = logging.getLogger(__name__)
 _FIRST = Usd.TimeCode.EarliestTime()
 _MOST_LOOKS = 64  # largest number of times at which it is checked whether a mesh is mirrored
+
+
+def upwards(prim: Any, kind: Any = UsdGeom.Imageable) -> Iterator[Any]:
+    """Yield a prim and those above it, as far as they are of the schema `kind`."""
+    while prim and not prim.IsPseudoRoot():
+        if prim.IsA(kind):
+            yield kind(prim)
+        prim = prim.GetParent()
+
+
+def visibility_codes(prim: Any) -> list[float]:
+    """Time codes at which the visibility of a prim or of one above it has samples."""
+    return [code for one in upwards(prim) for code in one.GetVisibilityAttr().GetTimeSamples()]
 
 
 class MeshPrim:
@@ -53,7 +65,7 @@ class MeshPrim:
     material: NDArray[np.int64]
 
     def __init__(self, path: Path, prim: Any, skeleton: Any = None, query: Any = None) -> None:
-        self.path, self.prim = path, prim
+        self.path, self.prim, self.name = path, prim, str(prim.GetName())
         self.attribute = UsdGeom.Mesh(prim).GetPointsAttr()
         self.n_points = len(self.raw_points(_FIRST))
         self._read_polygons()
@@ -93,50 +105,55 @@ class MeshPrim:
             self._check(len(attribute.GetTimeSamples()) < 2, "its topology changes over time")
             found.append(np.array(attribute.Get(_FIRST) or [], dtype=np.int64))
         self.counts, indices = found
-        total, least, most = self.counts.sum(), indices.min(initial=0), indices.max(initial=-1)
-        problem = f"faceVertexCounts add up to {total}, there are {len(indices)} faceVertexIndices"
-        self._check(total == len(indices), problem)
-        problem = f"faceVertexIndices from {least} to {most} for {self.n_points} points"
-        self._check(least >= 0 and most < self.n_points, problem)
+        check_polygons(self.counts, indices, self.n_points, str(self.prim.GetPath()))
         self.corners, self.polygon = cut(self.counts, indices, self.raw_points(_FIRST))
         if mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded:
             self.corners = self.corners[:, ::-1]
         self.faces = indices[self.corners]
 
-    def _at_corners(self, values: Any, interpolation: str, width: int, what: str) -> Any:
-        array = np.array(values, dtype=np.float32).reshape(-1, width)
-        index = value_index(interpolation, self.corners, self.faces, self.polygon)
-        if index is None or index.max(initial=-1) >= len(array):
-            _log.warning(
-                "%s: %s does not match the mesh and is left out", self.prim.GetPath(), what
-            )
+    def _at_corners(self, primvar: Any, width: int) -> Any:
+        """Values (T, 3, `width`) of a primvar, or None if there are none that match the mesh."""
+        if not (primvar and primvar.HasValue()):
             return None
-        return array[index]
+        values = np.array(primvar.ComputeFlattened(_FIRST), dtype=np.float32).reshape(-1, width)
+        what = f"{self.prim.GetPath()}: {primvar.GetPrimvarName()}"
+        return at_corners(self, values, str(primvar.GetInterpolation()), what)
 
     @property
     def uv(self) -> NDArray[np.float32] | None:
         api = UsdGeom.PrimvarsAPI(self.prim)
-        chosen = api.GetPrimvar("st")
-        if not chosen or not chosen.HasValue():
-            types = (Sdf.ValueTypeNames.TexCoord2fArray, Sdf.ValueTypeNames.Float2Array)
-            usable = [p for p in api.GetPrimvarsWithValues() if p.GetTypeName() in types]
-            if not usable:
-                return None
-            chosen = usable[0]
-        values, how = chosen.ComputeFlattened(_FIRST), str(chosen.GetInterpolation())
-        found: NDArray[np.float32] | None = self._at_corners(values, how, 2, "UV")
+        types = (Sdf.ValueTypeNames.TexCoord2fArray, Sdf.ValueTypeNames.Float2Array)
+        usable = [p for p in api.GetPrimvarsWithValues() if p.GetTypeName() in types]
+        usable.sort(key=lambda primvar: primvar.GetPrimvarName() != "st")
+        found: NDArray[np.float32] | None = self._at_corners(usable[0], 2) if usable else None
         return found
 
     @property
+    def colors(self) -> NDArray[np.float32] | None:
+        api = UsdGeom.PrimvarsAPI(self.prim)
+        found = self._at_corners(api.GetPrimvar("displayColor"), 3)
+        if found is None:
+            return None
+        alpha = self._at_corners(api.GetPrimvar("displayOpacity"), 1)
+        return opaque(found if alpha is None else np.concatenate([found, alpha], axis=2))
+
+    @property
     def normals(self) -> NDArray[np.float32] | None:
-        primvar = UsdGeom.PrimvarsAPI(self.prim).GetPrimvar("normals")
-        if primvar and primvar.HasValue():
-            values, how = primvar.ComputeFlattened(_FIRST), str(primvar.GetInterpolation())
-        else:
-            mesh = UsdGeom.Mesh(self.prim)
-            values, how = mesh.GetNormalsAttr().Get(_FIRST), str(mesh.GetNormalsInterpolation())
-        found = None if values is None else self._at_corners(values, how, 3, "normals")
+        found = self._at_corners(UsdGeom.PrimvarsAPI(self.prim).GetPrimvar("normals"), 3)
+        values = UsdGeom.Mesh(self.prim).GetNormalsAttr().Get(_FIRST)
+        if found is None and values is not None:
+            how = str(UsdGeom.Mesh(self.prim).GetNormalsInterpolation())
+            rows = np.array(values, dtype=np.float32).reshape(-1, 3)
+            found = at_corners(self, rows, how, f"{self.prim.GetPath()}: normals")
         return None if found is None else unit(found).astype(np.float32)
+
+    def shown(self, codes: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Mask (F,) of the frames in which the mesh is visible."""
+        seen = UsdGeom.Imageable(self.prim)
+        if not visibility_codes(self.prim):
+            return np.ones(len(codes), dtype=bool)
+        states = [seen.ComputeVisibility(float(code)) for code in codes]
+        return np.array([one != UsdGeom.Tokens.invisible for one in states])
 
     def _read_influences(self) -> None:
         query = self._query
@@ -202,13 +219,9 @@ class MeshPrim:
 
         With a skin, these are the transforms of the skeleton and of the prims above it.
         """
-        found: list[float] = []
         prim = self.prim if self.joints is None else self.joints.GetPrim()
-        while prim and not prim.IsPseudoRoot():
-            if prim.IsA(UsdGeom.Xformable):
-                found += UsdGeom.Xformable(prim).GetTimeSamples()
-            prim = prim.GetParent()
-        return found
+        moved = upwards(prim, UsdGeom.Xformable)
+        return [code for one in moved for code in one.GetTimeSamples()]
 
     def raw_points(self, code: Any) -> NDArray[np.float64]:
         """Points ``(V, 3)`` at the time `code`, without blend shapes."""
@@ -309,6 +322,7 @@ class SkeletonPoints(MeshPrim):
 
     def __init__(self, path: Path, skeleton: Any) -> None:
         self.path, self.prim, self.joints = path, skeleton.GetPrim(), skeleton
+        self.name = str(self.prim.GetName())
         self.attribute = skeleton.GetSkeleton().GetJointsAttr()
         self._order = [str(token) for token in skeleton.GetJointOrder()]
         self.n_points = self.n_bones = len(self._order)

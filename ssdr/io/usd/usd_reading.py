@@ -6,6 +6,7 @@ import collections
 import dataclasses
 import logging
 import math
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,12 +23,14 @@ from ..frame_rates import Frames, frame_rate, frames_between, off_frames
 from ..mesh_names import choose
 from ..sampling import Sample
 from ..scene_file import SceneFile
-from .mesh_prims import MeshPrim, SkeletonPoints
+from .mesh_prims import MeshPrim, SkeletonPoints, upwards, visibility_codes
 from .stage import open_stage
 from .usd_materials import read_materials
 
 _log = logging.getLogger(__name__)
 _ALL = Usd.TraverseInstanceProxies()
+# kinds of prims that are read, or hold what is; all others are named
+_READ = re.compile("|Mesh|GeomSubset|Scope|Xform|Skel.*|BlendShape|Material|Shader|NodeGraph")
 _POINT_BYTES, _CORNER_BYTES = 36, 72  # of a MeshPrim, at least
 
 
@@ -214,12 +217,23 @@ class StageFile(SceneFile):
         self._counted.update(p.GetPath() for p in new)
 
     def _is_shown(self, prim: Any) -> bool:
-        shown = UsdGeom.Imageable(prim)
-        visible = shown.ComputeVisibility(Usd.TimeCode.EarliestTime())
-        if visible != UsdGeom.Tokens.invisible and shown.ComputePurpose() in ("default", "render"):
+        """Whether a mesh is visible at some time, no proxy and not of an instancer."""
+        seen, first = UsdGeom.Imageable(prim), Usd.TimeCode.EarliestTime()
+        states = [seen.ComputeVisibility(one) for one in (first, *visibility_codes(prim))]
+        visible = any(one != UsdGeom.Tokens.invisible for one in states)
+        visible &= not any(upwards(prim, UsdGeom.PointInstancer))
+        if visible and seen.ComputePurpose() in ("default", "render"):
             return True
         _log.info("%s: %s is not shown and left out", self.path, prim.GetPath())
         return False
+
+    def left_out(self) -> list[str]:
+        """Prims of other kinds than those read, by their number, and meshes that are not shown."""
+        prims = list(Usd.PrimRange(self.stage.GetPseudoRoot(), _ALL))
+        kinds = collections.Counter(str(prim.GetTypeName()) for prim in prims)
+        hidden = [p for p in prims if p.IsA(UsdGeom.Mesh) and not self._is_shown(p)]
+        names = [f"{prim.GetName()} (hidden)" for prim in hidden]
+        return names + [f"{n} {kind}" for kind, n in kinds.items() if not _READ.fullmatch(kind)]
 
     def _frames(
         self, meshes: list[MeshPrim], clip: StageClip, fps: float | None
@@ -244,11 +258,12 @@ class StageFile(SceneFile):
             on_codes = not len(off_frames(stamps, first, 1.0))
             rate = fps or (None if on_codes else frame_rate(stamps / tempo)) or tempo
             frames = frames_between(stamps, first, last, rate / tempo, asked=fps is not None)
+        frames = dataclasses.replace(frames, tempo=1.0).within(self.asked)
         n_bones = sum(mesh.n_bones for mesh in meshes)
         self.budget.spend(
             96.0 * frames.count * n_bones, f"{frames.count} frames of {n_bones} bones"
         )
-        return rate, frames, np.asarray(first + np.arange(frames.count) * (tempo / rate))
+        return rate, frames, np.asarray(frames.first + np.arange(frames.count) * (tempo / rate))
 
 
 def _names(prims: Sequence[Any]) -> tuple[str, ...]:

@@ -133,6 +133,9 @@ def _define_mesh(stage: Any, top: Any, thing: MeshSequence | Skinned, notes: lis
     mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(faces.reshape(-1)))
     if surface is not None and surface.uv is not None:
         _put_primvar(mesh, "st", Sdf.ValueTypeNames.TexCoord2fArray, surface.uv)
+    if surface is not None and surface.colors is not None:
+        _put_primvar(mesh, "displayColor", Sdf.ValueTypeNames.Color3fArray, surface.colors[..., :3])
+        _put_primvar(mesh, "displayOpacity", Sdf.ValueTypeNames.FloatArray, surface.colors[..., 3:])
     if surface is not None and surface.materials:
         write_materials(stage, top, mesh, surface)
         notes.append("of materials, the names alone are kept")
@@ -147,7 +150,7 @@ def _put_primvar(mesh: Any, name: str, kind: Any, values: NDArray[Any]) -> None:
     """Add a face-varying primvar, with an index so that equal values are stored once."""
     rows = np.asarray(values, dtype=np.float32).reshape(-1, values.shape[-1])
     distinct, index = np.unique(rows, axis=0, return_inverse=True)
-    holder = Vt.Vec2fArray if rows.shape[1] == 2 else Vt.Vec3fArray
+    holder = {1: Vt.FloatArray, 2: Vt.Vec2fArray, 3: Vt.Vec3fArray}[rows.shape[1]]
     primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(name, kind, UsdGeom.Tokens.faceVarying)
     primvar.Set(holder.FromNumpy(distinct))
     primvar.SetIndices(Vt.IntArray.FromNumpy(index.reshape(-1).astype(np.int32)))

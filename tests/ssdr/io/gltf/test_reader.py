@@ -52,6 +52,41 @@ def test_interpolations(tmp_path):
     assert ssdr.load(channel_file(tmp_path, "LINEAR", keys)).fps == 24
 
 
+@pytest.mark.parametrize(
+    ("path", "pointer"),
+    [
+        ("translation", "/nodes/0/translation"),
+        ("weights", "/nodes/0/weights"),
+        ("weights", "/meshes/0/weights"),
+    ],
+)
+def test_a_pointer_at_a_node_or_its_shapes_is_a_channel(tmp_path, path, pointer):
+    """KHR_animation_pointer; the same file with an ordinary channel is the witness."""
+    keys = [[0, 0, 0], [2, 0, 1], [3, 1, 0]] if path == "translation" else [0.0, 0.5, 1.0]
+    plain = channel_file(tmp_path, "LINEAR", keys, path=path)
+    document = json.loads(plain.read_text())
+    document["meshes"][0]["primitives"][0]["targets"] = [{"POSITION": 0}]
+    plain.write_text(json.dumps(document))
+    truth = ssdr.load(plain).vertices
+    extension = {"KHR_animation_pointer": {"pointer": pointer}}
+    target = {"path": "pointer", "extensions": extension}
+    document["animations"][0]["channels"][0]["target"] = target
+    document["extensionsUsed"] = document["extensionsRequired"] = ["KHR_animation_pointer"]
+    plain.write_text(json.dumps(document))
+    np.testing.assert_array_equal(ssdr.load(plain).vertices, truth)
+    assert np.ptp(truth, axis=0).max() >= 1
+    result = ssdr.decompose(ssdr.load(plain), bones=1, effort="fast")
+    ssdr.save(result, tmp_path / "b.gltf", template=plain)
+    assert "pointer" not in (tmp_path / "b.gltf").read_text().replace("KHR_animation_pointer", "")
+    assert ssdr.io.list_left_out(plain) == ()
+    document["animations"][0]["channels"][0]["target"] = {
+        "path": "pointer",
+        "extensions": {"KHR_animation_pointer": {"pointer": "/cameras/0/perspective/yfov"}},
+    }
+    plain.write_text(json.dumps(document))
+    assert ssdr.io.list_left_out(plain) == ("/cameras/0/perspective/yfov",)
+
+
 def test_meshes_have_names_that_are_listed_and_taken(tmp_path):
     nodes = ((0, "left"), (0, "right"), (1, ""), (2, ""))
     document = {
