@@ -97,12 +97,12 @@ def decompose(
         result resembles.  By default the frame whose edges are nearest to the mean edges of all
         frames, or the first for ``rest_pose="free"``.
     normals : bool, float or str
-        Whether the last steps also fit the normals that engines draw, the rest normals as the bones
-        turn them, to those of the animation.  If False, they are fitted once the model is found.  A
-        length in the mesh's units, or a share of the diagonal such as ``"0.05%"``, also says which
-        errors of positions are not seen: an RMSE far below it counts for nothing, so that normals
-        are better and positions worse.  With True, only models with an RMSE below 0.01 % of the
-        diagonal and normals more than 10° off are solved so, with that length.
+        Whether the last steps also fit the normals that engines draw (the rest normals, transformed
+        by the bones) to those of the animation, or the error of positions that is not seen beside
+        them: a length in the mesh's units, or a share of the diagonal such as ``"0.05%"``.  An RMSE
+        far below it counts for nothing, so that normals are better at a larger error.  With True it
+        is 0; or 0.01 % of the diagonal, if a model has less error than that, but normals more than
+        10° off.  If False, normals are fitted only after the model is found.
     rng : int or numpy.random.Generator
         Seed: the same seed gives the same bits, whatever the number of threads.
     time_limit : float, optional

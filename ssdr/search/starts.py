@@ -91,23 +91,21 @@ def _first_model(
 def normals_need_a_start(d: Descent) -> bool:
     """Whether to start anew with normals: if `normals` is a length, or if only normals are poor.
 
-    These are poor alone if the RMSE is not seen, but normals are more than 10° off: the waves of a
+    If it is not, the RMSE must not be seen, while normals are more than 10° off: the waves of a
     thin, smooth sheet can be sums of few translations, and bones that translate then fit positions
-    but not light.
+    but not light.  In that case an RMSE below 0.01 % of the diagonal counts for nothing from now
+    on.
     """
-    if d.normals and d.constraints.bone_model == "rigid" and len(d.data.faces):
-        return True
-    if d.planning or d.data.normals is None:
+    if d.planning or d.data.slack or d.data.normals is None:
+        wanted = bool(d.normals) and d.constraints.bone_model == "rigid"
+        return wanted and len(d.data.faces) > 0
+    model, count = d.best.model, d.data.n_frames * d.data.n_vertices
+    slack = count * (_NOT_SEEN * rest_diagonal(model.rest)) ** 2
+    if model.weighted_error(d.data) > slack or mean_normal_error(d.data, model) < _SEEN:
         return False
-    model = d.best.model
-    unseen = model.weighted_error(d.data) <= _unseen_error(d)
-    return unseen and mean_normal_error(d.data, model) >= _SEEN
-
-
-def _unseen_error(d: Descent) -> float:
-    """Squared error of a model that is off by 0.01 % of the diagonal everywhere."""
-    length = _NOT_SEEN * rest_diagonal(d.best.model.rest)
-    return d.data.n_frames * d.data.n_vertices * length**2
+    d.data = dataclasses.replace(d.data, slack=slack)
+    d.set_best(model)
+    return True
 
 
 @step("start", cost=8)
@@ -115,11 +113,8 @@ def start_with_normals(d: Descent) -> Iterator[None]:
     """Make bones from motion and alternate a little; solve normals from now on.
 
     More alternations would lead to bones that translate, and alternations with normals to ones
-    that only turn.  An error that is not seen counts for nothing from now on.
+    that only turn.
     """
-    if not d.data.slack:
-        d.data = dataclasses.replace(d.data, slack=_unseen_error(d))
-        d.set_best(d.best.model)
     data = d.data
     d.data = dataclasses.replace(data, normals=None, n2=None)
     model = _first_model(d, 1.0, None, quick=True)
@@ -143,9 +138,7 @@ def start_from_model(d: Descent) -> Iterator[None]:
     tree = initial.tree if d.rigid_joints else None
     if own is model or own.weighted_error(data) < model.weighted_error(data):
         model = own
-        sweeps: dict[str, int] = {"sweeps": _FIRST_SWEEPS, "leaps": _FIRST_LEAPS}
-        fit_motion(data, model, constraints=d.constraints, **sweeps)
-        _measure_error(d, model)
+        _fit_motion(d, model)
         tree = None if tree is None else dataclasses.replace(tree, rigid=False)
         d.initial = dataclasses.replace(initial, transforms=None)
     if data.normals is not None:
@@ -170,6 +163,15 @@ def _patches_of_weights(d: Descent, rest: Array, skin: Skin) -> Array:
     """Transforms (F, B, 3, 4) of bones, each fitted to the vertices where its weight is largest."""
     label, kind = skin.indices[:, 0].astype(np.intp), d.constraints.bone_model
     return fit_patches(d.data, rest, label, d.bones, kind)
+
+
+def _fit_motion(d: Descent, model: Model) -> None:
+    """Fit the transforms from a poor first guess, and recompute the vertex errors (in place).
+
+    Weights and rest pose are held.
+    """
+    fit_motion(d.data, model, constraints=d.constraints, sweeps=_FIRST_SWEEPS, leaps=_FIRST_LEAPS)
+    _measure_error(d, model)
 
 
 def _measure_error(d: Descent, model: Model) -> None:

@@ -5,7 +5,7 @@
     E = Σ_i u_i Σ_t s_t² |v_i^t − Σ_j w_ij M_j^t p̃_i|²
     N = mean of |n_i^t − Σ_j w_ij R_j^t n_i|², weighted in the same way
 
-with c = 4.5, ν = (1°)² and γ = 0.7.
+with c = 3, ν = (1°)² and γ = 0.9.
 
 u_i is the importance of vertex i and s_t² the importance of frame t.  S is the strain of the rest
 pose (:mod:`~ssdr.solver.rest_surface`); its factor is 1 if the rest pose is free or given.  N is
@@ -55,7 +55,7 @@ from .trajectories import Array, Trajectories
 # Relative overlap at which the overlap's centroid and the midpoint have equal weight.
 _SHARED = 1e-2
 _UNSEEN = math.radians(1.0) ** 2  # ν: errors of normals far below a degree are not seen
-_NORMALS = 0.7  # γ: by how much less than that of positions a relative change of N counts
+_NORMALS = 0.9  # γ: by how much less than that of positions a relative change of N counts
 
 
 def strength_of(data: Trajectories, length: float) -> float:

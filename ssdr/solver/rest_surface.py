@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 RestPose = Literal["surface", "free"]
 
 # c: an error 1 + c·S times as large is as bad as a strain S; an edge rotated by 20° has S = 0.12.
-_STRENGTH = 4.5
+_STRENGTH = 3.0
 # Added to an edge's squared length in 1/ω, relative to the mean, so that no short edge dominates.
 SHORT = 0.1
 _RINGS = 4  # of edges around a fold that may move as it unfolds

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -108,6 +108,11 @@ class Trajectories:
         out = full.reshape(self.n_frames, 3, four, b)
         return np.ascontiguousarray(out / self.frame_scale[:, None, None, None])
 
+    @property
+    def n_points(self) -> int:
+        """Number of points of a vertex: its position and, where normals are solved, its normal."""
+        return 1 if self.normals is None else 2
+
     def squares(self, rows: Any, length: float) -> Array:
         """Squared norms (n, P), over all frames, of the P points of each vertex in `rows`.
 
@@ -163,32 +168,12 @@ class Trajectories:
         at the vertex (Thürmer and Wüthrich 1998).  Where the basis of the positions loses more than
         a hundredth of their squares, it gets 4 `bones` more columns by a randomised range finder
         (Halko et al. 2011): a sheet's waves may be sums of few translations, a basis without turns.
-        Normals of all frames are never held at once unless the trajectories are.
         """
-        z, q, n2 = self.z, self.q, np.zeros(self.n_vertices)
-        normals = np.zeros(z.shape)
-        for columns, some in self._normals():
-            n2 += np.einsum("ij,ij->i", some, some)
-            if q is None:
-                normals[:, columns] = some
-            else:
-                normals += some @ q[columns]
-        if q is not None and (normals**2).sum() < (1 - _LOST_NORMALS) * n2.sum():
-            count = min(4 * bones, q.shape[0] - q.shape[1])
-            random = np.random.default_rng(0).standard_normal((len(z), count))
-            mixed = np.concatenate([some.T @ random for _, some in self._normals()])
-            more = np.linalg.qr(mixed - q @ (q.T @ mixed))[0]
-            z, q = np.pad(z, ((0, 0), (0, count))), np.concatenate([q, more], axis=1)
-            inside = sum(some @ more[columns] for columns, some in self._normals())
-            normals = np.concatenate([normals, inside], axis=1)
-        return dataclasses.replace(self, z=z, q=q, normals=normals, n2=n2)
-
-    def _normals(self) -> Iterator[tuple[slice, Array]]:
-        """Normals (V, 3f) of f frames at a time, as uncompressed columns, and which these are."""
-        n = self.n_vertices
+        n, n_frames = self.n_vertices, self.n_frames
+        normals, n2 = np.zeros((n, 3 * n_frames)), np.zeros(n)
         # triangles near each other one after the other, so that their vertices are in the cache
         faces = self.faces[np.argsort(self.faces.min(axis=1, initial=n), kind="stable")]
-        for first, last in chunk_bounds(self.n_frames, _AT_ONCE):
+        for first, last in chunk_bounds(n_frames, _AT_ONCE):
             columns = slice(3 * first, 3 * last)
             x = self.z[:, columns] if self.q is None else self.z @ self.q[columns].T
             # a copy even of a single frame, for which the transpose makes none
@@ -200,8 +185,21 @@ class Trajectories:
 
             run_chunks(work, chunk_bounds(last - first, 8))
             # the scale of a frame does not change the directions of its normals
-            scaled = here.transpose(1, 0, 2) * self.frame_scale[first:last, None]
-            yield columns, scaled.reshape(n, -1)
+            flat = normals[:, columns]
+            scale = self.frame_scale[first:last, None]
+            np.multiply(here.transpose(1, 0, 2), scale, out=flat.reshape(n, -1, 3))
+            n2 += np.einsum("ij,ij->i", flat, flat)
+        if self.q is None:
+            return dataclasses.replace(self, normals=normals, n2=n2)
+        z, q = self.z, self.q
+        inside = normals @ q
+        if (inside**2).sum() < (1 - _LOST_NORMALS) * n2.sum():
+            count = min(4 * bones, 3 * n_frames - q.shape[1])
+            mixed = normals.T @ np.random.default_rng(0).standard_normal((n, count))
+            more = np.linalg.qr(mixed - q @ (q.T @ mixed))[0]
+            z, q = np.pad(z, ((0, 0), (0, count))), np.concatenate([q, more], axis=1)
+            inside = np.concatenate([inside, normals @ more], axis=1)
+        return dataclasses.replace(self, z=z, q=q, normals=inside, n2=n2)
 
     @serial_blas()
     def compressed(self, bones: int) -> Trajectories:
@@ -211,13 +209,19 @@ class Trajectories:
         bones.  Compression adds at most a ten-thousandth of that matrix's squared error.  If this
         needs nearly all columns, the trajectories stay uncompressed.
         """
+        x = self.z
         if self.q is not None:
             return self
-        x = self.z
-        if (self.importance != 1).any():  # vertices without it must not decide what the basis holds
-            x = x * np.sqrt(self.importance)[:, None]
-        q = _basis(x, float(self.importance @ self.x2), 4 * bones)
-        return self if q is None else dataclasses.replace(self, z=self.z @ q, q=q)
+        if (self.importance == self.importance[0]).all():
+            z, q = _reduce(x, float(self.x2.sum()), 4 * bones)
+        else:
+            # vertices without importance must not decide what the basis holds
+            root = np.sqrt(self.importance)
+            _, q = _reduce(x * root[:, None], float(self.importance @ self.x2), 4 * bones)
+            z = x if q is None else np.ascontiguousarray(x @ q)
+        if q is None:
+            return self
+        return dataclasses.replace(self, z=z, q=q)
 
     def rmse(self, squared: float) -> float:
         """RMSE, in the input's units, of a squared error in the solver's."""
@@ -315,13 +319,14 @@ def find_parts(faces: NDArray[np.int32], x: Array) -> NDArray[np.intp] | None:
     return out
 
 
-def _basis(x: Array, energy: float, rank: int) -> Array | None:
-    """Basis (3F, r) for :meth:`Trajectories.compressed` of x, whose squared norm is `energy`."""
-    if rank >= min(x.shape):
-        return None
-    if min(x.shape) > _GRAM_LIMIT:
+def _reduce(x: Array, energy: float, rank: int) -> tuple[Array, Array | None]:
+    n_rows, n_columns = x.shape
+    if rank >= min(n_rows, n_columns):
+        return x, None
+    if min(n_rows, n_columns) > _GRAM_LIMIT:
         return _sketch(x, energy, rank)
-    return truncated_basis(x, lambda tail: max(_TAIL * tail[rank], _NOISE * energy))
+    q = truncated_basis(x, lambda tail: max(_TAIL * tail[rank], _NOISE * energy))
+    return (x, None) if q is None else (np.ascontiguousarray(x @ q), q)
 
 
 def frame_scale_of(importance: Array | None, n_frames: int) -> Array:
@@ -358,8 +363,8 @@ def truncated_basis(x: Array, allowed: Callable[[Array], float]) -> Array | None
     return basis
 
 
-def _sketch(x: Array, energy: float, rank: int) -> Array | None:
-    """As :func:`_basis`, by a randomised range finder of growing size (Halko et al. 2011)."""
+def _sketch(x: Array, energy: float, rank: int) -> tuple[Array, Array | None]:
+    """As :func:`_reduce`, by a randomised range finder of growing size (Halko et al. 2011)."""
     rng = np.random.default_rng(0)
     keep = rank + 64
     while keep < _MOST_COLUMNS * min(x.shape):
@@ -370,10 +375,9 @@ def _sketch(x: Array, energy: float, rank: int) -> Array | None:
         lost = max(0.0, energy - float(values.sum()))
         beyond = lost + float(values[rank:].sum())
         if lost <= max(_TAIL * beyond, _NOISE * energy) or lost <= 1e-13 * energy:
-            basis: Array = q @ vectors
-            return basis
+            return np.ascontiguousarray(z @ vectors), np.ascontiguousarray(q @ vectors)
         keep *= 2
-    return None
+    return x, None
 
 
 def stack_transforms(transforms: Array) -> Array:

@@ -30,7 +30,6 @@ from ..kernels.coupling import add_patches, begin_coupling, couple_vertices
 from ..kernels.schur import answer_bones, apply_vertex_step, effect_on_bones
 from .model import CHUNK, Constraints, Model
 from .moments import bone_sums, stack_blocks
-from .rest_surface import RestSurface
 from .trajectories import Array, Trajectories
 from .vertex_newton import VertexSystem
 
@@ -91,7 +90,8 @@ class ReducedSystem:
         If every transform M_j is multiplied by the same 1 + X_j (3×4) in all frames and the rest
         pose follows with −Σ_j w_j X_j p̃, the squared error and the term of the edges rise by
         about Σ_jk tr(X_j patches_jk X_kᵀ): R_jᵀR_k is replaced by a third of its trace, and weights
-        stay.  None if no edge holds the rest pose.
+        stay.  None if the rest pose is locked, and for bones that stretch if no edge holds it:
+        there a step with `patches` ends a polish early.
     """
 
     def __init__(
@@ -113,23 +113,24 @@ class ReducedSystem:
         self.u, c = bone_sums(data, model, length=self.length)
         stacked, u = vertices.stacked, stack_blocks(self.u)
         self.patches = None
-        if data.surface is not None and self._coupling is not None:
-            self.patches = self._patches(data, model, vertices, data.surface)
+        if self._coupling is not None or (self.move_rest and constraints.bone_model == "rigid"):
+            self.patches = self._patches(data, model, vertices)
         c *= data.frame_scale[:, None, None, None]
         _, answer = self._eliminate(np.zeros_like(u), 1.0)
         self.gradient = product(stacked, u - answer) - c.reshape(stacked.shape)
         self.stacked, self.u_flat = (x.astype(precision, copy=False) for x in (stacked, u))
 
-    def _patches(
-        self, data: Trajectories, model: Model, vertices: VertexSystem, surface: RestSurface
-    ) -> Array:
+    def _patches(self, data: Trajectories, model: Model, vertices: VertexSystem) -> Array:
         """The attribute `patches`."""
-        strength = vertices.strength
+        n, surface, strength = data.n_vertices, data.surface, vertices.strength
         axes = vertices.stacked.reshape(-1, 4, self.n_bones)[:, :3].transpose(1, 2, 0)
         turns = (axes @ axes.transpose(0, 2, 1)).sum(axis=0) / 3
         self._axes = np.einsum("aju,bju->jab", axes, axes)
         skin = model.points(self.length), model.indices, model.weights, data.importance, turns
-        rows: Any = strength * surface.degree, *surface.rows(strength)
+        rows: Any = np.zeros(n), np.zeros(n + 1, dtype=np.int64), np.zeros(0, dtype=np.uint32)
+        rows = *rows, np.zeros(0)
+        if surface is not None:
+            rows = strength * surface.degree, *surface.rows(strength)
 
         def work(_: int, i: int, k: int) -> Array:
             total = np.zeros_like(self.u)
