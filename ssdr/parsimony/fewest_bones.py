@@ -150,7 +150,9 @@ def refine(models: ModelsByBones, bones: int, bounds: Bounds, effort: Effort) ->
 
     lowest = models.best[bones].model.with_restarted_support()
     models.attempt(bones, partial(_improve, steps=spend.polish), start=lowest)
-    for factor in spend.starts:
+    # a start from as many bones as rigid parts have motions is exact
+    starts = (1.0, *spend.starts) if bounds.exact else spend.starts
+    for factor in starts:
         if given_up():
             return
         models.attempt(bones, partial(_start_anew, factor=factor, steps=8))

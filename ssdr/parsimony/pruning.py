@@ -7,6 +7,7 @@ the weights of a vertex or the keys of a bone, the one of least squared error + 
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterator
 from typing import Literal, NamedTuple
@@ -36,7 +37,8 @@ _CLOSE_PRICES = 1.2
 _HALVINGS = 8  # bisections for the first price, from a range of 40 doublings
 # Polish steps after influences are dropped, and those with normals of the model that is chosen.
 _AFTERWARDS, _WITH_NORMALS = 6, 24
-_NEARLY = 0.005  # relative difference of bytes that does not count against better normals
+_NEARLY = 0.03  # share of the bytes that better normals and no folds may cost
+_SHARES = (1.0, 0.5, 0.25)  # of the price found, at which these are tried
 _DAMPING = 1e-3  # initial damping of these steps, as in the solver
 
 
@@ -137,8 +139,8 @@ def prune(
 
     It searches for the largest λ at which the minimum of squared error + λ · bytes still meets the
     tolerance, and returns the smallest model that it found.  At the end normals are solved, too,
-    and flipped triangles of the rest pose are unfolded, if the tolerance still holds with about as
-    few bytes.
+    and flipped triangles of the rest pose are unfolded, if the tolerance still holds with at most
+    3 % more bytes.
 
     Parameters
     ----------
@@ -183,8 +185,8 @@ def prune(
             break
         else:
             price = math.sqrt(low * high)
-    for ending in endings:
-        trial = pruned(low or 0.0, ending)
+    for ending, share in itertools.product(endings, _SHARES):
+        trial = pruned(share * (low or 0.0), ending)
         if trial.largest_error <= tolerance and trial.bytes <= (1 + _NEARLY) * best.bytes:
             best = trial
             break
@@ -197,8 +199,7 @@ def prune(
 def _schedules(frames: SolvedFrames) -> tuple[Schedule, list[Schedule]]:
     """Schedule to run after influences are removed, and other schedules to try at the end.
 
-    The latter are tried in turn with the price found, until one holds the tolerance with at most
-    slightly more bytes.
+    The latter are tried in turn, until one holds the tolerance with at most slightly more bytes.
     """
     polishes = frames.measure == "rmse"  # a polish may raise the largest error
 
@@ -208,7 +209,7 @@ def _schedules(frames: SolvedFrames) -> tuple[Schedule, list[Schedule]]:
 
     def unfolded(d: Descent) -> None:
         usual(d)
-        unfold(d)
+        unfold(d, entering=0)
 
     if not len(frames.data.faces):
         return usual, []
@@ -220,7 +221,7 @@ def _with_normals(d: Descent) -> None:
     polish_weights(d)
     solve_normals(d)
     polish_weights(d, polish_steps=_WITH_NORMALS)
-    unfold(d)
+    unfold(d, entering=0)
 
 
 def _first_price(

@@ -258,9 +258,16 @@ def alternate_some(
     return moved
 
 
-def polish_steps(data: Trajectories, model: Model, count: int, constraints: Constraints) -> None:
-    """Make `count` Gauss–Newton steps (in place)."""
-    GaussNewton(data, model, constraints=constraints).run(count)
+def polish_steps(
+    data: Trajectories,
+    model: Model,
+    count: int,
+    constraints: Constraints,
+    *,
+    entering: bool = True,
+) -> None:
+    """Make `count` Gauss–Newton steps (in place); bones may enter a vertex's influences or not."""
+    GaussNewton(data, model, constraints=constraints).run(count, entering=entering)
     free_gauge(data, model, constraints)
 
 

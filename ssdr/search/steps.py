@@ -152,7 +152,7 @@ def last_polish(d: Descent, *, steps: int, gain: float = 0.0) -> None:
 
 
 @step("unfold")
-def unfold(d: Descent, *, steps: int = 24) -> Iterator[None]:
+def unfold(d: Descent, *, steps: int = 24, entering: int = 3) -> Iterator[None]:
     """Unfold the flipped triangles of the rest pose, by making edges stiffer, fourfold a round.
 
     The edges are at first those of the flipped triangles alone, as stiffer edges cost error.  What
@@ -164,6 +164,7 @@ def unfold(d: Descent, *, steps: int = 24) -> Iterator[None]:
     flipped triangles becomes the best model, even if its objective is higher than before: a rest
     pose with folds is not a surface.  A model without folds that lost more is polished, at most
     twice, since bones and all other vertices may give the loss back; what folds again is unfolded.
+    At most `entering` further bones become influences of a vertex in each of its solves.
     """
     if d.data.surface is None:
         return
@@ -183,11 +184,12 @@ def unfold(d: Descent, *, steps: int = 24) -> Iterator[None]:
             stiff = faces[turned | (around & tilted)]
             surface = surface.stiffened(stiff, _STIFFER)
             # far from the stiffer edges nothing has changed
-            near, times = surface.around(stiff), _UNFOLD_ROUNDS
-            optimise_some(data, model, near, surface, constraints=constraints, times=times)
+            options: dict[str, int] = {"times": _UNFOLD_ROUNDS, "entering": entering}
+            near = surface.around(stiff)
+            optimise_some(data, model, near, surface, constraints=constraints, **options)
         else:
             held = dataclasses.replace(data, surface=surface)
-            polish_steps(held, model, STEPS_OF_A_TRIAL, constraints)
+            polish_steps(held, model, STEPS_OF_A_TRIAL, constraints, entering=entering > 0)
             polishes -= 1
         turned = surface.turned(model.rest, faces)
         if turned.sum() < fewest and model.weighted_error(data) <= most:

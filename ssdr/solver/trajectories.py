@@ -196,7 +196,9 @@ class Trajectories:
         if (inside**2).sum() < (1 - _LOST_NORMALS) * n2.sum():
             count = min(4 * bones, 3 * n_frames - q.shape[1])
             mixed = normals.T @ np.random.default_rng(0).standard_normal((n, count))
-            more = np.linalg.qr(mixed - q @ (q.T @ mixed))[0]
+            more = mixed
+            for _ in range(2):  # what is left may be small beside what is taken away
+                more = np.linalg.qr(more - q @ (q.T @ more))[0]
             z, q = np.pad(z, ((0, 0), (0, count))), np.concatenate([q, more], axis=1)
             inside = np.concatenate([inside, normals @ more], axis=1)
         return dataclasses.replace(self, z=z, q=q, normals=inside, n2=n2)

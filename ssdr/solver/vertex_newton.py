@@ -110,6 +110,7 @@ def optimise_some(
     surface: RestSurface,
     *,
     constraints: Constraints,
+    entering: int,
     times: int,
 ) -> None:
     """Optimise weights and rest positions of the vertices `rows` alone (in place).
@@ -132,7 +133,7 @@ def optimise_some(
             hold=surface.pulls(model.rest, error, data.importance)[rows],
             length=length,
             constraints=part,
-            entering=3,
+            entering=entering,
             rounds=2,
         )
         for name in SOLVED:

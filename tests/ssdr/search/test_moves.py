@@ -91,14 +91,14 @@ def test_relaxing_leaves_kept_weights_alone() -> None:
 
 def test_relaxing_finds_what_the_polish_alone_does_not() -> None:
     gains = []
-    for seed in range(5):
+    for seed in range(10):
         data, model = problem(seed)
         plain = model.copy()
         polish_steps(data, plain, 40, FREE)
         relaxed, _ = relax(data, model, FREE, extra=2, steps=8)
         polish_steps(data, relaxed, 24, FREE)
         gains.append(relaxed.weighted_error(data) / plain.weighted_error(data))
-    assert np.median(gains) < 0.9
+    assert np.exp(np.mean(np.log(gains))) < 0.9
 
 
 def rebuild(
