@@ -1,4 +1,4 @@
-"""The command ``garmentnet``: import, train, evaluate, predict, view, export, demo."""
+"""The command ``garmentnet``: import, train, evaluate, predict, export, models, demo."""
 
 from .app import app, main
 

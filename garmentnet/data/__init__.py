@@ -1,1 +1,1 @@
-"""Clips of a simulated garment, body motion, skeletons and virtual bones, without torch."""
+"""Clips of a simulated garment, body motion and skeletons, without torch."""

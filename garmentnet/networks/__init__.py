@@ -1,1 +1,1 @@
-"""The motion networks of Pan et al. 2022, their ensemble and their checkpoints."""
+"""The motion network of a garment, made of the paper's modules, and its checkpoints."""

@@ -5,9 +5,12 @@ D_HF is :class:`HighFrequency` with its :class:`EdgeConv` layers; its loss is
 
     L_HF = ‖Ĝ_HF − G_HF‖ + λ_collision mean max(−n_B·(v − v_B), 0)
 
-on the low-frequency mesh that the trained low-frequency module predicts.  Another network of the
-detail, by principal components, is :mod:`garmentnet.networks.detail_basis`; it has the place beside
-this one in which a further one goes, `MotionNetwork.add_high`.
+on the low-frequency mesh that the trained low-frequency module predicts.  By default Ĝ_HF is here
+all that this mesh leaves of the garment (``high.target``), not the high-frequency part alone.
+
+Another network of the detail, by principal components, is
+:mod:`garmentnet.networks.detail_basis`; it has the place beside this one in which a further one
+goes, `MotionNetwork.add_high`.
 """
 
 from __future__ import annotations

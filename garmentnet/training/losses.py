@@ -1,6 +1,6 @@
 """Laplacian, norm and collision of the losses (Pan et al. 2022, sections 4.2 and 4.3).
 
-Equation 2 itself is in :mod:`.low_frequency`.
+Equation 2 itself is in :mod:`garmentnet.paper.low`.
 """
 
 from __future__ import annotations
