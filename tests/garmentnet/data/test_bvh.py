@@ -11,6 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 pytest.importorskip("zarr")
+pytest.importorskip("filelock")
 
 from benchmarks.garment.scenes.body import default_body
 from benchmarks.garment.scenes.dataset import find_bvh

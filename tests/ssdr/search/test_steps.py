@@ -128,7 +128,7 @@ def test_what_costs_too_much_is_polished_and_then_given_up(
     before, least = d.best.model.copy(), d.best_error
     assert 0 < flipped(d) < 6
 
-    def polished(data: Any, trial: Model, *others: object) -> None:
+    def polished(data: Any, trial: Model, *others: object, entering: bool) -> None:
         assert trial.weighted_error(data) > 1.02**2 * least
         if given_back:
             trial.error *= least / trial.weighted_error(data)
@@ -148,7 +148,8 @@ def test_some_vertices_are_solved_as_all_are_and_the_others_stay() -> None:
     rows = np.arange(0, data.n_vertices, 3)
     optimise_vertices(data, every, entering=3)
     assert data.surface is not None
-    optimise_some(data, few, rows, data.surface, constraints=Constraints(), times=1)
+    options: Any = {"constraints": Constraints(), "entering": 3, "times": 1}
+    optimise_some(data, few, rows, data.surface, **options)
     for name in SOLVED:
         want = getattr(before, name).copy()
         want[rows] = getattr(every, name)[rows]
