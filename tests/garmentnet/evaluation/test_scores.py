@@ -204,21 +204,15 @@ def test_rows_are_pooled_from_clips_and_classes(toy_bones, toy_network):
 
 
 def test_vertices_inside_the_body_are_counted(toy_store, toy_bones):
-    """A cloth that is drawn toward the body's axis enters it, and comes out again."""
-    push = BodyTree(toy_store.body)
+    """A cloth that is drawn toward the body's axis enters it."""
 
     def narrow(clip):
         low, high = toy_bones.split(clip.name)
         axis = low.mean(axis=1, keepdims=True) * [1, 0, 1] + low * [0, 1, 0]
         return np.float32(0.2 * low + 0.8 * axis), high
 
-    def pushed(clip):
-        low, high = narrow(clip)
-        return low, push(low + high, clip.joints).vertices - low
-
-    rows = evaluate(toy_bones, [Split(narrow, "narrow"), Split(pushed, "pushed")], [CLIP])
+    row = evaluate(toy_bones, [Split(narrow, "narrow")], [CLIP])[0]
     clip = toy_store.clip(CLIP)
-    depth = -push.signed_distance(sum(narrow(clip)), clip.joints)
-    assert rows[0].inside == pytest.approx((depth > 5e-4).mean())
-    assert rows[0].inside > 0.05
-    assert rows[1].inside < 0.1 * rows[0].inside
+    depth = -BodyTree(toy_store.body).signed_distance(sum(narrow(clip)), clip.joints)
+    assert row.inside == pytest.approx((depth > 5e-4).mean())
+    assert row.inside > 0.05

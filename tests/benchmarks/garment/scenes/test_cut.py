@@ -108,7 +108,7 @@ def test_stays_on_in_a_spin_and_a_jump(name: str) -> None:
     found = simulate(cloth, motion, SimulationParameters())
     assert found.quality.accepted, found.quality.reason
     assert found.quality.stretch_p99 < 1.35
-    assert found.quality.inside_fraction < 0.005
+    assert found.quality.inside_fraction < 0.01
     # What is worn does not slip down the body: its middle keeps its height over the root.
     root = BODY.skeleton.positions(motion.joints)[:, 0, 1]
     fall = (found.vertices[..., 1].mean(axis=1) - root) - (
