@@ -300,7 +300,8 @@ CASES = {
     "few poses, bent far from the rest": Case(bent, slack=1e-4),
     # numbers of bones: fewer bones than asked for, or an index beyond the last
     "1 bone": Case(lambda: plain(bones=1), only_valid=True),
-    "V bones": Case(lambda: plain(bones=96), slack=1e-6),
+    # exact but for rounding: 0 to 4e-6, as the processor may be
+    "V bones": Case(lambda: plain(bones=96), slack=1e-5),
     "V - 1 bones": Case(lambda: plain(bones=95), slack=1e-3),
     "one vertex": Case(lambda: Problem(base()[:, :1], diagonal(base()), None, {"bones": 1})),
     "two vertices": Case(lambda: Problem(
