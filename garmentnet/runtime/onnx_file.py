@@ -109,7 +109,7 @@ def _halve(onnx: Any, model: Any) -> None:
 
 
 class Frame(nn.Module):
-    """A frame of a network, from a pose to vertices in the world; its state is passed on.
+    """One step of a network: from a pose and a state to vertices and the next state.
 
     Parameters
     ----------

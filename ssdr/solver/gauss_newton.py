@@ -184,7 +184,7 @@ class GaussNewton:
             return out
 
         steps = tangent.conjugate_steps
-        if system.patches is not None and self._held and self.model.tree is None:
+        if system.patches is not None and self._held:
             steps //= 2  # which the second level of the preconditioner allows
         x, residual, self.recycled = conjugate_gradients(
             apply, rhs, precondition, steps=steps, recycled=self.recycled

@@ -90,8 +90,8 @@ class ReducedSystem:
         If every transform M_j is multiplied by the same 1 + X_j (3×4) in all frames and the rest
         pose follows with −Σ_j w_j X_j p̃, the squared error and the term of the edges rise by
         about Σ_jk tr(X_j patches_jk X_kᵀ): R_jᵀR_k is replaced by a third of its trace, and weights
-        stay.  None if the rest pose is locked, and for bones that stretch if no edge holds it:
-        there a step with `patches` ends a polish early.
+        stay.  None if the rest pose is locked or bones have joints, and for bones that stretch if
+        no edge holds it: there a step with `patches` ends a polish early.
     """
 
     def __init__(
@@ -112,20 +112,23 @@ class ReducedSystem:
         self.length = vertices.length
         self.u, c = bone_sums(data, model, length=self.length)
         stacked, u = vertices.stacked, stack_blocks(self.u)
+        axes = stacked.reshape(-1, 4, self.n_bones)[:, :3].transpose(1, 2, 0)
+        self._axes = np.einsum("aju,bju->jab", axes, axes)
         self.patches = None
-        if self._coupling is not None or (self.move_rest and constraints.bone_model == "rigid"):
-            self.patches = self._patches(data, model, vertices)
+        free = self.move_rest and constraints.bone_model == "rigid"
+        if model.tree is None and (free or self._coupling is not None):
+            self.patches = self._patches(data, model, vertices, axes)
         c *= data.frame_scale[:, None, None, None]
         _, answer = self._eliminate(np.zeros_like(u), 1.0)
         self.gradient = product(stacked, u - answer) - c.reshape(stacked.shape)
         self.stacked, self.u_flat = (x.astype(precision, copy=False) for x in (stacked, u))
 
-    def _patches(self, data: Trajectories, model: Model, vertices: VertexSystem) -> Array:
-        """The attribute `patches`."""
+    def _patches(
+        self, data: Trajectories, model: Model, vertices: VertexSystem, axes: Array
+    ) -> Array:
+        """The attribute `patches`, from the columns `axes` of all R_j."""
         n, surface, strength = data.n_vertices, data.surface, vertices.strength
-        axes = vertices.stacked.reshape(-1, 4, self.n_bones)[:, :3].transpose(1, 2, 0)
         turns = (axes @ axes.transpose(0, 2, 1)).sum(axis=0) / 3
-        self._axes = np.einsum("aju,bju->jab", axes, axes)
         skin = model.points(self.length), model.indices, model.weights, data.importance, turns
         rows: Any = np.zeros(n), np.zeros(n + 1, dtype=np.int64), np.zeros(0, dtype=np.uint32)
         rows = *rows, np.zeros(0)
