@@ -28,7 +28,7 @@ _CHUNK = 512  # normals in a task
 _COMPARED = 6  # frames in which copies of a vertex coincide
 # Towards the rest pose's own normal, relative to the sum of all squares: fitted normals are
 # hardly drawn worse, and the rest pose itself is lit as its surface is.
-_PULL = 0.08
+_PULL = 0.06
 _LEAST = 1e-6  # norm of a fitted normal: a smaller one has no direction
 _MOST = 500  # frames measured of a result of the solver, or a few less
 _BINS = 18001  # of the histogram of angles, each a hundredth of a degree
@@ -61,7 +61,7 @@ def with_fitted_normals(
     Engines draw a rest normal n as A_t n / |A_t n| in frame t, with A_t = Σ_k w_k R_k^t the blended
     3×3 matrix of its vertex.  With n_t the surface's own normal and n_r that of the rest pose,
     Σ_t |A_t n − n_t|² + ρ |n − n_r|² is least where (Σ_t A_tᵀ A_t + ρ) n = Σ_t A_tᵀ n_t + ρ n_r,
-    where ρ is 8 % of the trace of Σ_t A_tᵀ A_t.
+    where ρ is 6 % of the trace of Σ_t A_tᵀ A_t.
 
     Parameters
     ----------

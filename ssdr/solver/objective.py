@@ -1,11 +1,11 @@
 """The objective that the solver minimises, with a penalty on joints away from the skin.
 
-    [1 + mean_j (d_j² + d_j⁴)] · [1 + c S] · [1 + N/ν]^γ · [E + smoothness]
+    [1 + mean_j (d_j² + d_j⁴)] · [1 + c S] · [1 + N/ν] · [E + smoothness]
 
     E = Σ_i u_i Σ_t s_t² |v_i^t − Σ_j w_ij M_j^t p̃_i|²
     N = mean of |n_i^t − Σ_j w_ij R_j^t n_i|², weighted in the same way
 
-with c = 3, ν = (1°)² and γ = 0.9.
+with c = 3 and ν = (1°)².
 
 u_i is the importance of vertex i and s_t² the importance of frame t.  S is the strain of the rest
 pose (:mod:`~ssdr.solver.rest_surface`); its factor is 1 if the rest pose is free or given.  N is
@@ -28,7 +28,7 @@ where the term enters:
     smoothness  WeightSmoothness.terms   a pull on w_i        -               ignored
     joints      Objective.joint_penalty  -                    -               bones
 
-The length at which a normal counts as a point is √(γ E / (F V (ν + N))).
+The length at which a normal counts as a point is √(E / (F V (ν + N))).
 
 Motion often hardly determines a joint: if a leg swings in a plane, the hip could lie anywhere on a
 line, and a wrong place adds almost no error.  There the skin decides.  The penalty is a factor of
@@ -55,7 +55,6 @@ from .trajectories import Array, Trajectories
 # Relative overlap at which the overlap's centroid and the midpoint have equal weight.
 _SHARED = 1e-2
 _UNSEEN = math.radians(1.0) ** 2  # ν: errors of normals far below a degree are not seen
-_NORMALS = 0.9  # γ: by how much less than that of positions a relative change of N counts
 
 
 def strength_of(data: Trajectories, length: float) -> float:
@@ -145,7 +144,7 @@ class Objective:
             value += self.smoothness.penalty(model)
         if data.surface is not None and not self.constraints.lock_rest:
             value *= data.surface.factor(model.rest)
-        value *= math.pow(1.0 + mean_normal_error(data, model) / _UNSEEN, _NORMALS)
+        value *= 1.0 + mean_normal_error(data, model) / _UNSEEN
         if self.constraints.near_skin and model.tree is not None:
             _, squared = joint_offsets(model)
             value *= 1.0 + mean_joint_penalty(squared[model.tree.non_roots])
@@ -202,13 +201,13 @@ class JointPenalty:
 def normal_length(data: Trajectories, model: Model, penalty: float = 0.0) -> float:
     """Scale l of normals n: the squared error of points (l n, 0) stands for the factor of normals.
 
-    It is √(γ E / (F V (ν + N))), and 0 without normals.  E includes `penalty`, what the objective
+    It is √(E / (F V (ν + N))), and 0 without normals.  E includes `penalty`, what the objective
     adds to the error.
     """
     if data.normals is None or not model.normals.shape[1]:
         return 0.0
     count = data.n_frames * data.n_vertices
-    unit = count * (mean_normal_error(data, model) + _UNSEEN) / _NORMALS
+    unit = count * (mean_normal_error(data, model) + _UNSEEN)
     return math.sqrt((seen_error(data, model) + penalty) / unit)
 
 

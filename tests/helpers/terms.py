@@ -18,7 +18,6 @@ from ssdr.solver.trajectories import Trajectories, gather
 # The numbers that are chosen, not derived.
 STRENGTH = rest_surface._STRENGTH
 UNSEEN = objective._UNSEEN
-NORMALS = objective._NORMALS
 
 
 def edges_of(faces):
@@ -68,7 +67,7 @@ def value(data: Trajectories, model: Model, pose=None) -> float:
     if model.normals.shape[1]:
         gap = turned_normals(model.normals[:, 0], *parts) - frame_normals(frames, data.faces)
         mean = float((counts * gap**2).sum()) / (data.n_frames * data.n_vertices)
-        out *= (1.0 + mean / UNSEEN) ** NORMALS
+        out *= 1.0 + mean / UNSEEN
     return out
 
 
