@@ -160,10 +160,11 @@ def unfold(d: Descent, *, steps: int = 24, entering: int = 3) -> Iterator[None]:
     turned: then those of them join that have turned by more than an angle, which shrinks from 90°
     to 0 within six more rounds.
 
-    Of the models found whose error is at most 2 % above the first one's, that with the fewest
-    flipped triangles becomes the best model, even if its objective is higher than before: a rest
-    pose with folds is not a surface.  A model without folds that lost more is polished, at most
-    twice, since bones and all other vertices may give the loss back; what folds again is unfolded.
+    Of the models found whose error is at most 2 % above the first one's, or above what is not seen,
+    that with the fewest flipped triangles becomes the best model, even if its objective is higher
+    than before: a rest pose with folds is not a surface.  A model without folds that lost more is
+    polished, at most twice, since bones and all other vertices may give the loss back; what folds
+    again is unfolded.
     At most `entering` further bones become influences of a vertex in each of its solves.
     """
     if d.data.surface is None:
@@ -172,7 +173,7 @@ def unfold(d: Descent, *, steps: int = 24, entering: int = 3) -> Iterator[None]:
     if d.smoothness is not None:  # these solves of weights would ignore the penalty
         constraints = constraints.with_weights(d.data.n_vertices)
     data, surface, model, faces = d.data, d.data.surface, d.model.copy(), d.data.faces
-    most = _MOST_LOSS**2 * model.weighted_error(data)
+    most = _MOST_LOSS**2 * max(model.weighted_error(data), data.slack)
     turned = surface.turned(model.rest, faces)
     fewest, polishes = turned.sum(), 2
     for k in range(steps):

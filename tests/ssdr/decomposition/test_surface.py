@@ -108,6 +108,8 @@ def flag(n: int = 31, m: int = 21) -> ssdr.MeshSequence:
     return ssdr.MeshSequence(np.stack([np.stack([x, y, z], axis=-1) for z in waves]), faces)
 
 
+# one or two of 1,200 triangles may stay turned over, which is said
+@pytest.mark.filterwarnings("ignore:.* turned over in the rest pose")
 def test_bones_of_a_sheet_turn_as_soon_as_its_light_counts(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
