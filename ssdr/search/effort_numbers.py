@@ -45,8 +45,8 @@ NUMBERS: dict[Effort, Numbers] = {
 }
 
 
-# How often "best" rebuilds the best model, and trials of a search after each start and rebuild.
-REBUILDS, TRIALS_OF_A_START, TRIALS_OF_A_REBUILD = 3, 4, 6
+# How often "best" rebuilds the best model; trials of a search, of all vertices and after a rebuild.
+REBUILDS, TRIALS_OF_ALL, TRIALS_OF_A_REBUILD = 3, 4, 6
 # Fewest vertices per bone in a sample on which influences are relaxed; 60 are overfitted.
 RELAXED_VERTICES = 128
 # How many times several trees are made and the best of them is searched.

@@ -2,7 +2,7 @@
 
     fast       a first model; then more bones, merged and moved on a sample of the vertices; polish
     balanced   the same; then relax and polish
-    best       all of balanced; then a search from another start, and the best rebuilt repeatedly
+    best       all of balanced; then a search, and the best rebuilt and searched repeatedly
 
 Those of bones with joints are in :mod:`.tree_schedules`.
 """
@@ -17,7 +17,7 @@ from .effort_numbers import (
     REBUILDS,
     RELAXED_VERTICES,
     TRIALS_OF_A_REBUILD,
-    TRIALS_OF_A_START,
+    TRIALS_OF_ALL,
 )
 from .problem import Effort, RigKind
 from .progress import Stop
@@ -188,18 +188,17 @@ def search_further(d: Descent) -> None:
 def search_positions(d: Descent) -> None:
     """Search on a sample; then relax and search on all vertices, so that nothing is overfitted."""
     n = RELAXED_VERTICES
-    if on_sample(d, search_from_starts, least=n, most=n, free=False):
-        relax_and_search(d, TRIALS_OF_A_START)
+    if on_sample(d, search_and_rebuild, least=n, most=n, free=False):
+        relax_and_search(d, TRIALS_OF_ALL)
 
 
-def search_from_starts(d: Descent) -> None:
-    """Search from another start, merged and moved; then rebuild the best model repeatedly.
+def search_and_rebuild(d: Descent) -> None:
+    """Search from the model of "balanced", then rebuild the best model repeatedly.
 
     A rebuild has bones in new places, which are judged once influences and weights have adapted.
     """
-    merged_start(d)
-    move_bones(d)
-    relax_and_search(d, TRIALS_OF_A_START)
+    polish(d, steps=20, gain=0.005)
+    relax_and_search(d, TRIALS_OF_A_REBUILD)
     for _ in range(REBUILDS):
         return_to_best(d)
         add_and_merge(d)
