@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from ..common.errors import SsdrWarning
 from ..mesh.clips import Clip
 from ..model.lbs import skin
-from .file_errors import SceneBudget
 from .frame_rates import Frames, Times
 from .save_report import frame_blocks
 
@@ -38,10 +37,6 @@ class Sample:
         Function from n times to that form.
     frames : Frames
         Frames of the clip, in the file's unit of time.
-    budget : SceneBudget
-        Memory that reading the file may take.
-    own : bool
-        Whether the reader chose the frame rate, since the caller gave none.
     """
 
     clip: Clip
@@ -49,11 +44,9 @@ class Sample:
     time: Any
     at: Callable[[Times], Any]
     frames: Frames
-    budget: SceneBudget
-    own: bool
 
-    def hidden(self, vanish: bool) -> list[tuple[slice, NDArray[np.bool_]]]:
-        """Vertices that the file hides in some frames, and the mask (F,) of these frames.
+    def hidden(self, path: Path, vanish: bool) -> list[tuple[slice, NDArray[np.bool_]]]:
+        """Vertices that the file `path` hides in some frames, and the mask (F,) of these frames.
 
         A warning names the meshes and the frames' own numbers, unless they are to `vanish`.
         """
@@ -69,19 +62,18 @@ class Sample:
             listed = ", ".join(names[:_MOST_NAMES]) + " and others" * (len(names) > _MOST_NAMES)
             text = f"{listed}: hidden in frames {frames} of the clip {self.clip.name}, shown here"
             hint = "vanish= shrinks what is hidden to a point"
-            warnings.warn(f"{self.budget.path}: {text} ({hint})", SsdrWarning, stacklevel=2)
+            warnings.warn(f"{path}: {text} ({hint})", SsdrWarning, stacklevel=2)
         return found
 
-    def tell_missed(self) -> None:
+    def tell_missed(self, path: Path) -> None:
         """Warn of keys between frames, with the largest error of vertices at these keys.
 
-        Nothing is said of frames at a rate that the caller chose.
         The error is the distance between the vertices at a key and those interpolated linearly
         between the two frames around it, as players do. At most 256 keys are compared.
         """
-        frames, width = self.frames, sum(len(part.indices) for part in self.parts)
-        missed = frames.missed
-        if not (self.own and len(missed)):
+        frames, clip, missed = self.frames, self.clip, self.frames.missed
+        width = int(part_starts(self.parts)[-1])
+        if not len(missed):
             return
 
         def vertices(times: Times) -> NDArray[np.floating]:
@@ -91,13 +83,21 @@ class Sample:
         chosen = missed[np.linspace(0, len(missed) - 1, looks).astype(int)]
         ticks = np.clip((chosen - frames.first) * frames.rate, 0, frames.count - 1)
         before, after = np.floor(ticks), np.ceil(ticks)
-        share = (ticks - before)[:, None, None]
+        part = (ticks - before)[:, None, None]
         there = vertices(chosen).astype(np.float64)
         around = [vertices(frames.first + k / frames.rate) for k in (before, after)]
-        shown = (1 - share) * around[0] + share * around[1]
+        shown = (1 - part) * around[0] + part * around[1]
         distance = np.linalg.norm(there - shown, axis=2).max()
         diagonal = np.linalg.norm(np.ptp(there, axis=1), axis=1).max()
-        tell(self.budget.path, self.clip, len(missed), distance, diagonal)
+        if not distance > _LEAST * diagonal:
+            return
+        share = f" ({100 * distance / diagonal:.2g} % of the diagonal)" if diagonal else ""
+        text = (
+            f"{path}: {len(missed)} keys of the clip {clip.name} lie between its frames, which are "
+            f"{clip.fps:g} a second: vertices are up to {distance:.3g}{share} from where the file "
+            "has them (fps= samples at another rate)"
+        )
+        warnings.warn(text, SsdrWarning, stacklevel=2)
 
 
 def part_starts(parts: Sequence[Any]) -> NDArray[np.int64]:
@@ -126,19 +126,3 @@ def _ranges(numbers: Times, mask: NDArray[np.bool_]) -> str:
     index = np.flatnonzero(mask)
     runs = np.split(index, np.flatnonzero(np.diff(index) > 1) + 1)
     return ", ".join(f"{numbers[run[0]]:g} to {numbers[run[-1]]:g}" for run in runs)
-
-
-def tell(path: Path, clip: Clip, count: int, distance: float, diagonal: float) -> None:
-    """Warn that `count` keys of a clip lie between its frames.
-
-    `distance` is the largest error of a vertex that results.
-    """
-    if not distance > _LEAST * diagonal:
-        return
-    share = f" ({100 * distance / diagonal:.2g} % of the diagonal)" if diagonal else ""
-    text = (
-        f"{path}: {count} keys of the clip {clip.name} lie between its frames, which are "
-        f"{clip.fps:g} a second: vertices are up to {distance:.3g}{share} from where the file has "
-        "them (fps= samples at another rate)"
-    )
-    warnings.warn(text, SsdrWarning, stacklevel=2)

@@ -1,4 +1,4 @@
-"""Joining of a scene's meshes into one sequence or skinning, for glTF, USD and FBX."""
+"""Joining of a scene's meshes into one skinning, and of their triangles and surfaces into one."""
 
 from __future__ import annotations
 
@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 from ..common.checks import BoneModel
 from ..mesh.clips import in_order, unique_names
 from ..mesh.normals import corner_normals
-from ..mesh.sequence import MeshSequence
 from ..mesh.surface import Material, Space, Surface
 from ..model.shapes import ShapedSkinning, Shapes, Skinned
 from ..model.skinning import Skinning
 from .file_errors import afford, check
-from .sampling import Sample, part_starts, vertices_of
+from .sampling import Sample, part_starts
 
 _log = logging.getLogger(__name__)
 
@@ -149,7 +148,7 @@ def join_faces(parts: Sequence[ScenePart]) -> NDArray[np.int32]:
     return np.concatenate(joined).astype(np.int32)
 
 
-def _join_surface(
+def join_surface(
     parts: Sequence[ScenePart], rest: Sequence[NDArray[np.floating]], materials: list[Material]
 ) -> Surface | None:
     """Surface of all parts joined, or None if there is nothing to state.
@@ -179,43 +178,18 @@ def _join_surface(
     return Surface(material_index=numbers, materials=tuple(materials), **fields)
 
 
-def join_sequence(
-    sample: Sample, materials: list[Material], name: str, space: Space, vanish: bool = False
-) -> MeshSequence:
-    """Sequence called `name` of the skinned vertices of all parts in the frames of one clip.
-
-    With `vanish`, a part is its centroid alone in the frames in which the file hides it.
-    """
-    clip, parts = sample.clip, sample.parts
-    count = int(part_starts(parts)[-1])
-    sample.budget.spend(12.0 * clip.n_frames * count, f"{clip.n_frames} frames of {count} vertices")
-    frames = vertices_of(parts, sample.time, clip.n_frames)
-    shapes = [part.shape(sample.time) for part in parts]
-    rest_poses = [shape(0) if callable(shape) else shape for shape in shapes]
-    surface = _join_surface(parts, rest_poses, materials)
-    named: dict[str, Any] = {"name": name, "clip": clip.name, "surface": surface, "space": space}
-    sample.tell_missed()
-    for vertices, hidden in sample.hidden(vanish):
-        if vanish:
-            block = frames[hidden, vertices]
-            frames[hidden, vertices] = block.mean(axis=1, keepdims=True, dtype=np.float64)
-    return MeshSequence(frames, join_faces(parts), clip.fps, **named)
-
-
 def join_skinning(
-    samples: Sequence[Sample],
-    materials: list[Material],
-    name: str,
-    space: Space,
-    vanish: bool = False,
+    samples: Sequence[Sample], materials: list[Material], name: str, space: Space
 ) -> Skinned:
     """Skinning called `name` of all parts, with one clip for each sample.
+
+    It has the narrowest bone model that holds the transforms, and a hierarchy if some bone has a
+    parent.
 
     Raises
     ------
     FormatError
-        If anything but shapes changes the vertices of a part before they are skinned, or the file
-        hides one that is to `vanish`.
+        If anything but shapes changes the vertices of a part before they are skinned.
     """
     parts = samples[0].parts
     bones: dict[Hashable, Bones] = {}
@@ -233,27 +207,28 @@ def join_skinning(
     def widened(part: ScenePart, values: NDArray[Any]) -> NDArray[Any]:
         return np.pad(values, ((0, 0), (0, width - part.indices.shape[1])))
 
-    shifted = [
-        np.where(one.parents >= 0, one.parents + start, -1)
-        for one, start in zip(found, starts, strict=True)
-    ]
-    joined = Bones(
-        [name for one in found for name in one.names],
-        np.concatenate(shifted),
-        np.concatenate([one.joint_positions for one in found]),
-        np.concatenate([one.transforms for one in found], axis=1),
+    parents = np.concatenate(
+        [
+            np.where(one.parents >= 0, one.parents + start, -1)
+            for one, start in zip(found, starts, strict=True)
+        ]
     )
-    for one in samples:
-        one.tell_missed()
-        problem = "a mesh is hidden in some frames: to vanish there, it is read by ssdr.load"
-        check(not (one.hidden(vanish) and vanish), problem)
-    model = make_skinning(
+    indices = [widened(part, part.indices + first[part.skeleton]) for part in parts]
+    weights = np.concatenate([widened(part, part.weights) for part in parts])
+    transforms = np.concatenate([one.transforms for one in found], axis=1)
+    joints = np.concatenate([one.joint_positions for one in found])
+    tree = bool((parents >= 0).any())
+    model = Skinning(
         np.concatenate(rest),
-        np.concatenate([widened(part, part.indices + first[part.skeleton]) for part in parts]),
-        np.concatenate([widened(part, part.weights) for part in parts]),
-        joined,
+        np.where(weights > 0, np.concatenate(indices), 0),
+        weights,
+        transforms,
         faces=join_faces(parts),
-        surface=_join_surface(parts, rest, materials),
+        bone_model=_bone_model_of(transforms),
+        bone_names=unique_names([name for one in found for name in one.names]),
+        parents=parents if tree else None,
+        joint_positions=joints if tree else None,
+        surface=join_surface(parts, rest, materials),
         name=name,
         clips=in_order(one.clip for one in samples),
         space=space,
@@ -289,32 +264,6 @@ def _join_shapes(
             one[starts[k] : starts[k + 1]] = displacements
     columns = np.stack(list(amounts.values()), axis=1)
     return Shapes(moved, columns, names=[known for known, _ in rows])
-
-
-def make_skinning(
-    rest: NDArray[np.floating],
-    indices: NDArray[np.integer],
-    weights: NDArray[np.floating],
-    bones: Bones,
-    **fields: Any,
-) -> Skinning:
-    """Skinning with the narrowest bone model that holds the transforms.
-
-    It has a hierarchy if some bone has a parent. `fields` are further arguments of
-    :class:`Skinning`.
-    """
-    tree = bool((bones.parents >= 0).any())
-    return Skinning(
-        rest,
-        np.where(weights > 0, indices, 0),
-        weights,
-        bones.transforms,
-        bone_model=_bone_model_of(bones.transforms),
-        bone_names=unique_names(bones.names),
-        parents=bones.parents if tree else None,
-        joint_positions=bones.joint_positions if tree else None,
-        **fields,
-    )
 
 
 def _bone_model_of(transforms: NDArray[np.float64]) -> BoneModel:

@@ -9,16 +9,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..common.errors import InputError
 from ..mesh.clips import Clip, in_order
 from ..mesh.sequence import MeshSequence
 from ..mesh.surface import Material, Space
 from ..model.shapes import Skinned, shaped
 from .file_clips import pick_clip
-from .file_errors import reading
+from .file_errors import SceneBudget, check, reading
 from .frame_rates import Range
-from .sampling import Sample
-from .scene import join_sequence, join_skinning
+from .sampling import Sample, part_starts, vertices_of
+from .scene import join_faces, join_skinning, join_surface
 
 
 class SceneFile(ABC):
@@ -36,12 +38,15 @@ class SceneFile(ABC):
         At least one.
     driven : bool
         Whether the file says that each of its clips is an expression of a face.
+    budget : SceneBudget
+        Memory that reading the file may take.
     asked : (float, float) or None
         First and last frame to read, by the file's own numbers.
     """
 
     name: str
     space: Space
+    budget: SceneBudget
     clip_names: Sequence[str]
     driven = False
     asked: Range = None
@@ -129,8 +134,10 @@ class SceneFile(ABC):
             file = cls(path, max_bytes, meshes)
             file.asked = frames
             sample = file.sample(pick_clip(file.clip_names, clip, path), fps)
-            materials = file.materials(sample.parts)
-            return join_sequence(sample, materials, file.name, file.space, vanish)
+            sequence = _baked(file, sample, vanish)
+            if fps is None:
+                sample.tell_missed(path)
+            return sequence
 
     @classmethod
     def list_clips(cls, path: Path, *, fps: float | None = None) -> tuple[Clip, ...]:
@@ -180,7 +187,8 @@ class SceneFile(ABC):
         Raises
         ------
         FormatError
-            As in :meth:`read`, and if the points of a mesh move, which a skinning cannot store.
+            As in :meth:`read`, and if the points of a mesh move, which a skinning cannot store, or
+            the file hides a mesh that is to `vanish`.
         InputError
             If there is no such mesh, or a clip has none of the frames.
         """
@@ -189,8 +197,33 @@ class SceneFile(ABC):
             file.asked = frames
             samples = file.samples(range(len(file.clip_names)), fps, joints_alone)
             materials = file.materials(samples[0].parts)
-            model = join_skinning(samples, materials, file.name, file.space, vanish)
+            model = join_skinning(samples, materials, file.name, file.space)
+            for one in samples:
+                if fps is None:
+                    one.tell_missed(path)
+                seen = not (one.hidden(path, vanish) and vanish)
+                check(seen, "a mesh is hidden in some frames: ssdr.load lets it vanish there")
             return _as_face(model) if file.driven else model
+
+
+def _baked(file: SceneFile, sample: Sample, vanish: bool) -> MeshSequence:
+    """Sequence of the skinned vertices of all parts in the frames of one clip.
+
+    With `vanish`, a part is its centroid alone in the frames in which the file hides it.
+    """
+    clip, parts = sample.clip, sample.parts
+    count = int(part_starts(parts)[-1])
+    file.budget.spend(12.0 * clip.n_frames * count, f"{clip.n_frames} frames of {count} vertices")
+    frames = vertices_of(parts, sample.time, clip.n_frames)
+    shapes = [part.shape(sample.time) for part in parts]
+    rest = [shape(0) if callable(shape) else shape for shape in shapes]
+    surface = join_surface(parts, rest, file.materials(parts))
+    for vertices, hidden in sample.hidden(file.budget.path, vanish):
+        if vanish:
+            block = frames[hidden, vertices]
+            frames[hidden, vertices] = block.mean(axis=1, keepdims=True, dtype=np.float64)
+    named: dict[str, Any] = {"name": file.name, "clip": clip.name, "space": file.space}
+    return MeshSequence(frames, join_faces(parts), clip.fps, surface=surface, **named)
 
 
 def _as_face(model: Skinned) -> Skinned:

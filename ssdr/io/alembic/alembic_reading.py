@@ -76,15 +76,8 @@ class AlembicFile(SceneFile):
         n_vertices = sum(part.n_points for part in parts)
         what = f"{frames.count} frames of {n_vertices} vertices"
         self.budget.spend(256.0 * frames.count * (len(parts) + len(nodes.clocks)), what)
-        return Sample(
-            clip=Clip(self.clip_names[0], 0, frames.count, frames.rate),
-            parts=parts,
-            time=frames.times,
-            at=np.asarray,
-            frames=frames,
-            budget=self.budget,
-            own=fps is None,
-        )
+        clip = Clip(self.clip_names[0], 0, frames.count, frames.rate)
+        return Sample(clip=clip, parts=parts, time=frames.times, at=np.asarray, frames=frames)
 
     def _read(self, wanted: list[str] | None) -> tuple[dict[str, Any], dict[str, Any]]:
         """Run ``alembic_script.py``; return records and arrays of the meshes `wanted`, or all."""

@@ -119,8 +119,7 @@ class FbxFile(SceneFile):
         frames = [self._frames(k, fps) for k in indices]
         count = sum(one.count for one in frames)
         self.budget.spend(float(count) * self._found["bytes"], f"{count} frames")
-        own = fps is None
-        stamps = [np.union1d(one.times, one.missed if own else one.times) for one in frames]
+        stamps = [np.union1d(one.times, one.missed if fps is None else one.times) for one in frames]
         moments = [(self._stacks[k][0], t.tolist()) for k, t in zip(indices, stamps, strict=True)]
         found, arrays = self._run(moments, joints_alone)
         check(found["meshes"], "the scene holds no mesh that is shown")
@@ -139,8 +138,6 @@ class FbxFile(SceneFile):
                 time=_rows(k, times, one.times),
                 at=functools.partial(_rows, k, times),
                 frames=one,
-                budget=self.budget,
-                own=own,
             )
             for k, (name, one, times) in enumerate(zip(known, frames, stamps, strict=True))
         ]

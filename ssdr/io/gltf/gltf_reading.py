@@ -47,6 +47,7 @@ class GltfFile(SceneFile):
 
     def __init__(self, path: Path, max_bytes: int | None = None, meshes: Any = None) -> None:
         self.document, self._wanted = Document(path, max_bytes), meshes
+        self.budget = self.document.budget
         self.name, self.clip_names = mesh_name(self.document), animation_names(self.document)
         extras = [mesh.get("extras") for mesh in self.document.items("meshes")]
         stated = [one.get("ssdr") for one in extras if isinstance(one, dict)]
@@ -94,15 +95,7 @@ class GltfFile(SceneFile):
         def at(times: NDArray[np.float64]) -> Nodes:
             return Nodes(document, dataclasses.replace(one, times=times))
 
-        return Sample(
-            clip=one.clip,
-            parts=self._parts,
-            time=nodes,
-            at=at,
-            frames=one.frames,
-            budget=document.budget,
-            own=fps is None,
-        )
+        return Sample(clip=one.clip, parts=self._parts, time=nodes, at=at, frames=one.frames)
 
     def materials(self, _parts: Sequence[Any]) -> list[Material]:
         return [_material(self.document, item) for item in self.document.items("materials")]

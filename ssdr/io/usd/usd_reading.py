@@ -184,15 +184,8 @@ class StageFile(SceneFile):
             meshes = [SkeletonPoints(self.path, skeleton) for skeleton in skeletons]
         check(meshes, "no visible mesh")
         rate, frames, codes = self._frames(meshes, clip, fps)
-        return Sample(
-            clip=Clip(clip.name, 0, len(codes), rate),
-            parts=meshes,
-            time=codes,
-            at=np.asarray,
-            frames=frames,
-            budget=self.budget,
-            own=fps is None,
-        )
+        known = Clip(clip.name, 0, len(codes), rate)
+        return Sample(clip=known, parts=meshes, time=codes, at=np.asarray, frames=frames)
 
     def mesh_names(self) -> tuple[str, ...]:
         """Names of the visible meshes, or their paths where two names are equal."""
