@@ -29,8 +29,6 @@ class Corners:
     uv : (N, 2) float32 or None
     normals : (N, 3) float32 or None
     colors : (N, 4) float32 or None
-    number : (N,) int32 or None
-        For a model with shapes: index of each vertex's normal among the model's normals.
     """
 
     vertex: NDArray[np.int32]
@@ -38,7 +36,6 @@ class Corners:
     uv: NDArray[np.float32] | None
     normals: NDArray[np.float32] | None
     colors: NDArray[np.float32] | None = None
-    number: NDArray[np.int32] | None = None
 
 
 def split_corners(

@@ -14,10 +14,7 @@ from numpy.typing import NDArray
 
 from ...common.errors import InputError
 from ...mesh.clips import Clip
-from ...model.shaped_normals import ShapedNormals
-from ...model.shapes import Shapes
 from ..atomic import write_bytes
-from ..corners import Corners
 from ..file_errors import check, reading
 from ..played_model import PlayedModel
 from ..signatures import picture_type
@@ -54,7 +51,7 @@ class Builder:
         self.notes: list[str] = []
         self.lost: list[str] = []
         self.json: dict[str, Any] = {"asset": {"version": "2.0", "generator": "ssdr"}, "scene": 0}
-        self.blocks: list[memoryview | bytes] = []
+        self.blocks: list[memoryview | bytes | bytearray] = []
         if document is not None:
             self.json = copy.deepcopy(document.json)
             for number, view in enumerate(self.json.get("bufferViews", [])):
@@ -70,7 +67,7 @@ class Builder:
         for key in ("accessors", "bufferViews"):
             self.json.setdefault(key, [])
 
-    def view(self, data: bytes, **fields: Any) -> int:
+    def view(self, data: bytes | bytearray, **fields: Any) -> int:
         """Add a buffer view of `data` with the JSON `fields` and return its index."""
         views: list[Any] = self.json["bufferViews"]
         views.append({"buffer": len(self.blocks), **fields})
@@ -99,13 +96,8 @@ class Builder:
         if normalized and array.dtype.kind == "u":
             item["normalized"] = True
         if bounds:
-            # Validators compare bounds exactly, and item() keeps a float32's value in JSON.
-            flat = array.reshape(len(array), -1)
-            item["min"] = [x.item() for x in flat.min(axis=0)]
-            item["max"] = [x.item() for x in flat.max(axis=0)]
-        accessors: list[Any] = self.json["accessors"]
-        accessors.append(item)
-        return len(accessors) - 1
+            item |= _bounds(array)
+        return self._put(item)
 
     def displaced(self, arrays: NDArray[Any]) -> list[int]:
         """Add accessors for what morph targets add to an attribute, and return their indices.
@@ -114,40 +106,35 @@ class Builder:
         since the JSON of a separate view is larger than the data of many targets.
         """
         wide = np.uint16 if arrays.shape[1] < 65536 else np.uint32
+        index, values = bytearray(), bytearray()
+        views: list[int] = []
         found: list[int] = []
-        views: tuple[int, int] | None = None
-        empty: int | None = None
         for stored in arrays.astype(np.float32):
             rows = np.flatnonzero(stored.any(axis=1)).astype(wide)
-            if not len(rows) and empty is not None:
-                found.append(empty)
-                continue
             if len(rows) * (3 * stored.itemsize + rows.itemsize) >= stored.nbytes:
                 found.append(self.accessor(stored, "VEC3", target=ARRAY, bounds=True))
                 continue
             item = {"componentType": CODES["float32"], "count": len(stored), "type": "VEC3"}
-            item["min"], item["max"] = (
-                [x.item() for x in bound(stored, axis=0)] for bound in (np.min, np.max)
-            )
+            item |= _bounds(stored)
             if len(rows):
-                views = views or (self.view(b""), self.view(b""))
-                first, second = (self.json["bufferViews"][k]["buffer"] for k in views)
+                views = views or [self.view(index), self.view(values)]
+                code, first = CODES[rows.dtype.name], {"bufferView": views[0]}
                 item["sparse"] = {
                     "count": len(rows),
-                    "indices": {
-                        "bufferView": views[0],
-                        "byteOffset": len(self.blocks[first]),
-                        "componentType": CODES[rows.dtype.name],
-                    },
-                    "values": {"bufferView": views[1], "byteOffset": len(self.blocks[second])},
+                    "indices": first | {"byteOffset": len(index), "componentType": code},
+                    "values": {"bufferView": views[1], "byteOffset": len(values)},
                 }
-                for place, data in ((first, rows.tobytes()), (second, stored[rows].tobytes())):
-                    # types differ, so each array begins at a multiple of 4 bytes
-                    self.blocks[place] = bytes(self.blocks[place]) + data + b"\0" * (-len(data) % 4)
-            self.json["accessors"].append(item)
-            found.append(len(self.json["accessors"]) - 1)
-            empty = empty if len(rows) else found[-1]
+                # each array begins at a multiple of 4 bytes, as their types may differ
+                index += rows.tobytes() + b"\0" * (-rows.nbytes % 4)
+                values += stored[rows].tobytes()
+            found.append(self._put(item))
         return found
+
+    def _put(self, item: dict[str, Any]) -> int:
+        """Add the JSON of an accessor and return its index."""
+        accessors: list[Any] = self.json["accessors"]
+        accessors.append(item)
+        return len(accessors) - 1
 
     def save(self, path: Path) -> int:
         """Write a ``.glb``, or a ``.gltf`` with its ``.bin``, and return the number of bytes.
@@ -158,7 +145,7 @@ class Builder:
             If a ``.glb`` would be larger than its format allows.
         """
         self._embed_pictures(path)
-        blocks: list[memoryview | bytes] = []
+        blocks: list[memoryview | bytes | bytearray] = []
         length = 0
         for view in self.json["bufferViews"]:
             block = self.blocks[view["buffer"]]
@@ -209,6 +196,14 @@ class Builder:
                 del image["uri"]
                 image.setdefault("mimeType", picture_type(data) or "image/png")
                 image["bufferView"] = self.view(data)
+
+
+def _bounds(array: NDArray[Any]) -> dict[str, Any]:
+    """Smallest and largest values of an accessor, as JSON."""
+    # Validators compare bounds exactly, and item() keeps a float32's value in JSON.
+    flat = array.reshape(len(array), -1)
+    ends = {"min": flat.min(axis=0), "max": flat.max(axis=0)}
+    return {name: [x.item() for x in values] for name, values in ends.items()}
 
 
 def add_weights(
@@ -281,59 +276,32 @@ def add_animation(
 ) -> dict[str, Any]:
     """Add the keys of a clip and return the JSON of its animation.
 
-    The first frame of the clip is at `start` seconds; the skeleton's root is node `first`.
+    The first frame of the clip is at `start` seconds; the skeleton's root is node `first`. Amounts
+    of shapes are weights of node 0.
     """
     samplers: list[dict[str, Any]] = []
     channels: list[dict[str, Any]] = []
     inputs: dict[bytes, int] = {}
-    for bone in _moved(played, clip):
-        keys = clip.start + np.flatnonzero(played.keys[clip.frames, bone])
+
+    def put(node: int, path: str, keys: NDArray[Any], values: NDArray[Any], kind: str) -> None:
         if keys.tobytes() not in inputs:
             times = (start + (keys - clip.start) / clip.fps).astype(np.float32)
             inputs[keys.tobytes()] = builder.accessor(times, "SCALAR", bounds=True)
-        tracks = [("rotation", played.rotations[keys, bone], "VEC4")]
+        channels.append({"sampler": len(samplers), "target": {"node": node, "path": path}})
+        output = builder.accessor(values, kind)
+        samplers.append({"input": inputs[keys.tobytes()], "output": output})
+
+    for bone in _moved(played, clip):
+        keys, node = clip.start + np.flatnonzero(played.keys[clip.frames, bone]), first + 1 + bone
         if played.translating[bone]:
-            tracks.insert(0, ("translation", played.translations[keys, bone], "VEC3"))
+            put(node, "translation", keys, played.translations[keys, bone], "VEC3")
+        put(node, "rotation", keys, played.rotations[keys, bone], "VEC4")
         if played.scales is not None and (played.scales[:, bone] != 1).any():
-            tracks.append(("scale", played.scales[keys, bone], "VEC3"))
-        for path, values, kind in tracks:
-            target = {"node": first + 1 + bone, "path": path}
-            channels.append({"sampler": len(samplers), "target": target})
-            output = builder.accessor(values, kind)
-            samplers.append({"input": inputs[keys.tobytes()], "output": output})
+            put(node, "scale", keys, played.scales[keys, bone], "VEC3")
+    if played.shapes is not None:
+        amounts = played.shapes.amounts[clip.frames].reshape(-1)
+        put(0, "weights", np.arange(clip.start, clip.stop), amounts, "SCALAR")
     stated: dict[str, Any] = {"fps": clip.fps, "frames": clip.n_frames}
     if start:
         stated["start"] = start
     return {"name": name, "samplers": samplers, "channels": channels, "extras": {"ssdr": stated}}
-
-
-def add_targets(
-    builder: Builder, shapes: Shapes, corners: Corners, normals: ShapedNormals | None
-) -> list[Any]:
-    """Add the morph targets of a mesh and return the "targets" of a primitive's JSON."""
-    attributes = {"POSITION": shapes.displacements[:, corners.vertex]}
-    if normals is not None:
-        attributes["NORMAL"] = normals.added[:, corners.number]
-    found = {name: builder.displaced(values) for name, values in attributes.items()}
-    return [dict(zip(found, one, strict=True)) for one in zip(*found.values(), strict=True)]
-
-
-def state_targets(mesh: dict[str, Any], shapes: Shapes) -> None:
-    """Set, in the JSON of a mesh, the names of its targets and their amounts without an animation.
-
-    The amounts are 0 if all are 0 in some frame, otherwise the means over the frames.
-    """
-    amounts = shapes.amounts * bool(shapes.amounts.any(axis=1).all())
-    mesh["weights"] = amounts.mean(axis=0).tolist()
-    mesh.setdefault("extras", {})["targetNames"] = list(shapes.names)
-
-
-def add_channel(builder: Builder, animation: dict[str, Any], shapes: Shapes, clip: Clip) -> None:
-    """Add a channel with the amounts in the frames of a clip to an animation of node 0."""
-    times = (np.arange(clip.n_frames) / clip.fps).astype(np.float32)
-    amounts = shapes.amounts[clip.frames].reshape(-1).astype(np.float32)
-    target = {"node": 0, "path": "weights"}
-    animation["channels"].append({"sampler": len(animation["samplers"]), "target": target})
-    output = builder.accessor(amounts, "SCALAR")
-    stamps = builder.accessor(times, "SCALAR", bounds=True)
-    animation["samplers"].append({"input": stamps, "output": output, "interpolation": "LINEAR"})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,20 +15,16 @@ from ...mesh.surface import Material, Surface
 from ...model.shaped_normals import shaped_normals
 from ...model.shapes import ShapedSkinning, Skinned, skinning_and_shapes, without_shapes
 from ..corners import Corners, rest_normals, split_corners
-from ..played_model import PlayedModel, as_played
+from ..played_model import PlayedModel, WeightStorage, as_played
 from ..save_report import SaveReport
-from ..weight_storage import WeightStorage
 from .builder import (
     ARRAY,
     ELEMENTS,
     Builder,
     add_animation,
-    add_channel,
     add_skin,
-    add_targets,
     add_weights,
     skeleton_nodes,
-    state_targets,
 )
 from .gltf_template import Template
 
@@ -105,7 +100,15 @@ def _document(model: Skinned, played: PlayedModel, title: str) -> Builder:
     """A new document with the model."""
     builder = Builder()
     json = builder.json
-    json["meshes"] = [{"name": title, "primitives": _mesh(builder, model, played)}]
+    mesh: dict[str, Any] = {"name": title, "primitives": _mesh(builder, model, played)}
+    if isinstance(model, ShapedSkinning) and model.driven:
+        mesh["extras"] = {"ssdr": {"driven": True}}
+    if played.shapes is not None:
+        # without an animation: nothing if a frame has nothing, otherwise the mean
+        amounts = played.shapes.amounts * bool(played.shapes.amounts.any(axis=1).all())
+        mesh["weights"] = amounts.mean(axis=0).tolist()
+        mesh.setdefault("extras", {})["targetNames"] = list(played.shapes.names)
+    json["meshes"] = [mesh]
     # The mesh stands at the top of the scene: glTF ignores the transform of a
     # skinned mesh's node, and importers disagree about its parents.
     nodes = [{"name": title, "mesh": 0, "skin": 0}, *skeleton_nodes(played, title, 1)]
@@ -116,12 +119,6 @@ def _document(model: Skinned, played: PlayedModel, title: str) -> Builder:
         add_animation(builder, played, clip, title if clip.name in unnamed else clip.name, 1)
         for clip in played.clips
     ]
-    if isinstance(model, ShapedSkinning) and model.driven:
-        json["meshes"][0]["extras"] = {"ssdr": {"driven": True}}
-    if played.shapes is not None:
-        state_targets(json["meshes"][0], played.shapes)
-        for clip, animation in zip(played.clips, json["animations"], strict=True):
-            add_channel(builder, animation, played.shapes, clip)
     return builder
 
 
@@ -134,10 +131,6 @@ def _mesh(builder: Builder, model: Skinned, played: PlayedModel) -> list[dict[st
         normals = fitted.rest[fitted.corner].astype(np.float32)
     uv, colors = (None, None) if surface is None else (surface.uv, surface.colors)
     corners = split_corners(model.faces, model.n_vertices, uv, normals, colors)
-    if fitted is not None:
-        number = np.zeros(len(corners.vertex), dtype=np.int32)
-        number[corners.faces] = fitted.corner
-        corners = dataclasses.replace(corners, number=number)
     index = np.zeros(len(corners.faces), dtype=np.int32)
     if surface is not None and surface.material_index is not None:
         index = surface.material_index
@@ -146,7 +139,13 @@ def _mesh(builder: Builder, model: Skinned, played: PlayedModel) -> list[dict[st
     if len(corners.faces):
         primitives = _primitives(builder, surface or Surface(), corners, index, attributes)
     if played.shapes is not None:
-        targets = add_targets(builder, played.shapes, corners, fitted)
+        moved = {"POSITION": played.shapes.displacements[:, corners.vertex]}
+        if fitted is not None:
+            number = np.zeros(len(corners.vertex), dtype=np.int32)
+            number[corners.faces] = fitted.corner
+            moved["NORMAL"] = fitted.added[:, number]
+        found = {name: builder.displaced(values) for name, values in moved.items()}
+        targets = [dict(zip(found, one, strict=True)) for one in zip(*found.values(), strict=True)]
         primitives = [{**primitive, "targets": targets} for primitive in primitives]
     return primitives
 

@@ -13,8 +13,7 @@ from helpers.glb import rebuild
 from helpers.rig_model import tube
 from helpers.rig_tree import PARENTS, creature, flat, tree_of
 from ssdr.io.frame_rates import frame_rate, off_frames
-from ssdr.io.played_model import as_played
-from ssdr.io.weight_storage import quantise, weight_values
+from ssdr.io.played_model import as_played, quantise, weight_values
 from ssdr.mesh.clips import unique_names
 from ssdr.model.transforms import joint_gaps
 
