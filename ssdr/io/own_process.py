@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.errors import FormatError, InputError, MissingDependencyError, SsdrError, is_real
+from ..common.errors import FormatError, MissingDependencyError, SsdrError
 from ..mesh.clips import readable
 
 _log = logging.getLogger(__name__)
 _READER = Path(__file__).with_name("reading_process.py")
-_TIME_LIMIT = 600.0  # seconds after which reading is stopped
+_TIME_LIMIT = 600.0  # seconds after which a process is ended
 
 
 def run_reader(
@@ -37,7 +37,6 @@ def run_reader(
         who=who,
         # what can be imported here can be imported there
         environment={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-        time_limit=_TIME_LIMIT,
         path=path,
     )
     return json.loads(arrays.pop("found").tobytes()), arrays
@@ -49,7 +48,6 @@ def run_script(
     *,
     who: str,
     environment: Mapping[str, str],
-    time_limit: float,
     path: Path | None = None,
 ) -> dict[str, NDArray[Any]]:
     """Run a script in a process of its own, and return the arrays that it writes to an archive.
@@ -64,23 +62,17 @@ def run_script(
         Name of the program that runs the script, for messages.
     environment : dict
         Environment variables of the process.
-    time_limit : float
-        Seconds after which the process is ended.
     path : Path, optional
         File that the script reads, which is blamed for errors.
 
     Raises
     ------
-    InputError
-        If `time_limit` is not a positive number.
     MissingDependencyError
         If the program cannot be started.
     SsdrError
         If it ends with an error, whose text is passed on, writes one as the array ``"error"``, or
-        takes longer than `time_limit`. With `path`, it is a FormatError.
+        takes longer than ten minutes. With `path`, it is a FormatError.
     """
-    if not (is_real(time_limit) and time_limit > 0):
-        raise InputError("time_limit", "seconds > 0", time_limit)
     with tempfile.TemporaryDirectory(prefix="ssdr-") as folder:
         out, order = Path(folder) / "out.npz", Path(folder) / "job.json"
         order.write_text(json.dumps({**job, "out": str(out)}), encoding="utf-8")
@@ -91,13 +83,13 @@ def run_script(
                 capture_output=True,
                 text=True,
                 errors="replace",
-                timeout=time_limit,
+                timeout=_TIME_LIMIT,
                 cwd=folder,
                 env=dict(environment),
                 check=False,
             )
         except subprocess.TimeoutExpired as error:
-            raise _blaming(path, f"{who} needed more than {time_limit:g} s") from error
+            raise _blaming(path, f"{who} needed more than {_TIME_LIMIT:g} s") from error
         except OSError as error:
             raise MissingDependencyError(f"{words[0]} could not be started: {error}") from error
         _log.debug("%s: %s%s", who, done.stdout, done.stderr)

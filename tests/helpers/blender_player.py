@@ -15,12 +15,12 @@ import bpy
 import numpy as np
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "ssdr" / "io" / "blender"))
-in_blender: Any = importlib.import_module("in_blender")
+write_script: Any = importlib.import_module("write_script")
 
 
 def load(path: str, fps: float) -> None:
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    in_blender.set_rate(fps)
+    write_script.set_rate(fps)
     suffix = os.path.splitext(path)[1]
     if suffix == ".fbx":
         bpy.ops.import_scene.fbx(filepath=path, ignore_leaf_bones=False, anim_offset=0.0)
@@ -60,7 +60,7 @@ def look(job: dict[str, Any]) -> None:
         blocks = []
         for item in shown:
             place = np.array(item.matrix_world)
-            own = in_blender.values(item.to_mesh().vertices, "co", np.float32, 3)
+            own = write_script.values(item.to_mesh().vertices, "co", np.float32, 3)
             blocks.append(own @ place[:3, :3].T + place[:3, 3])
             item.to_mesh_clear()
         points.append(np.concatenate(blocks))
@@ -72,12 +72,12 @@ def look(job: dict[str, Any]) -> None:
                 for b, u in zip(bones, unrest, strict=True)
             ]
             poses.append(moves)
-    slots = [in_blender.values(i.data.polygons, "material_index", np.int32) for i in items]
+    slots = [write_script.values(i.data.polygons, "material_index", np.int32) for i in items]
     pictures = [i.packed_file.data for i in bpy.data.images if i.packed_file]
     arrays: dict[str, Any] = {"vertices": np.array(points), "materials": np.concatenate(slots)}
     arrays["pictures"] = np.array(pictures)
     if all("_VERTEX" in item.data.attributes for item in items):
-        arrays["vertex"] = in_blender.vertex_numbers(items)
+        arrays["vertex"] = write_script.vertex_numbers(items)
     if armature:
         names = [bone.name for bone in bones]
         above = [names.index(b.parent.name) if b.parent else -1 for b in bones]
@@ -89,4 +89,4 @@ def look(job: dict[str, Any]) -> None:
 
 
 if __name__ == "__main__":
-    in_blender.run(look)
+    write_script.run(look)

@@ -109,5 +109,5 @@ def blender_shows(
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Vertices (F, V, 3) with y up as Blender's own importer shows a file, and further arrays."""
     job = {"path": str(path.resolve()), "frames": frames, "fps": fps, "clip": clip}
-    arrays = run(Path(__file__).with_name("blender_player.py"), job, time_limit=600)
+    arrays = run(Path(__file__).with_name("blender_player.py"), job)
     return arrays["vertices"][..., [0, 2, 1]] * [1, 1, -1], arrays

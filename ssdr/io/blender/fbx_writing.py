@@ -21,16 +21,10 @@ from .finder import command, run
 
 _SCRIPT = Path(__file__).with_name("write_script.py")
 _IMPORT_FPS = 24.0
-_TIME_LIMIT = 600.0  # seconds after which Blender is stopped
 _LONGEST_NAME = 63  # bytes in the name of anything in Blender
 
 
-def write_skinning(
-    thing: Skinned,
-    path: Path,
-    *,
-    centimetres: bool = False,
-) -> SaveReport:
+def write_skinning(thing: Skinned, path: Path, *, centimetres: bool = False) -> SaveReport:
     """Write a skinned ``.fbx``: Blender imports the model as glTF and exports it as FBX.
 
     The FBX file is read back and compared with the model, so that `error` and `max_error` of the
@@ -94,7 +88,7 @@ def write_skinning(
                 for k, (one, clip) in enumerate(zip(names, skinning.clips, strict=True))
             ],
         }
-        written = run(_SCRIPT, job, time_limit=_TIME_LIMIT)
+        written = run(_SCRIPT, job)
         if not temporary.is_file():
             raise SsdrError("Blender wrote no FBX file")
     back = FbxFile.read_skinning(path)

@@ -19,16 +19,16 @@ from numpy.typing import NDArray
 from ...common.errors import InputError, MissingDependencyError, SsdrError
 from ..own_process import run_script
 
-_TOO_OLD = "Blender 4.2 or newer is needed"  # part of an error of in_blender.py
+_TOO_OLD = "Blender 4.2 or newer is needed"  # part of an error of write_script.py
 _OWN_PACKAGES = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")  # of this process, not of Blender
 
 
-def run(script: Path, job: dict[str, Any], *, time_limit: float) -> dict[str, NDArray[Any]]:
+def run(script: Path, job: dict[str, Any]) -> dict[str, NDArray[Any]]:
     """Run a script in Blender, in a process of its own, and return the arrays that it writes.
 
     Parameters
     ----------
-    script, job, time_limit
+    script, job
         As for :func:`ssdr.io.own_process.run_script`.
 
     Raises
@@ -36,14 +36,12 @@ def run(script: Path, job: dict[str, Any], *, time_limit: float) -> dict[str, ND
     InputError, MissingDependencyError
         If Blender is not found, cannot be started or is older than 4.2.
     SsdrError
-        If Blender stops with an error, whose text is passed on, or takes more than `time_limit`
-        seconds.
+        If Blender stops with an error, whose text is passed on, or takes too long.
     """
     words = command(script)
     environment = {k: v for k, v in os.environ.items() if k not in _OWN_PACKAGES}
     try:
-        options: Any = {"environment": environment, "time_limit": time_limit}
-        return run_script(words, job, who="Blender", **options)
+        return run_script(words, job, who="Blender", environment=environment)
     except SsdrError as error:
         reason = str(error)
         if _TOO_OLD in reason or "No module named 'bpy'" in reason:

@@ -1,16 +1,68 @@
-"""Script that writes a model as FBX in Blender, given as glTF; see ``in_blender.py``."""
+"""Script that writes a model as FBX in Blender, given as glTF.
 
-import importlib
+It runs as ``python write_script.py job.json`` or ``blender --python write_script.py -- job.json``.
+It needs only NumPy and Blender, not the package. It writes its results to an archive of arrays and
+errors to stderr.
+"""
+
+import fractions
+import json
 import os
 import sys
+from collections.abc import Callable
 from typing import Any
 
 import bpy
 import numpy as np
 
-# Blender puts neither this folder nor the package on the path.
-sys.path.append(os.path.dirname(os.path.abspath(__file__)))
-in_blender: Any = importlib.import_module("in_blender")
+_LARGEST_RATE = 32767  # of Blender's integer for the frame rate
+
+
+def run(act: Callable[[dict[str, Any]], None]) -> None:
+    """Run a script's function on its job, and end the process."""
+    if bpy.app.version < (4, 2, 0):
+        raise RuntimeError(f"Blender 4.2 or newer is needed, this is {bpy.app.version_string}")
+    with open(sys.argv[-1], encoding="utf-8") as stream:
+        job = json.load(stream)
+    try:
+        act(job)
+    except RuntimeError as error:  # of Blender, which may hold a traceback
+        said = (str(error).strip().splitlines() or [""])[-1].removeprefix("Error: ")
+        np.savez(job["out"], error=np.array(f"Blender says: {' '.join(said.split())}"))
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(0)  # some releases of bpy crash at exit, after all work is done
+
+
+def set_rate(fps: float) -> None:
+    """Set the scene's frame rate, which Blender stores as an integer divided by a float32."""
+    render, ratio = bpy.context.scene.render, fractions.Fraction(fps).limit_denominator(1001)
+    if 0 < ratio.numerator <= _LARGEST_RATE and float(ratio) == fps:
+        render.fps, render.fps_base = ratio.numerator, ratio.denominator
+    else:
+        render.fps = max(1, min(round(fps), _LARGEST_RATE))
+        render.fps_base = render.fps / fps
+
+
+def values(data: Any, name: str, dtype: Any, width: int = 1) -> Any:
+    """Values of the attribute `name` of all elements of a Blender collection, in rows of `width`.
+
+    If `width` is 1, the array has one dimension.
+    """
+    size = len(data) * (np.size(getattr(data[0], name)) if len(data) else 1)
+    flat = np.empty(size, dtype=dtype)
+    data.foreach_get(name, flat)
+    return flat if width == 1 else flat.reshape(-1, width)
+
+
+def vertex_numbers(items: list[Any]) -> Any:
+    """Model vertex index (n,) of each vertex of all meshes, one mesh after the other.
+
+    It is read from the mesh attribute ``_VERTEX``, which ssdr writes to its glTF files.
+    """
+    attributes = [item.data.attributes["_VERTEX"].data for item in items]
+    found = [values(data, "value", np.float32) for data in attributes]
+    return np.concatenate(found).astype(np.int64)
 
 
 def put_strips(item: Any, clips: list[dict[str, Any]]) -> None:
@@ -38,9 +90,9 @@ def merge_copies(item: Any) -> None:
     Normals and UVs are then stored per corner, as in FBX. Blender keeps only one triangle on any
     three vertices, so each further triangle on the same three gets copies of them.
     """
-    old, values = item.data, in_blender.values
+    old = item.data
     numbers, first, place = np.unique(
-        in_blender.vertex_numbers([item]), return_index=True, return_inverse=True
+        vertex_numbers([item]), return_index=True, return_inverse=True
     )
     loops = values(old.loops, "vertex_index", np.int32)
     faces = place.ravel()[loops].reshape(-1, 3).astype(np.int64)
@@ -90,16 +142,16 @@ def copies(faces: Any) -> Any:
 
 def write(job: dict[str, Any]) -> None:
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    in_blender.set_rate(job["import_fps"])
+    set_rate(job["import_fps"])
     bpy.ops.import_scene.gltf(filepath=job["source"], merge_vertices=False, **job["options"])
-    in_blender.set_rate(job["fps"])
+    set_rate(job["fps"])
     found = list(bpy.context.scene.objects)
     # without the sphere that the importer adds to draw bones
     items = [o for o in found if o.type == "MESH" and "_VERTEX" in o.data.attributes]
     for item in items:
         merge_copies(item)
     triangles = sum(len(item.data.polygons) for item in items)
-    np.savez(job["out"], vertex=in_blender.vertex_numbers(items), triangles=np.array(triangles))
+    np.savez(job["out"], vertex=vertex_numbers(items), triangles=np.array(triangles))
     armatures = [item for item in found if item.type == "ARMATURE"]
     for item in armatures:
         if item.animation_data:
@@ -125,4 +177,4 @@ def write(job: dict[str, Any]) -> None:
 
 
 if __name__ == "__main__":
-    in_blender.run(write)
+    run(write)

@@ -136,5 +136,5 @@ def test_of_a_traceback_in_blender_the_last_line_is_told(tmp_path, monkeypatch):
     def act(job):
         raise RuntimeError("Error: Python: Traceback\n  File 'a.py', line 1\nKeyError: 'bone'")
 
-    runpy.run_path(str(ROOT / "ssdr/io/blender/in_blender.py"))["run"](act)
+    runpy.run_path(str(ROOT / "ssdr/io/blender/write_script.py"))["run"](act)
     assert str(np.load(tmp_path / "out.npz")["error"]) == "Blender says: KeyError: 'bone'"
