@@ -6,8 +6,8 @@ Blender writes), reorders polygons, and does not notice that a number or a row i
 
 from __future__ import annotations
 
+import array
 import struct
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -75,16 +75,10 @@ def parse_ply(path: Path, like: Mesh | None = None) -> Mesh:
 def write_ply(path: Path, vertices: NDArray[Any], faces: NDArray[np.int32]) -> int:
     """Write a binary PLY file in the float type of `vertices`, and return its size in bytes."""
     kind, name = ("<f8", "double") if vertices.dtype == np.float64 else ("<f4", "float")
-    header = "\n".join(
-        [
-            "ply",
-            "format binary_little_endian 1.0",
-            f"element vertex {len(vertices)}",
-            *(f"property {name} {c}" for c in "xyz"),
-            f"element face {len(faces)}",
-            "property list uchar int vertex_indices",
-            "end_header\n",
-        ]
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n"
+        + "".join(f"property {name} {axis}\n" for axis in "xyz")
+        + f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
     )
     rows = np.empty(len(faces), dtype=[("n", "u1"), ("v", "<i4", (3,))])
     rows["n"], rows["v"] = 3, faces
@@ -163,49 +157,28 @@ def _uneven(length: int, properties: list[_Property], body: memoryview) -> tuple
     problem = f"states {length} rows, but the file ends before"
     least = sum(np.dtype(count or kind).itemsize for _, kind, count in properties)
     check(length * least <= len(body), problem)
-    lists = [k for k, (_, _, count) in enumerate(properties) if count is not None]
-    lengths = np.fromiter(_lengths(length, properties, body), dtype=np.int64)
-    check(len(lengths) == length * len(lists), problem)
-    counts = np.ones((length, len(properties)), dtype=np.int64)
-    counts[:, lists] = lengths.reshape(length, -1)
-    sizes = counts * np.array([np.dtype(kind).itemsize for _, kind, _ in properties])
-    heads = [0 if count is None else np.dtype(count).itemsize for _, _, count in properties]
-    ends = np.cumsum(sizes + heads, dtype=np.int64).reshape(sizes.shape)
-    used = int(ends[-1, -1])
-    check(used <= len(body), problem)
-    columns: _Columns = {}
-    for k, (name, kind, _) in enumerate(properties):
-        inside = np.zeros(used + 1, dtype=np.int8)  # 1 in bytes of this property's values
-        np.add.at(inside, ends[:, k] - sizes[:, k], 1)
-        np.add.at(inside, ends[:, k], -1)
-        held = np.frombuffer(body, np.uint8, used)[np.cumsum(inside[:-1], dtype=np.int8) > 0]
-        columns[name] = counts[:, k], np.frombuffer(held.tobytes(), kind)
-    return columns, used
-
-
-def _lengths(length: int, properties: list[_Property], body: memoryview) -> Iterator[int]:
-    """Yield the lengths of all lists, row by row, until one is invalid or beyond the file's end."""
-    steps, skipped = [], 0
-    for _, kind, count in properties:
-        size = np.dtype(kind).itemsize
-        if count is None:
-            skipped += size
-        else:
-            # bytes before the list's length, the length, and size of an entry
-            steps.append((skipped, struct.Struct(count), size))
-            skipped = 0
+    steps = [
+        (array.array("q"), bytearray(), np.dtype(kind).itemsize, struct.Struct(count or ""))
+        for _, kind, count in properties
+    ]
     at = 0
     for _ in range(length):
-        for before, stated, size in steps:
-            at += before
-            if at + stated.size > len(body):
-                return
-            (n,) = stated.unpack_from(body, at)
-            if not 0 <= n <= len(body) or n % 1:
-                return
-            at += stated.size + int(n) * size
-            yield int(n)
-        at += skipped
+        for counts, values, size, head in steps:
+            n = 1
+            if head.size:
+                check(at + head.size <= len(body), problem)
+                (n,) = head.unpack_from(body, at)
+                check(0 <= n <= len(body) and n % 1 == 0, problem)
+                at += head.size
+            counts.append(int(n))
+            values += body[at : at + int(n) * size]
+            at += int(n) * size
+        check(at <= len(body), problem)
+    columns = {
+        name: (np.array(counts), np.frombuffer(bytes(values), kind))
+        for (name, kind, _), (counts, values, *_) in zip(properties, steps, strict=True)
+    }
+    return columns, at
 
 
 def _surface(vertex: _Columns, faces: NDArray[np.int64], most: dict[str, int]) -> Surface | None:
