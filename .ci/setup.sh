@@ -81,7 +81,7 @@ if ! { [ -x "$venv/bin/python" ] && usable "$venv/bin/python" && "$venv/bin/pyth
 fi
 
 say "installing ssdr and what its tests need into $venv (a few minutes the first time)"
-extras=alembic,fbx,usd,zarr,dev
+extras=alembic,fbx,usd,dev
 editable=()
 wanted=${EXTRAS:-}
 for extra in ${wanted//,/ }; do

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..common.errors import InputError
-from ..io import in_space, load, load_any, load_clips, load_skinning
+from ..io import in_space, list_meshes, load, load_any, load_clips, load_skinning
 from ..io.arrays.npy import read as read_vertices
 from ..io.blender.fbx_writing import write_skinning as write_fbx
 from ..io.formats import format_to_read, option_names
@@ -62,12 +62,10 @@ def files_of(
 
 def load_rig(path: Path, shots: Sequence[MeshSequence]) -> Skinning:
     """The model of a file, or its joints alone, in frames like those of the inputs."""
-    read = format_to_read(path).functions().read_skinning
-    if read is None or "joints_alone" not in option_names(read):
+    if "joints_alone" not in option_names(format_to_read(path).function("read_skinning")):
         return load_skinning(path).skinning
-    model = load_skinning(path, joints_alone=True)
-    bare = not len(model.faces) and model.fps != shots[0].fps
-    return (load_skinning(path, joints_alone=True, fps=shots[0].fps) if bare else model).skinning
+    fps = None if list_meshes(path) else shots[0].fps
+    return load_skinning(path, joints_alone=True, fps=fps).skinning
 
 
 def check_page(path: Path, others: Sequence[Path]) -> None:

@@ -47,30 +47,19 @@ def atomic_path(path: Path | str, *, flush: bool = True) -> Iterator[Path]:
     if flush:
         _remove_stale(target.parent)
     try:
-        with naming(path, temporary):
-            yield temporary
-            if flush:
-                _flush(temporary)
-            os.replace(temporary, target)
-            if flush and os.name == "posix":  # other systems cannot open a folder
-                _flush(target.parent)
-    except BaseException:
-        remove(temporary)
-        raise
-
-
-@contextlib.contextmanager
-def naming(path: Path | str, temporary: Path) -> Iterator[None]:
-    """Context that makes an OSError name `path` if it names `temporary` or no file at all.
-
-    Errors while writing to an open file, such as that of a full disk, name no file.
-    """
-    try:
-        yield
+        yield temporary
+        if flush:
+            _flush(temporary)
+        os.replace(temporary, target)
+        if flush and os.name == "posix":  # other systems cannot open a folder
+            _flush(target.parent)
     except OSError as error:
+        # while an open file is written to, as on a full disk, an error names no file
         if error.strerror and str(error.filename or temporary).startswith(str(temporary)):
             raise OSError(error.errno, error.strerror, str(path)) from error
         raise
+    finally:
+        remove(temporary)
 
 
 def check_writable(path: Path | str) -> None:

@@ -18,9 +18,6 @@ _BUGS: dict[type[Exception], str] = {
     AttributeError: "an entry holds another kind of value than the format says",
 }
 MOST_BYTES = 16 << 30  # 16 GiB: more than a mesh needs, less than a false count can ask for
-# Data above this size that inflate by more than this ratio are refused: frames of a real
-# animation shrink to a tenth at best, and a small file must not fill the memory.
-_MOST_RATIO, _UNSUSPICIOUS_BYTES = 100, 256 << 20
 
 
 @contextlib.contextmanager
@@ -101,32 +98,6 @@ def afford(n_bytes: float, what: str, path: Path | str, most: int | None = None)
         raise FormatError(
             f"{path}: {what} needs {size:.0f} bytes, above the limit of {limit} "
             "(max_bytes= raises it where the format has that option)"
-        )
-
-
-def refuse_bomb(
-    n_bytes: int, stored: int, what: str, path: Path | str, most: int | None = None
-) -> None:
-    """Raise a FormatError for compressed data like a zip bomb, before they are inflated.
-
-    Parameters
-    ----------
-    n_bytes, stored : int
-        Size of the inflated data, and of the compressed data in the file.
-    what, path
-        As for :func:`afford`.
-    most : int, optional
-        The caller's `max_bytes`; if it is given, any ratio is accepted.
-
-    Raises
-    ------
-    FormatError
-        If `n_bytes` is above 256 MiB and 100 times `stored`.
-    """
-    if most is None and n_bytes > max(_UNSUSPICIOUS_BYTES, _MOST_RATIO * stored):
-        raise FormatError(
-            f"{path}: {what} needs {n_bytes} bytes, inflated {n_bytes // max(1, stored)}-fold like "
-            f"a zip bomb; max_bytes={n_bytes} admits it"
         )
 
 

@@ -9,40 +9,15 @@ import dataclasses
 import importlib
 import inspect
 import os
-import types
-import typing
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from ..common.errors import FormatError, InputError, is_real, is_whole
-from ..mesh.clips import Clip
-from ..mesh.sequence import MeshSequence
+from ..common.errors import FormatError, InputError, is_whole
 from ..mesh.surface import METRES_Y_UP, UNKNOWN, Space
-from .file_errors import refuse_device
-from .save_report import SaveReport
-
-if TYPE_CHECKING:
-    from ..model.shapes import Skinned
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Functions:
-    """Functions of a format; None where a file can hold no such thing.
-
-    Keyword arguments of `read`, `read_skinning` and the writers are the format's options. A format
-    with `list_clips` takes `clip` in `read`, and one with `list_meshes` takes `meshes`.
-    """
-
-    read: Callable[..., MeshSequence]
-    read_skinning: Callable[..., Skinned] | None = None
-    write_sequence: Callable[..., SaveReport] | None = None
-    write_skinning: Callable[..., SaveReport] | None = None
-    list_clips: Callable[..., tuple[Clip, ...]] | None = None
-    list_meshes: Callable[[Path], tuple[str, ...]] | None = None
-    list_left_out: Callable[[Path], tuple[str, ...]] | None = None
+from .file_errors import check, refuse_device
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -52,8 +27,14 @@ class Format:
     Attributes
     ----------
     title : str
-    functions : callable
-        Imports the format's modules and returns its `Functions`.
+    reader : str
+        Module of this package, or class in it (``module:Class``), whose functions read the format:
+        `read`, and where the format holds such things `read_skinning`, `list_clips`, `list_meshes`
+        and `list_left_out`. The keyword arguments of `read`, `read_skinning` and the writers are
+        the options of the format. One with `list_clips` takes `clip` in `read`, and one with
+        `list_meshes` takes `meshes`.
+    writer : str
+        The same for `write_sequence` and `write_skinning`; by default the reader's.
     reads_skinnings : bool
         Whether skinnings and clips can be read; sequences always can.
     writes_sequences, writes_skinnings : bool
@@ -71,7 +52,8 @@ class Format:
     """
 
     title: str
-    functions: Callable[[], Functions]
+    reader: str
+    writer: str = ""
     reads_skinnings: bool = False
     writes_sequences: bool = True
     writes_skinnings: bool = False
@@ -81,78 +63,21 @@ class Format:
     extra: str | None = None
     space: Space | None = None
 
-
-def _npz() -> Functions:
-    from .arrays import npz
-
-    return Functions(
-        read=npz.read,
-        read_skinning=npz.read_skinning,
-        write_sequence=npz.write_sequence,
-        write_skinning=npz.write_skinning,
-        list_clips=npz.list_clips,
-    )
+    def function(self, name: str) -> Any:
+        """Function of the format's modules, or None where files can hold no such thing."""
+        if name == "read_skinning" and not self.reads_skinnings:
+            return None
+        place = self.writer if self.writer and name.startswith("write") else self.reader
+        module, _, scene = place.partition(":")
+        found = importlib.import_module(f".{module}", __package__)
+        return getattr(getattr(found, scene) if scene else found, name, None)
 
 
-def _sequences(name: str) -> Functions:
-    """Functions of a module of this package for a format that holds sequences alone."""
-    module = importlib.import_module(f".{name}", __package__)
-    return Functions(read=module.read, write_sequence=module.write_sequence)
-
-
-def _scenes(reader: Any, **writers: Callable[..., SaveReport]) -> Functions:
-    """Functions of a format for scenes, read by those of a :class:`~ssdr.io.scene_file.SceneFile`.
-
-    `reader` may also be a module with functions of the same names.
-    """
-    return Functions(
-        read=reader.read,
-        read_skinning=reader.read_skinning,
-        list_clips=reader.list_clips,
-        list_meshes=reader.list_meshes,
-        list_left_out=reader.list_left_out,
-        **writers,
-    )
-
-
-def _gltf() -> Functions:
-    from .gltf import gltf_writing as writer
-    from .gltf.gltf_reading import GltfFile
-
-    return _scenes(GltfFile, write_skinning=writer.write_skinning)
-
-
-def _usd() -> Functions:
-    from .usd import usd_writing as writer
-    from .usd.usd_reading import StageFile
-
-    return _scenes(
-        StageFile, write_sequence=writer.write_sequence, write_skinning=writer.write_skinning
-    )
-
-
-def _alembic() -> Functions:
-    from .alembic.alembic_reading import AlembicFile
-    from .alembic.alembic_writing import write_sequence
-
-    whole = _scenes(AlembicFile, write_sequence=write_sequence)
-    return dataclasses.replace(whole, read_skinning=None)
-
-
-def _fbx() -> Functions:
-    from .blender.fbx_writing import write_skinning
-    from .fbx.fbx_reading import FbxFile
-
-    return _scenes(FbxFile, write_skinning=write_skinning)
-
-
-_NUMBERED = Format(
-    title="numbered OBJ or PLY", functions=lambda: _sequences("meshes.numbered"), shown=True
-)
-_ZARR = Format(title="zarr store", functions=lambda: _sequences("arrays.zarr_store"), extra="zarr")
+_NUMBERED = Format(title="numbered OBJ or PLY", reader="meshes.numbered", shown=True)
 _GLTF = Format(
     title="glTF 2.0",
-    functions=_gltf,
+    reader="gltf.gltf_reading:GltfFile",
+    writer="gltf.gltf_writing",
     reads_skinnings=True,
     writes_sequences=False,
     writes_skinnings=True,
@@ -162,7 +87,8 @@ _GLTF = Format(
 )
 _USD = Format(
     title="Universal Scene Description",
-    functions=_usd,
+    reader="usd.usd_reading:StageFile",
+    writer="usd.usd_writing",
     reads_skinnings=True,
     writes_skinnings=True,
     keeps_colors=True,
@@ -174,35 +100,35 @@ _USD = Format(
 FORMATS: Mapping[str, Format] = {
     ".npz": Format(
         title="NumPy archive",
-        functions=_npz,
+        reader="arrays.npz",
         reads_skinnings=True,
         writes_skinnings=True,
         keeps_colors=True,
         space=UNKNOWN,
     ),
-    ".npy": Format(
-        title="NumPy array", functions=lambda: _sequences("arrays.npy"), beside=".faces.npy"
-    ),
-    ".zarr": _ZARR,
+    ".npy": Format(title="NumPy array", reader="arrays.npy", beside=".faces.npy"),
     ".obj": _NUMBERED,
     ".ply": _NUMBERED,
-    ".pc2": Format(title="PC2 point cache", functions=lambda: _sequences("pointcache")),
-    ".mdd": Format(title="MDD point cache", functions=lambda: _sequences("pointcache")),
+    ".pc2": Format(title="PC2 point cache", reader="pointcache"),
+    ".mdd": Format(title="MDD point cache", reader="pointcache"),
     ".glb": _GLTF,
     ".gltf": dataclasses.replace(_GLTF, beside=".bin"),
     ".usd": _USD,
     ".usda": _USD,
     ".usdc": _USD,
-    ".abc": Format(title="Alembic", functions=_alembic, extra="alembic"),
-    ".fbx": Format(
+    ".abc": Format(
+        title="Alembic",
+        reader="alembic.alembic_reading:AlembicFile",
+        writer="alembic.alembic_writing",
+        extra="alembic",
+    ),
+    ".fbx": dataclasses.replace(
+        _GLTF,
         title="FBX",
-        functions=_fbx,
-        reads_skinnings=True,
-        writes_sequences=False,
-        writes_skinnings=True,
-        shown=True,
+        reader="fbx.fbx_reading:FbxFile",
+        writer="blender.fbx_writing",
+        keeps_colors=False,
         extra="fbx",
-        space=METRES_Y_UP,
     ),
 }
 
@@ -249,40 +175,25 @@ def format_to_write(path: Path, argument: str) -> Format:
     return FORMATS[path.suffix.lower()]
 
 
-def _is_numbered(path: Path) -> bool:
-    """Whether a path is a folder of numbered files or a pattern of their names."""
-    many = path.is_dir() or (not path.exists() and any(c in path.name for c in "%*?["))
-    return many and FORMATS.get(path.suffix.lower(), _NUMBERED) is _NUMBERED
-
-
 def format_to_read(path: Path) -> Format:
-    """Format of a file, or of a folder or pattern of numbered files.
-
-    Raises
-    ------
-    FormatError
-        If the suffix is not in `FORMATS`.
-    """
-    return _NUMBERED if _is_numbered(path) else format_of(path)
-
-
-def check_readable(path: Path) -> None:
-    """Raise an error unless there is a file, store or set of numbered files to read at a path.
+    """Format of a file, or of a folder or pattern of numbered files, that is to be read.
 
     Raises
     ------
     FileNotFoundError
-        If there is none.
+        If there is no such file.
     FormatError
-        If it is a folder, a device, a pipe or a socket.
+        If the suffix is not in `FORMATS`, or it is a folder, a device, a pipe or a socket.
     """
-    if _is_numbered(path):
-        return
+    many = path.is_dir() or (not path.exists() and any(c in path.name for c in "%*?["))
+    if many and FORMATS.get(path.suffix.lower(), _NUMBERED) is _NUMBERED:
+        return _NUMBERED
+    format_ = format_of(path)
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
-    if path.is_dir() and format_of(path) is not _ZARR:
-        raise FormatError(f"{path}: a folder, not a file")
+    check(not path.is_dir(), f"{path}: a folder, not a file")
     refuse_device(path)
+    return format_
 
 
 def check_beside(path: Path) -> None:
@@ -302,18 +213,11 @@ def check_beside(path: Path) -> None:
         raise InputError("path", f"a name whose {beside.name} is not taken", str(path))
 
 
-_KINDS: dict[Any, tuple[Callable[[Any], bool], str]] = {
-    bool: (lambda value: isinstance(value, (bool, np.bool_)), "true or false"),
-    int: (is_whole, "an integer"),
-    float: (lambda value: isinstance(value, float) or is_real(value), "a number"),
-}
-
-
 def check_options(function: Callable[..., Any], title: str, options: Mapping[str, Any]) -> None:
     """Check options before a format's function is called with them.
 
-    Numbers and flags must have the type of the parameter: without this check, any text would count
-    as true for an option that is true or false. Other values are checked by the function.
+    Without this check, any text would count as true for an option that is true or false. Other
+    values are checked by the function.
 
     Raises
     ------
@@ -325,17 +229,13 @@ def check_options(function: Callable[..., Any], title: str, options: Mapping[str
     if unknown:
         wanted = f"{', '.join(known) or 'no options'} (for {title}; units and up for all)"
         raise InputError("options", wanted, ", ".join(unknown))
-    hints = typing.get_type_hints(function)
+    parameters = inspect.signature(function).parameters
     for name, value in options.items():
-        hint = hints[name]
-        kinds = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
-        optional = kinds[1:] == (type(None),)
-        fits, words = _KINDS.get(kinds[0], (None, ""))
-        if fits is None or len(kinds) > 1 + optional or (optional and value is None):
-            continue
-        if not fits(value):
-            raise InputError(name, words, repr(value))
-        if name == "max_bytes" and value <= 0:
+        if isinstance(parameters[name].default, bool) and not isinstance(value, (bool, np.bool_)):
+            raise InputError(name, "true or false", repr(value))
+        if name == "max_bytes" and value is not None and not is_whole(value):
+            raise InputError(name, "an integer", repr(value))
+        if name == "max_bytes" and value is not None and value <= 0:
             raise InputError(name, "a positive number", value)
 
 

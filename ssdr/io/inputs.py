@@ -139,7 +139,7 @@ def load_any(
 
 def clips_in(path: Path, **options: Any) -> list[str]:
     """Names of a file's clips; none if its format has no clips."""
-    if not format_to_read(path).reads_skinnings or not path.exists():
+    if not format_to_read(path).reads_skinnings:
         return []
     known = {k: v for k, v in options.items() if k in ("fps", "folder")}
     return [clip.name for clip in list_clips(path, **known)]
@@ -148,7 +148,7 @@ def clips_in(path: Path, **options: Any) -> list[str]:
 def _for_each(files: Sequence[Path], options: dict[str, Any]) -> list[dict[str, Any]]:
     """Options of each file: those of :func:`load`, and those that its format has."""
     general = inspect.signature(load).parameters.keys()
-    known = [general | option_names(format_to_read(path).functions().read) for path in files]
+    known = [general | option_names(format_to_read(path).function("read")) for path in files]
     for name in options:
         if len(files) > 1 and not any(name in one for one in known):
             wanted = ", ".join(sorted(set().union(*known) - {"path", "options", "clip"}))

@@ -22,7 +22,6 @@ from .formats import (
     as_path,
     check_beside,
     check_options,
-    check_readable,
     format_to_read,
     format_to_write,
     option_names,
@@ -112,18 +111,18 @@ def load(
     ((24, 799, 3), 8.0)
     """
     source, format_ = _to_read(path, fps, scale)
-    space, functions = Space(units, up), format_.functions()
-    if functions.list_clips is not None and clip is not None:
+    space, read = Space(units, up), format_.function("read")
+    names = option_names(read)
+    if "clip" in names and clip is not None:
         options["clip"] = clip
-    wanted = parse_range(frames)
-    own = "frames" in option_names(functions.read)
+    wanted, own = parse_range(frames), "frames" in names
     options |= {"frames": wanted} if own else {}
-    check_options(functions.read, format_.title, options)
+    check_options(read, format_.title, options)
     with trusting(folder):
         if not reads(options.get("faces")):  # a scene that holds the mesh
             options["faces"] = load(options["faces"])
-        sequence = functions.read(source, fps=fps, **options)
-    if functions.list_clips is None:
+        sequence: MeshSequence = read(source, fps=fps, **options)
+    if "clip" not in names:
         pick([_only_clip(sequence, source).name], clip)
     if wanted is not None and not own:
         part = _only_clip(sequence, source).part(*wanted)
@@ -164,30 +163,34 @@ def list_clips(
     (Clip(name='dancer_small', start=0, stop=24, fps=8.0),)
     """
     source, format_ = _to_read(path, fps)
-    listed = format_.functions().list_clips
+    listed = format_.function("list_clips")
     if listed is None:
         return (_only_clip(load(source, fps=fps, folder=folder, **options), source),)
     check_options(listed, format_.title, options)
     with trusting(folder):
-        return listed(source, fps=fps, **options)
+        return tuple(listed(source, fps=fps, **options))
 
 
 def list_meshes(
     path: str | os.PathLike[str], *, folder: str | os.PathLike[str] | None = None
 ) -> tuple[str, ...]:
-    """Names of the meshes of a file, which are joined into one when it is read.
+    """Names of the meshes that a file shows, in the order in which reading joins them to one.
 
-    The option ``meshes=`` of :func:`load` and :func:`load_skinning` takes one or several of them.
-    Formats that have no named meshes list none.
+    They are what the option ``meshes=`` of :func:`load` and :func:`load_skinning` takes. The list
+    is empty for formats that give meshes no names.
 
     Parameters
     ----------
-    path, folder
-        As in :func:`load`.
+    path : path
+        File of any format that :func:`load` reads.
+    folder : path, optional
+        As in :func:`load`, for a file that is made of several.
 
     Raises
     ------
-    FormatError, InputError, MissingDependencyError, FileNotFoundError
+    FormatError, FileNotFoundError
+        If there is no such file, or it is damaged or of no format that is read.
+    InputError, MissingDependencyError
         As in :func:`load`.
 
     Examples
@@ -205,20 +208,22 @@ def list_meshes(
 def list_left_out(
     path: str | os.PathLike[str], *, folder: str | os.PathLike[str] | None = None
 ) -> tuple[str, ...]:
-    """What a scene file holds and :func:`load` does not read, by the file's own words.
+    """Contents of a scene that no function here reads, each with its number or its name.
 
-    These are lights, cameras, curves, extensions, hidden meshes and the like. It is empty for
-    formats that hold meshes alone.
+    These are lights, cameras, curves, extensions, meshes that are never shown and the like, as
+    "2 lights". Files of the other formats hold meshes alone, and nothing is left out of them.
 
     Parameters
     ----------
-    path, folder
-        As in :func:`load`.
+    path : path
+        A scene: glTF, USD, FBX or Alembic.
+    folder : path, optional
+        Where else than beside the scene its layers and buffers may lie.
 
     Raises
     ------
     FormatError, InputError, MissingDependencyError, FileNotFoundError
-        As in :func:`load`.
+        As in :func:`list_meshes`.
 
     Examples
     --------
@@ -232,7 +237,7 @@ def _listed(name: str, path: Any, folder: Any) -> tuple[str, ...]:
     """What a function of a file's format lists; nothing if the format has no such function."""
     source, format_ = _to_read(path)
     with trusting(folder):
-        return tuple((getattr(format_.functions(), name) or (lambda _: ()))(source))
+        return tuple((format_.function(name) or (lambda _: ()))(source))
 
 
 def _to_read(
@@ -251,7 +256,6 @@ def _to_read(
         able = ", ".join(sorted(suffix for suffix, f in FORMATS.items() if f.reads_skinnings))
         wrong = f"no skinning can be read from {source.suffix}, only from {able}"
         raise FormatError(f"{source}: {wrong}")
-    check_readable(source)
     return source, format_
 
 
@@ -312,13 +316,12 @@ def load_skinning(
     4
     """
     source, format_ = _to_read(path, fps, scale, skinning=True)
-    space, read = Space(units, up), format_.functions().read_skinning
-    assert read is not None  # as the format says
+    space, read = Space(units, up), format_.function("read_skinning")
     wanted, own = parse_range(frames), "frames" in option_names(read)
     options |= {"frames": wanted} if own else {}
     check_options(read, format_.title, options)
     with trusting(folder):
-        skinning = scaled(read(source, fps=fps, **options), scale, space)
+        skinning: Skinned = scaled(read(source, fps=fps, **options), scale, space)
     if wanted is not None and not own:
         skinning = skinning.select(*range(len(skinning.clips)), between=wanted)
     if clip is None:
@@ -394,10 +397,9 @@ def save(
     if not (format_.writes_sequences or isinstance(thing, Skinned)):
         able = ", ".join(sorted(suffix for suffix, f in FORMATS.items() if f.writes_sequences))
         raise InputError("path", f"a suffix of {able} for a MeshSequence", target.suffix)
-    functions, notes = format_.functions(), []
+    notes: list[str] = []
     rigged = isinstance(thing, Skinned) and format_.writes_skinnings
-    write = functions.write_skinning if rigged else functions.write_sequence
-    assert write is not None  # as the format says
+    write = format_.function("write_skinning" if rigged else "write_sequence")
     check_options(write, format_.title, options)
     if isinstance(thing, Skinned) and not rigged:
         if len(thing.clips) > 1:
@@ -407,7 +409,7 @@ def save(
     given = with_space(thing, thing.space.but(Space(units, up)))
     ready, said = ready_to_write(given, format_.title, format_.space)
     with trusting(folder):
-        report = write(ready, target, **options)
+        report: SaveReport = write(ready, target, **options)
     if report.lost:
         warnings.warn(f"{target}: not kept: {', '.join(report.lost)}", SsdrWarning, stacklevel=2)
     if getattr(thing.surface, "colors", None) is not None and not format_.keeps_colors:

@@ -16,7 +16,6 @@ PACKAGES = {
     "fbx": ("ufbx", "ufbx>=0.0.5"),
     "meshopt": ("meshoptimizer", "meshoptimizer>=0.2.30a0"),
     "usd": ("pxr.UsdSkel", "usd-core>=24.8"),
-    "zarr": ("zarr", "zarr>=3.0"),
 }
 
 

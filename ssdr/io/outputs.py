@@ -61,26 +61,22 @@ def check_outputs(
                 raise MissingDependencyError(f"{path}: FBX needs Blender. {error}") from error
         if format_.extra in PACKAGES:
             require(format_.extra, f"{path}: {format_.title}")
-        # the folder of numbered files is made with them
-        made = format_ is FORMATS[".obj"] and "%" in path.name
-        check_file(path, "output", others=seen, with_folder=made)
+        check_file(path, "output", others=seen)
         seen.append(path)
     _known_options(files, options)
 
 
-def check_file(
-    path: Path, argument: str, *, others: Iterable[Path], with_folder: bool = False
-) -> None:
+def check_file(path: Path, argument: str, *, others: Iterable[Path]) -> None:
     """Raise an InputError if a file is in `others` or cannot be written.
 
-    If `with_folder`, a missing folder is no error, because it will be made.
+    The folder of numbered files may be missing, because it is made with them.
     """
-    if not (path.suffix.lower() == ".zarr" and path.is_dir()):
-        try:
-            check_beside(path)
-            check_writable(path.parent if with_folder and not path.parent.exists() else path)
-        except InputError as error:
-            raise InputError(argument, error.expected, error.got) from error
+    numbered = "%" in path.name and FORMATS.get(path.suffix.lower()) is FORMATS[".obj"]
+    try:
+        check_beside(path)
+        check_writable(path.parent if numbered and not path.parent.exists() else path)
+    except InputError as error:
+        raise InputError(argument, error.expected, error.got) from error
     if path.resolve() in [other.resolve() for other in others]:
         raise InputError(argument, "a file that is no input and no other output", str(path))
 
@@ -196,9 +192,8 @@ def _known_options(
     """Names of each format's options; an InputError for one of `options` that no format has."""
     known = []
     for path in files:
-        functions = format_of(path).functions()
-        write = functions.write_skinning if skinned else None
-        known.append(option_names(write or functions.write_sequence))
+        write = format_of(path).function("write_skinning") if skinned else None
+        known.append(option_names(write or format_of(path).function("write_sequence")))
     for name in options:
         if name not in ("meshes", "templates") and not any(name in one for one in known):
             wanted = ", ".join(sorted(set().union(*known))) or "no options"

@@ -14,7 +14,7 @@ FOREIGN = re.compile(
     r"Traceback|at line \d+ in file|not iterable|subscriptable|pxrInternal|File \""
 )
 
-OPTIONS = {suffix: {"faces": "none"} for suffix in ("npy", "pc2", "mdd", "zarr")}
+OPTIONS = {suffix: {"faces": "none"} for suffix in ("npy", "pc2", "mdd")}
 
 
 def raw(path, data):

@@ -1,1 +1,1 @@
-"""NumPy archives and arrays, and zarr stores."""
+"""NumPy archives and arrays."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import fnmatch
 import math
-import struct
 import warnings
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,12 +20,15 @@ from numpy.typing import NDArray
 
 from ...common.errors import FormatError, InputError
 from ..atomic import atomic_path
-from ..file_errors import afford, check, reading, refuse_bomb
+from ..file_errors import afford, check, reading
 from ..signatures import describe
 
 _npy: Any = np.lib.format  # NumPy types it only in part
 _MOST_HEADER = 10_000  # characters of an .npy header; NumPy's own limit, against costly parsing
 _CHUNK = 16 << 20  # bytes written at a time: more only takes more memory
+# Data above this size that inflate by more than this ratio are refused: frames of a real
+# animation shrink to a tenth at best, and a small file must not fill the memory.
+_MOST_RATIO, _UNSUSPICIOUS_BYTES = 100, 256 << 20
 
 
 def read_arrays(
@@ -34,7 +36,6 @@ def read_arrays(
     *,
     required: Sequence[str],
     optional: Sequence[str] = (),
-    mapped: Sequence[str] = (),
     max_bytes: int | None = None,
 ) -> dict[str, NDArray[Any]]:
     """Read arrays of an archive by name and ignore its other members.
@@ -44,8 +45,6 @@ def read_arrays(
     path : Path
     required, optional : names
         Names of the arrays to read; optional ones may be patterns (``texture_*``).
-    mapped : names
-        Names of the arrays to map into memory instead of reading them.
     max_bytes : int, optional
         Largest total size of the arrays that are read. By default it is `MOST_BYTES`, and arrays
         that inflate like a zip bomb are refused as well.
@@ -54,37 +53,31 @@ def read_arrays(
     ------
     FormatError
         If the archive is damaged or hostile, or a required name is missing.
-    InputError
-        If an array to be mapped is compressed.
     """
-    arrays: dict[str, NDArray[Any]] = {}
-    with _open(path) as (stream, archive, members):
+    with _open(path) as (archive, members):
         missing = [key for key in required if key not in members]
         found = ", ".join(list(members)[:12]) or "nothing"
         check(not missing, f"no array {', '.join(missing)}; it holds {found}")
         patterns = (*required, *optional)
         chosen = [k for k in members if any(fnmatch.fnmatchcase(k, p) for p in patterns)]
-        headers = {key: _header_of(archive, members[key]) for key in chosen}
-        read = [members[key] for key in chosen if key not in mapped]
+        read = [members[key] for key in chosen]
+        for info in read:
+            _header_of(archive, info)
         size, stored = sum(i.file_size for i in read), sum(i.compress_size for i in read)
         what = f"reading {', '.join(i.filename for i in read[:9])}"
         afford(size, what, path, max_bytes)
-        refuse_bomb(size, stored, what, path, max_bytes)
-        for key in chosen:
-            if key not in mapped:
-                arrays[key] = _read(archive, members[key])
-            elif members[key].compress_type == zipfile.ZIP_STORED:
-                arrays[key] = _map(path, stream, members[key], headers[key])
-    if len(arrays) < len(chosen):
-        raise InputError("mmap", "an uncompressed archive", f"{path}, compressed")
-    return arrays
+        if max_bytes is None and size > max(_UNSUSPICIOUS_BYTES, _MOST_RATIO * stored):
+            raise FormatError(
+                f"{path}: {what} needs {size} bytes, inflated {size // max(1, stored)}-fold like a "
+                f"zip bomb; max_bytes={size} admits it"
+            )
+        return {key: _read(archive, members[key]) for key in chosen}
 
 
 def write_arrays(path: Path, arrays: Mapping[str, Any], *, compress: bool = True) -> int:
     """Write an archive and return its size in bytes.  Equal arrays give equal bytes.
 
-    Arrays are copied in chunks along the first axis, so that lazy ones (memory maps, zarr arrays)
-    take little memory.
+    Arrays are copied in chunks along the first axis, so that lazy ones take little memory.
     """
     with atomic_path(path) as temporary:
         method = zipfile.ZIP_DEFLATED if compress else zipfile.ZIP_STORED
@@ -134,13 +127,13 @@ def write_array(stream: IO[bytes], array: Any) -> None:
 
 def names_in(path: Path) -> set[str]:
     """Names of the arrays in an archive."""
-    with _open(path) as (_, _, members):
+    with _open(path) as (_, members):
         return set(members)
 
 
 def shape_of(path: Path, key: str) -> tuple[int, ...]:
     """Shape of the array `key` of an archive, read from its header alone."""
-    with _open(path) as (_, archive, members):
+    with _open(path) as (archive, members):
         return _header_of(archive, members[key])[1]
 
 
@@ -149,8 +142,8 @@ _Header = tuple[np.dtype[Any], tuple[int, ...], Literal["C", "F"]]
 
 
 @contextlib.contextmanager
-def _open(path: Path) -> Iterator[tuple[IO[bytes], zipfile.ZipFile, _Members]]:
-    """Open an archive; yield its file, the archive, and a dict from array names to members."""
+def _open(path: Path) -> Iterator[tuple[zipfile.ZipFile, _Members]]:
+    """Open an archive; yield it, and a dict from array names to members."""
     with reading(path), path.open("rb") as stream:
         head = stream.read(64)
         check(head.startswith(b"PK\x03\x04"), f"not an .npz archive: {describe(head)}")
@@ -162,7 +155,7 @@ def _open(path: Path) -> Iterator[tuple[IO[bytes], zipfile.ZipFile, _Members]]:
                 check(key not in members, f"two members are called {key!r}")
                 if key != info.filename:
                     members[key] = info
-            yield stream, archive, members
+            yield archive, members
 
 
 def _read_header(stream: IO[bytes], member: str = "the array") -> _Header:
@@ -208,12 +201,3 @@ def _read(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> NDArray[Any]:
         array = _npy.read_array(member, allow_pickle=False, max_header_size=_MOST_HEADER)
         member.read(1)  # the checksum is compared at the end of the member
     return np.ascontiguousarray(array).reshape(array.shape)  # the call makes a scalar a vector
-
-
-def _map(path: Path, stream: IO[bytes], info: zipfile.ZipInfo, header: _Header) -> NDArray[Any]:
-    dtype, shape, order = header
-    stream.seek(info.header_offset + 26)
-    name, extra = struct.unpack("<HH", stream.read(4))
-    end = info.header_offset + 30 + name + extra + info.file_size
-    start = end - math.prod(shape) * dtype.itemsize
-    return np.memmap(path, dtype, "r", start, shape, order)

@@ -52,7 +52,6 @@ def read(
     *,
     clip: str | int | None = None,
     fps: float | None = None,
-    mmap: bool = False,
     max_bytes: int | None = None,
 ) -> MeshSequence:
     """Read a sequence, or the vertices of a skinning in every frame.
@@ -64,8 +63,6 @@ def read(
         Clip of a skinning that has several; the first by default.
     fps : float, optional
         Frames per second, in place of those in the file.
-    mmap : bool
-        Map the vertices of an uncompressed archive instead of reading them.
     max_bytes : int, optional
         Largest total size of the arrays in memory. By default it is 16 GiB, and arrays above 256
         MiB that inflate more than 100-fold are refused, too.
@@ -74,8 +71,6 @@ def read(
     ------
     FormatError
         If the archive is damaged or hostile, or lacks an array.
-    InputError
-        If `mmap` is true and the archive is compressed.
     """
     if _is_skinning(path):
         skinning = read_skinning(path, fps=fps, max_bytes=max_bytes)
@@ -91,7 +86,6 @@ def read(
         path,
         required=("vertices", "faces"),
         optional=("fps", "name", "clip", "vertex_map", *_SPACE, *_SURFACE),
-        mapped=("vertices",) if mmap else (),
         max_bytes=max_bytes,
     )
     with reading(path):
@@ -143,7 +137,7 @@ def write_sequence(sequence: MeshSequence, path: Path, *, compress: bool = True)
     sequence : MeshSequence
     path : Path
     compress : bool
-        Compress by deflate; only an uncompressed archive can be memory-mapped.
+        Compress by deflate, which takes less space and more time.
     """
     return _write(sequence, path, {"vertices": sequence.vertices}, compress)
 

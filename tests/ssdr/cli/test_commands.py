@@ -19,7 +19,7 @@ from helpers.glb import rebuild
 from helpers.page import Held
 from helpers.rig_model import largest_distance
 from ssdr import cli
-from ssdr.cli import app
+from ssdr.cli import app, files
 from ssdr.cli.output import Output
 from ssdr.cli.parameters import command
 from ssdr.cli.shell import safe_streams
@@ -140,7 +140,7 @@ def walking_tree(rigged, path):
     return tree
 
 
-def test_joints_without_a_mesh_keep_their_motion(done, run, rigged, tmp_path):
+def test_joints_without_a_mesh_keep_their_motion(done, run, rigged, tmp_path, monkeypatch):
     model = walking_tree(rigged, tmp_path / "rig.glb")
 
     def without_mesh(document, _):
@@ -154,6 +154,15 @@ def test_joints_without_a_mesh_keep_their_motion(done, run, rigged, tmp_path):
     found = ssdr.load_skinning(tmp_path / "out.npz")
     assert found.parents.tolist() == [-1, 0, 1]
     assert ssdr.metrics.rmse(model, found) < 1e-5
+    read = []
+
+    def load_skinning(*given, **options):
+        read.append(given)
+        return ssdr.load_skinning(*given, **options)
+
+    monkeypatch.setattr(files, "load_skinning", load_skinning)
+    done(*line, "--fps", 12, "--rig", tmp_path / "joints.glb")
+    assert read == [(tmp_path / "joints.glb",)]  # once, at the rate of the input
     code, _, err = run(*line, "--fps", 12, "--rig", tmp_path / "rig.glb", "--joints", "kept")
     assert (code, "--rig: expected joints that move in the 5 frames" in err) == (2, True), err
 

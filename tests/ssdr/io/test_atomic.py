@@ -80,7 +80,7 @@ def test_a_link_stays_and_the_file_that_it_leads_to_is_replaced(tmp_path, wave):
     assert stat.S_ISCHR(os.stat("/dev/null").st_mode)
 
 
-MODULES = {"usdc": "pxr.UsdSkel", "usda": "pxr.UsdSkel", "zarr": "zarr"}
+MODULES = {"usdc": "pxr.UsdSkel", "usda": "pxr.UsdSkel"}
 
 
 @pytest.mark.parametrize("suffix", ["npz", "npy", "pc2", "mdd", "glb", *MODULES])

@@ -337,7 +337,7 @@ def test_the_table_names_every_format():
 @pytest.mark.filterwarnings("ignore:.*not kept")
 @pytest.mark.parametrize("suffix", table())
 def test_every_cell_of_the_table_is_so(suffix, tmp_path):
-    module = SCENES.get(suffix) or {".zarr": "zarr"}.get(suffix)
+    module = SCENES.get(suffix)
     if module:
         pytest.importorskip(module)
     row = (

@@ -10,7 +10,6 @@ import pytest
 
 import ssdr
 from helpers.rig_tree import creature
-from helpers.surfaces import same_sequence
 from ssdr import FormatError
 
 
@@ -62,15 +61,6 @@ def test_npz_has_the_same_bytes_every_time(tmp_path, seam, skinned):
         assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
         with zipfile.ZipFile(tmp_path / "a.npz") as archive:
             assert {i.date_time for i in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
-
-
-def test_npz_can_be_mapped(tmp_path, wave):
-    ssdr.save(wave, tmp_path / "a.npz", compress=False)
-    mapped = ssdr.load(tmp_path / "a.npz", mmap=True)
-    assert isinstance(mapped.vertices, np.memmap)
-    same_sequence(mapped, wave)
-    ssdr.save(mapped, tmp_path / "copy.npz")
-    same_sequence(ssdr.load(tmp_path / "copy.npz"), wave)
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])

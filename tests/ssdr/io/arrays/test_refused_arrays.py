@@ -1,9 +1,8 @@
-"""Damaged and hostile archives, arrays and stores are refused in words."""
+"""Damaged and hostile archives and arrays are refused in words."""
 
 from __future__ import annotations
 
 import io
-import os
 import struct
 import zipfile
 
@@ -161,96 +160,7 @@ def baked(path, n):
 BAKED = "baking 40000 frames of 40000 vertices needs 192000"
 TABLE.add("npz", baked, {"many frames of many vertices": (40_000, BAKED)})
 
-# --- zarr ----------------------------------------------------------------------------------------
 
-
-def zstd(*frames):
-    """Frames of zeros, each as (bytes, bytes that its header states), in blocks of one byte."""
-    data = b""
-    for size, said in frames:
-        blocks, rest = divmod(size, 1 << 17)
-        heads = [(1 << 17) << 3 | 2] * blocks + [rest << 3 | 3]
-        data += struct.pack("<IBBQ", 0xFD2FB528, 0xC0, 0x38, said)
-        data += b"".join(struct.pack("<I", head)[:3] + b"\0" for head in heads)
-    return data
-
-
-def zarr_array(path, given):
-    """A store of one array whose first chunk, if there is one, took all memory."""
-    options, chunk = given
-    pytest.importorskip("zarr").create_array(path, dtype="f4", **options)
-    if chunk is not None:
-        (path / "c" / "0" / "0").mkdir(parents=True)
-        (path / "c" / "0" / "0" / "0").write_bytes(chunk)
-
-
-G3 = 3_000_000_000
-SMALL = {"shape": (2, 3, 3), "chunks": (2, 3, 3)}
-LONG = {"shape": (10**9, 2, 3), "compressors": None}
-MISSING = r"holds 0 of \d+ chunks of the shape \(1000000000,"
-LARGE = "a chunk needs 24000000000 bytes, above the limit of"
-ARRAYS = {
-    "cut": ((SMALL, zstd((72, 72))[:-2]), "bad"),
-    "bomb": ((SMALL, zstd((G3, G3))), "3000000000 bytes, inflated 32761-fold"),
-    "second": ((SMALL, zstd((72, 72), (G3, G3))), "3000000072 bytes, inflated"),
-    "more": ((SMALL, zstd((G3, 72))), "bad"),
-    "less": ((SMALL, zstd((72, G3))), "3000000000 bytes, inflated"),
-    "text": ((SMALL, b"nonsense"), "no zstd frame"),
-    "empty": ((SMALL, b""), "bad"),
-    "no chunks": (({"chunks": (1, 2, 3), **LONG}, None), MISSING),
-    "no chunk": (({"chunks": (10**9, 2, 3), **LONG}, None), MISSING),
-    "a large chunk": (({"chunks": (10**9, 2, 3), **LONG}, b"few"), LARGE),
-}
-TABLE.add("zarr", zarr_array, ARRAYS)
-
-
-def zarr_codec(path, kind):
-    zarr = pytest.importorskip("zarr")
-    codecs = pytest.importorskip("zarr.codecs")
-    options = {
-        "gzip": {"compressors": codecs.GzipCodec()},
-        "shards": {"shards": (4, 2, 3)},
-        "two codecs": {"compressors": [codecs.ZstdCodec(), codecs.BloscCodec()]},
-    }
-    data = np.zeros((4, 2, 3), np.float32)
-    zarr.create_array(path, data=data, chunks=(2, 2, 3), **options[kind])
-
-
-KNOWN = "whole chunks by zstd or Blosc are read"
-TABLE.add("zarr", zarr_codec, {kind: (kind, KNOWN) for kind in ("gzip", "shards", "two codecs")})
-
-
-def zarr_group(path, _):
-    group = pytest.importorskip("zarr").create_group(store=path)
-    group.create_array("points", data=np.zeros(3))
-
-
-TABLE.add("zarr", zarr_group, {"no vertices": (None, "no array vertices; it holds")})
-
-
-def zarr_trap(path, trap):
-    """A pipe was waited for, an endless device read until memory ended."""
-    pytest.importorskip("zarr")
-    place, kind = trap
-    ssdr.save(ssdr.MeshSequence(np.zeros((4, 3, 3)), [[0, 1, 2]]), path)
-    inside = path / place
-    inside.unlink(missing_ok=True)
-    if kind == "pipe":
-        os.mkfifo(inside)
-    else:
-        inside.symlink_to("/dev/zero" if kind == "device" else path.parent)
-
-
-TRAPS = [
-    (place, kind)
-    for place in ("zarr.json", "vertices/zarr.json", "vertices/c/0/0/0", "x")
-    for kind in ("pipe", "device", "folder")
-]
-IS_TRAP = "a device, a pipe or a socket|a link to a folder"
-TABLE.add("zarr", zarr_trap, {" ".join(trap): (trap, IS_TRAP) for trap in TRAPS})
-
-
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes in folders here")
 @pytest.mark.parametrize("case", TABLE)
 def test_the_file_is_refused_in_words(tmp_path, case):
     TABLE.check(case, tmp_path)
