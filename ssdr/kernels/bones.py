@@ -124,9 +124,7 @@ def horn(s, r):
                     value += k[a, c] * k[c, b]
                 square[a, b] = value
             trace += square[a, a]
-        for a in range(4):
-            for b in range(4):
-                k[a, b] = square[a, b]
+        k[:] = square
         # converged: a projection is its own square
         if trace > 1.0 - 4e-16:
             break
@@ -170,6 +168,16 @@ def turn_bone(m, wx, wy, wz, turn, old):
 
 
 @inline
+def transposed_product(a, b, out):
+    """Set `out` (3, 3) to the product aᵀ b of the 3×3 blocks of a and b."""
+    for c in range(3):
+        for d in range(3):
+            out[c, d] = 0.0
+            for e in range(3):
+                out[c, d] += a[e, c] * b[e, d]
+
+
+@inline
 def rotate_toward(s, r, a, turn, new):
     """Set r to the rotation R that maximises tr(Rᵀs), by Newton's method on SO(3) from r.
 
@@ -184,11 +192,7 @@ def rotate_toward(s, r, a, turn, new):
     if not size > 0.0:
         return
     for _ in range(12):
-        for c in range(3):
-            for d in range(3):
-                a[c, d] = 0.0
-                for e in range(3):
-                    a[c, d] += r[e, c] * s[e, d]
+        transposed_product(r, s, a)
         trace = a[0, 0] + a[1, 1] + a[2, 2]
         h00, h11, h22 = trace - a[0, 0], trace - a[1, 1], trace - a[2, 2]
         h01 = -0.5 * (a[0, 1] + a[1, 0])
@@ -219,19 +223,13 @@ def rotate_toward(s, r, a, turn, new):
         if angle2 < 1e-20:
             break
     # One Newton–Schulz step, since products of rotations drift from orthonormality
-    for c in range(3):
-        for d in range(3):
-            a[c, d] = 0.0
-            for e in range(3):
-                a[c, d] += r[e, c] * r[e, d]
+    transposed_product(r, r, a)
     for c in range(3):
         for d in range(3):
             new[c, d] = 1.5 * r[c, d]
             for e in range(3):
                 new[c, d] -= 0.5 * r[c, e] * a[e, d]
-    for c in range(3):
-        for d in range(3):
-            r[c, d] = new[c, d]
+    r[:] = new
 
 
 @kernel
@@ -251,18 +249,12 @@ def sweep_bones(transforms, c, u, start, neighbour, scaled, sweeps):
     # frames last, so that one instruction works on several of them
     bones = np.empty((n_bones, 3, 4, TOGETHER))
     d = np.empty((3, 4, TOGETHER))
-    s = np.empty((3, 3))
-    r = np.empty((3, 3))
-    a = np.empty((3, 3))
-    turn = np.empty((3, 3))
-    new = np.empty((3, 3))
+    s, r, a = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    turn, new = np.empty((3, 3)), np.empty((3, 3))
     for first in range(0, len(transforms), TOGETHER):
         n_frames = min(TOGETHER, len(transforms) - first)
         for t in range(n_frames):
-            for j in range(n_bones):
-                for e in range(3):
-                    for f in range(4):
-                        bones[j, e, f, t] = transforms[first + t, j, e, f]
+            bones[:, :, :, t] = transforms[first + t]
         for _ in range(sweeps):
             for j in range(n_bones):
                 own = u[j, j]
@@ -314,7 +306,4 @@ def sweep_bones(transforms, c, u, start, neighbour, scaled, sweeps):
                         for f in range(3):
                             m[e, 3] -= m[e, f] * own[f, 3] / mass
         for t in range(n_frames):
-            for j in range(n_bones):
-                for e in range(3):
-                    for f in range(4):
-                        transforms[first + t, j, e, f] = bones[j, e, f, t]
+            transforms[first + t] = bones[:, :, :, t]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .bones import turn_bone
+from .bones import transposed_product, turn_bone
 from .policy import inline, kernel
 
 
@@ -141,25 +141,17 @@ def chain_matrix(transforms, order, parents, points, u, scale, out):
     """
     n_bones = len(parents)
     a = np.empty((n_bones, 6, n_bones, 6))
-    r = np.empty((3, 3))
-    turn = np.empty((3, 3))
-    old = np.empty(3)
+    r, turn, old = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
     for t in range(len(transforms)):
         for j in range(n_bones):
             for k in range(j, n_bones):
                 v = u[j, k]
                 if v[3, 3] == 0.0:
-                    for d in range(6):
-                        for e in range(6):
-                            a[j, d, k, e] = 0.0
-                            a[k, e, j, d] = 0.0
+                    a[j, :, k] = 0.0
+                    a[k, :, j] = 0.0
                     continue
-                for d in range(3):
-                    for e in range(3):
-                        s = 0.0
-                        for f in range(3):
-                            s += transforms[t, j, f, d] * transforms[t, k, f, e]
-                        r[d, e] = s * scale[t]
+                transposed_product(transforms[t, j], transforms[t, k], r)
+                r *= scale[t]
                 # δ(M p) = R (ω × p + τ): a block is Σ w_j w_k JᵀR_jᵀR_k J, with J the derivative
                 # of ω × p + τ
                 for d in range(3):
@@ -181,28 +173,17 @@ def chain_matrix(transforms, order, parents, points, u, scale, out):
                             + r[d1, e1] * v[d2, e2]
                         )
                 if k > j:
-                    for d in range(6):
-                        for e in range(6):
-                            a[k, e, j, d] = a[j, d, k, e]
+                    a[k, :, j] = a[j, :, k].T
         for i in range(n_bones - 1, -1, -1):
             j = order[i]
             p = parents[j]
             if p < 0:
                 continue
-            for d in range(3):
-                for e in range(3):
-                    s = 0.0
-                    for f in range(3):
-                        s += transforms[t, j, f, d] * transforms[t, p, f, e]
-                    turn[d, e] = s
+            transposed_product(transforms[t, j], transforms[t, p], turn)
             # substitute in the columns, then in the rows
             substitute(a, j, p, points[j], turn, old)
             substitute(a.transpose(2, 3, 0, 1), j, p, points[j], turn, old)
-        for j in range(n_bones):
-            for d in range(6):
-                for k in range(n_bones):
-                    for e in range(6):
-                        out[j, d, k, e] += a[j, d, k, e]
+        out += a
 
 
 @kernel
@@ -215,8 +196,7 @@ def chain_move(transforms, order, parents, points, turns, shifts):
     The other arguments are those of :func:`chain_image`.
     """
     n_bones = len(parents)
-    turn = np.empty((3, 3))
-    old = np.empty(3)
+    turn, old = np.empty((3, 3)), np.empty(3)
     for t in range(len(transforms)):
         for i in range(n_bones):
             j = order[i]

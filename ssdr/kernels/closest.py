@@ -7,8 +7,6 @@ The tree is a complete binary tree over T triangles.  Node j of a level has the 
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,10 +14,10 @@ from .policy import inline, kernel
 
 
 @inline
-def _segment(px, py, pz, ax, ay, az, bx, by, bz):
-    """Squared distance of a point to the segment from a to b."""
-    ux, uy, uz = bx - ax, by - ay, bz - az
-    vx, vy, vz = px - ax, py - ay, pz - az
+def _segment(p, a, b):
+    """Squared distance of a point p to the segment from a to b."""
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    vx, vy, vz = p[0] - a[0], p[1] - a[1], p[2] - a[2]
     length = ux * ux + uy * uy + uz * uz
     s = 0.0
     if length > 0.0:
@@ -53,11 +51,7 @@ def _triangle(p, vertices, triangle):
         t /= det
         x, y, z = wx - s * ux - t * vx, wy - s * uy - t * vy, wz - s * uz - t * vz
         return x * x + y * y + z * z
-    return min(
-        _segment(p[0], p[1], p[2], a[0], a[1], a[2], b[0], b[1], b[2]),
-        _segment(p[0], p[1], p[2], b[0], b[1], b[2], c[0], c[1], c[2]),
-        _segment(p[0], p[1], p[2], c[0], c[1], c[2], a[0], a[1], a[2]),
-    )
+    return min(_segment(p, a, b), _segment(p, b, c), _segment(p, c, a))
 
 
 @inline
@@ -112,7 +106,7 @@ def tree_order(
 
 
 @kernel
-def fit_boxes(vertices: Any, triangles: Any, depth: int, boxes: Any) -> None:
+def fit_boxes(vertices, triangles, depth, boxes):
     """Compute the bounding boxes of all nodes of the tree, from the leaves to the root.
 
     vertices   (V, 3)                  float64  positions, in
@@ -139,9 +133,7 @@ def fit_boxes(vertices: Any, triangles: Any, depth: int, boxes: Any) -> None:
 
 
 @kernel
-def farthest(
-    points: Any, vertices: Any, triangles: Any, depth: int, boxes: Any, hints: Any, lead: int
-) -> tuple[float, int]:
+def farthest(points, vertices, triangles, depth, boxes, hints, lead):
     """Find the point farthest from the triangles; return its squared distance and its index.
 
     points     (n, 3)                  float64  positions of the points, in

@@ -23,8 +23,7 @@ def begin_coupling(inverse, column, importance, hold, diagonal, response, matrix
     matrix      (3, 3, V)  real     the same without the pull, times importance, + `diagonal`, out
     inverted    (3, 3, V)  real     its inverse, out
     """
-    a = np.empty((3, 3))
-    b = np.empty((3, 3))
+    a, b = np.empty((3, 3)), np.empty((3, 3))
     for i in range(len(column)):
         p = column[i]
         for turn in range(2):
@@ -49,9 +48,7 @@ def begin_coupling(inverse, column, importance, hold, diagonal, response, matrix
             for c in range(3):
                 for d in range(3):
                     b[c, d] *= whole
-        for c in range(3):
-            for d in range(3):
-                inverted[c, d, i] = b[c, d]
+        inverted[:, :, i] = b
 
 
 @kernel

@@ -5,16 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from .policy import kernel
-from .simplex_qp import cheapest_to_drop, simplex_qp
-from .vertices import load_points, read_influences, store
-from .weight_problem import (
-    all_pulled,
-    begin_qp,
-    close_gaps,
-    gradient_of_all,
-    hessian_row,
-    take_columns,
-)
+from .simplex_qp import cheapest_to_drop, qp_value, simplex_qp
+from .vertices import holds, load_points, read_influences, store
+from .weights import all_pulled, begin_qp, close_gaps, gradient_of_all, hessian_row, take_columns
 
 
 @kernel
@@ -37,22 +30,13 @@ def choose_influences(y, x2, gram, rest, indices, weights, normals, length, lock
     n_bones = gram.shape[0]
     n_keep = indices.shape[1]
     slots = n_keep + 1
-    m = np.empty(10)
-    rows = np.empty((slots, n_bones))
-    h = np.empty((slots, slots))
-    f = np.empty(slots)
-    f_all = np.empty(n_bones)
-    grad = np.empty(n_bones)
-    barred = np.empty(n_bones, dtype=np.bool_)
-    w = np.empty(slots)
-    trial = np.empty(slots)
-    best_w = np.empty(slots)
-    ids = np.empty(slots, dtype=np.uint32)
-    alive = np.empty(slots, dtype=np.uint32)
-    a = np.empty((slots, slots))
-    b = np.empty(slots)
-    scale = np.empty(slots)
-    p = np.empty((x2.shape[1], 4))
+    m, p = np.empty(10), np.empty((x2.shape[1], 4))
+    f_all, grad, barred = np.empty(n_bones), np.empty(n_bones), np.empty(n_bones, dtype=np.bool_)
+    rows, h, f = np.empty((slots, n_bones)), np.empty((slots, slots)), np.empty(slots)
+    w, trial, best_w = np.empty(slots), np.empty(slots), np.empty(slots)
+    ids, alive = np.empty(slots, dtype=np.uint32), np.empty(slots, dtype=np.uint32)
+    outs = np.empty(3, dtype=np.int64)
+    a, b, scale = np.empty((slots, slots)), np.empty(slots), np.empty(slots)
     full = np.empty((slots, 16 * ((slots + 15) // 16)))
     row = np.empty(full.shape[1])
     for i in range(len(rest)):
@@ -77,13 +61,9 @@ def choose_influences(y, x2, gram, rest, indices, weights, normals, length, lock
                 base += w[q] * (grad[ids[q]] - f[q])
             enter = -1
             for j in range(n_bones):
-                if not barred[j] and (enter < 0 or grad[j] < grad[enter]):
-                    known = False
-                    for q in range(n):
-                        if ids[q] == j:
-                            known = True
-                    if not known:
-                        enter = j
+                lower = not barred[j] and (enter < 0 or grad[j] < grad[enter])
+                if lower and not holds(ids, n, j):
+                    enter = j
             if enter < 0 or not level - grad[enter] > 1e-12 * whole:
                 break
             barred[enter] = True
@@ -93,17 +73,12 @@ def choose_influences(y, x2, gram, rest, indices, weights, normals, length, lock
             take_columns(rows, ids, n + 1, h, alive)
             best = base
             found = False
-            first_out = second_out = -1
+            # first try all bones: if at most K weights stay positive, none has to be dropped
+            outs[:] = -1
             for attempt in range(3):
-                out = -1
-                if attempt == 1:
-                    out = first_out
-                elif attempt == 2:
-                    out = second_out
+                out = outs[attempt]
                 if attempt > 0 and out < 0:
                     break
-                # first try all bones: if at most K weights stay positive, none has to be
-                # dropped
                 left = 0
                 total = 0.0
                 for q in range(n + 1):
@@ -119,31 +94,20 @@ def choose_influences(y, x2, gram, rest, indices, weights, normals, length, lock
                 else:
                     trial[n] = 1.0
                 simplex_qp(h, f, trial, alive, left, a, b)
-                positive = 0
-                value = 0.0
-                for q in range(n + 1):
-                    if trial[q] > 0.0:
-                        positive += 1
-                        value -= 2.0 * trial[q] * f[q]
-                        for s in range(n + 1):
-                            value += trial[q] * trial[s] * h[q, s]
+                value, positive = qp_value(h, f, trial, n + 1)
                 if positive <= n_keep and value < best - 1e-14 * whole:
                     best = value
                     found = True
-                    for q in range(n + 1):
-                        best_w[q] = trial[q]
+                    best_w[: n + 1] = trial[: n + 1]
                 if attempt == 0:
                     if positive <= n_keep:
                         break
-                    first_out, second_out, rise = cheapest_to_drop(
-                        h, trial, n + 1, a, full, row, scale
-                    )
+                    outs[1], outs[2], rise = cheapest_to_drop(h, trial, n + 1, a, full, row, scale)
                     if not value + rise < best:
                         break
             if found:
                 n += 1
-                for q in range(n):
-                    w[q] = best_w[q]
+                w[:n] = best_w[:n]
             else:
                 w[n] = 0.0
         # the largest weight comes first: it is the one that follows from the others

@@ -26,14 +26,8 @@ def forms(blocks, along, p, first, last, h, f):
     The points are first..last of p (P, 3), of which the first is (p, 1) and the others (p, 0).
     """
     n_keep = len(f)
-    for q in range(n_keep):
-        out = f[q]
-        for k in range(LANES):
-            out[k] = 0.0
-        for s in range(q, n_keep):
-            out = h[q, s]
-            for k in range(LANES):
-                out[k] = 0.0
+    f[:] = 0.0
+    h[:] = 0.0
     for t in range(first, last):
         x, y, z = p[t, 0], p[t, 1], p[t, 2]
         pair = 0
@@ -69,8 +63,7 @@ def forms(blocks, along, p, first, last, h, f):
 def errors(h, f, w, x2, out):
     """Set `out` to the squared error wᵀhw − 2fᵀw + x2."""
     n_keep = len(f)
-    for k in range(LANES):
-        out[k] = x2[k]
+    out[:] = x2
     for q in range(n_keep):
         u, v, at = h[q, q], f[q], w[q]
         for k in range(LANES):
@@ -94,16 +87,8 @@ def add_pull(pull, p, out):
 def blend(blocks, w, p, turned, mean):
     """Set turned (P, K, 3) = Σ_s w_s G_sq p̃ and the lower triangle of mean = Σ_qs w_q w_s G_qs."""
     n_keep = len(w)
-    for c in range(3):
-        for d in range(c + 1):
-            out = mean[c, d]
-            for k in range(LANES):
-                out[k] = 0.0
-        for t in range(p.shape[0]):
-            for q in range(n_keep):
-                out = turned[t, q, c]
-                for k in range(LANES):
-                    out[k] = 0.0
+    turned[:] = 0.0
+    mean[:] = 0.0
     pair = 0
     for q in range(n_keep):
         for s in range(q, n_keep):
@@ -180,10 +165,7 @@ def joint_system(along, pull, w, free, p, fixed, h, f, turned, mean, slope, a, g
                 out, u, v, m = a[z + c, q - 1], turned[t, q, c], turned[t, 0, c], free[q]
                 for k in range(LANES):
                     out[k] = m[k] * (u[k] - v[k])
-            for q in range(n_keep - 1, z):
-                out = a[z + c, q]
-                for k in range(LANES):
-                    out[k] = 0.0
+            a[z + c, n_keep - 1 : z] = 0.0
             for d in range(c + 1):
                 out, u = a[z + c, z + d], mean[c, d]
                 held = 1.0 if t == 0 and d == c else 0.0
@@ -199,8 +181,7 @@ def factor(a, n, ridge, least, scale, bad):
     The diagonal receives 1/D, or 0 where a pivot is not above `least`.  `bad` is set to 1 for a
     vertex with such a pivot, and to 0 for all others.
     """
-    for k in range(LANES):
-        bad[k] = 0.0
+    bad[:] = 0.0
     for j in range(n):
         u, out = a[j, j], scale[j]
         for k in range(LANES):

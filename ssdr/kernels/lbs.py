@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from .policy import kernel
 
 
 @kernel
-def skin_range(
-    rest: Any, indices: Any, weights: Any, transforms: Any, out: Any, first: int, last: int
-) -> None:
+def skin_range(rest, indices, weights, transforms, out, first, last):
     """Compute the positions of vertices first..last in every frame by linear blend skinning.
 
     rest        (V, 3)        float     rest positions, in
@@ -55,16 +51,7 @@ def skin_range(
 
 
 @kernel
-def squared_error_range(
-    rest: Any,
-    indices: Any,
-    weights: Any,
-    transforms: Any,
-    target: Any,
-    first: int,
-    last: int,
-    per_vertex: Any,
-) -> None:
+def squared_error_range(rest, indices, weights, transforms, target, first, last, per_vertex):
     """Add up each vertex's squared distance from its target positions over all frames.
 
     rest        (V, 3)        float64   rest positions, in
@@ -94,16 +81,8 @@ def squared_error_range(
 
 @kernel
 def pull_back_to_vertices(
-    rest: Any,
-    indices: Any,
-    weights: Any,
-    transforms: Any,
-    gradient: Any,
-    to_rest: Any,
-    to_weights: Any,
-    first: int,
-    last: int,
-) -> None:
+    rest, indices, weights, transforms, gradient, to_rest, to_weights, first, last
+):
     """Add up the gradients with respect to rest positions and weights of vertices first..last.
 
     rest        (V, 3)        float     rest positions, in
@@ -137,15 +116,7 @@ def pull_back_to_vertices(
 
 
 @kernel
-def pull_back_to_bones(
-    rest: Any,
-    indices: Any,
-    weights: Any,
-    gradient: Any,
-    to_transforms: Any,
-    first: int,
-    last: int,
-) -> None:
+def pull_back_to_bones(rest, indices, weights, gradient, to_transforms, first, last):
     """Add up the gradients with respect to the transforms of frames first..last.
 
     rest           (V, 3)        float     rest positions, in

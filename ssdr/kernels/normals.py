@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from .policy import kernel
 
@@ -12,7 +11,7 @@ _CANCELLED = 1e-9  # least norm of a sum of unit normals times angles in radians
 
 
 @kernel
-def normals_range(frames: Any, faces: Any, corners: Any, out: Any, first: int, last: int) -> None:
+def normals_range(frames, faces, corners, out, first, last):
     """Compute the normals of a surface, weighted by the triangles' angles, in frames first..last.
 
     frames   (F, V, 3)  float64  vertices, in
@@ -51,17 +50,7 @@ def normals_range(frames: Any, faces: Any, corners: Any, out: Any, first: int, l
 
 
 @kernel
-def fit_range(
-    normals: Any,
-    vertex: Any,
-    indices: Any,
-    weights: Any,
-    transforms: Any,
-    gram: Any,
-    right: Any,
-    first: int,
-    last: int,
-) -> None:
+def fit_range(normals, vertex, indices, weights, transforms, gram, right, first, last):
     """Add up Aᵀ A and Aᵀ n over all frames, where A is the blended matrix at a normal n.
 
     normals     (F, N, 3)     float64  normals to reproduce, 0 where they are unknown, in
@@ -108,7 +97,7 @@ def fit_range(
 
 
 @kernel
-def angles_range(normals: Any, drawn: Any, out: Any, first: int, last: int) -> None:
+def angles_range(normals, drawn, out, first, last):
     """Compute the angles between two sets of normals in frames first..last.
 
     normals  (F, N, 3)  float64  unit normals, 0 where they are unknown, in

@@ -8,7 +8,7 @@ from .policy import kernel
 
 
 @kernel
-def raster_triangles(points, faces, depth, index, first, last) -> None:
+def raster_triangles(points, faces, depth, index, first, last):
     """Find the nearest triangle at the centre of each pixel in the rows first..last.
 
     points  (V, 3)  float64  x and y in pixels, then nearness, in
@@ -53,7 +53,7 @@ def raster_triangles(points, faces, depth, index, first, last) -> None:
 
 
 @kernel
-def raster_balls(balls, depth, index, first, last) -> None:
+def raster_balls(balls, depth, index, first, last):
     """Find the nearest ball at the centre of each pixel in the rows first..last.
 
     balls  (N, 5)  float64  x, y and radius in pixels, nearness of the centre, and how much larger

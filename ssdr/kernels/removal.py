@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from .policy import kernel
-from .simplex_qp import simplex_qp
-from .weight_problem import begin_qp, pulled
+from .simplex_qp import qp_value, simplex_qp
+from .weights import begin_qp, pulled
 
 
 @kernel
@@ -24,29 +24,17 @@ def removal_cost(y, gram, rest, support, share, count, importance, cost):
     """
     n_slots = support.shape[1]
     n_bones = gram.shape[0]
-    m = np.empty(10)
-    rows = np.empty((n_slots, n_bones))
-    h = np.empty((n_slots, n_slots))
-    f = np.empty(n_slots)
-    w = np.empty(n_slots)
-    alive = np.empty(n_slots, dtype=np.uint32)
-    a = np.empty((n_slots, n_slots))
-    b = np.empty(n_slots)
-    p = np.empty((1, 4))
-    p[0, 3] = 1.0
-    ids = np.empty(n_slots, dtype=np.uint32)
+    m, p = np.empty(10), np.ones((1, 4))
+    rows, f, w = np.empty((n_slots, n_bones)), np.empty(n_slots), np.empty(n_slots)
+    ids, alive = np.empty(n_slots, dtype=np.uint32), np.empty(n_slots, dtype=np.uint32)
+    h, a, b = np.empty((n_slots, n_slots)), np.empty((n_slots, n_slots)), np.empty(n_slots)
     for i in range(len(rest)):
-        for c in range(3):
-            p[0, c] = rest[i, c]
+        p[0, :3] = rest[i]
         n = count[i]
         for q in range(n):
             ids[q] = support[i, q]
         begin_qp(y[i], gram, ids, n, p, m, rows, h, f, alive)
-        base = 0.0
-        for q in range(n):
-            base -= 2.0 * share[i, q] * f[q]
-            for s in range(n):
-                base += share[i, q] * share[i, s] * h[q, s]
+        base, _ = qp_value(h, f, share[i], n)
         if n == 1:
             # the vertex would follow the best other bone alone
             best = np.inf
@@ -64,18 +52,9 @@ def removal_cost(y, gram, rest, support, share, count, importance, cost):
             for s in range(n):
                 w[s] = 0.0
                 if s != q:
+                    w[s] = share[i, s] / rest_share if rest_share > 1e-12 else 1.0 / (n - 1)
                     alive[left] = s
                     left += 1
-            for s in range(left):
-                if rest_share > 1e-12:
-                    w[alive[s]] = share[i, alive[s]] / rest_share
-                else:
-                    w[alive[s]] = 1.0 / left
             simplex_qp(h, f, w, alive, left, a, b)
-            value = 0.0
-            for s in range(n):
-                if w[s] > 0.0:
-                    value -= 2.0 * w[s] * f[s]
-                    for c in range(n):
-                        value += w[s] * w[c] * h[s, c]
+            value, _ = qp_value(h, f, w, n)
             cost[support[i, q]] += importance[i] * (value - base)

@@ -21,7 +21,6 @@ def answer_bones(
     slot,
     points,
     weights,
-    importance,
     free,
     inverse,
     gradient,
@@ -41,7 +40,6 @@ def answer_bones(
     points      (V, P, 4)     real     points p̃ of each vertex: its rest position (p, 1) and, if it
                                        has one, its normal (l n, 0), in
     weights     (V, K)        real     weights in the order of the group's bones, in
-    importance  (V,)          real     factor of each vertex's error, not used
     free        (V,)          bool     vertices whose weights may change, in
     inverse     (V, D, D)     real     inverse of the Gauss–Newton matrix, in
     gradient    (V, D)        real     half gradient of the error, in
@@ -72,12 +70,10 @@ def answer_bones(
         for i in range(start[g], start[g + 1]):
             k = n - 1 if free[i] else 0
             size = k
-            for q in range(n):
-                along[q] = 0.0
+            along[:n] = 0.0
             for e in range(n_points):
                 p0, p1, p2, p3 = points[i, e, 0], points[i, e, 1], points[i, e, 2], points[i, e, 3]
-                for t in range(width):
-                    image[t] = 0.0
+                image[:width] = 0.0
                 for s in range(n):
                     w, u = weights[i, s], 4 * s
                     v0, v1, v2, v3 = w * p0, w * p1, w * p2, w * p3
@@ -118,9 +114,9 @@ def effect_on_bones(
     slot,
     points,
     weights,
-    importance,
     free,
     inverse,
+    importance,
     change,
     step,
     total,
@@ -131,6 +127,7 @@ def effect_on_bones(
     """Add up the effect on the bones of the steps of vertices in groups first..last.
 
     start..inverse                     as in :func:`answer_bones`, in
+    importance  (V,)          real     factor of each vertex's error, in
     change      (V, 3)        real     changes of the right sides of rest positions, or (0, 3), in
     step        (V, D)        real     steps of the vertices, to which that of `change` is added
     total       (B, B, 4, 4)  float64  Σ_i a δaᵀ, in the layout of `cross`, times importance, where
@@ -153,9 +150,7 @@ def effect_on_bones(
     for g in range(first, last):
         n = count[g]
         width = 16 * ((4 * n + 15) // 16)
-        for u in range(4 * n):
-            for t in range(width):
-                sums[u, t] = 0.0
+        sums[: 4 * n, :width] = 0.0
         held = 0
         for i in range(start[g], start[g + 1]):
             k = n - 1 if free[i] else 0
@@ -190,9 +185,8 @@ def effect_on_bones(
                 held += 1
             # four points at a time, since each pass reads and writes all sums
             if held + n_points > 4 or i + 1 == start[g + 1]:
+                a[held:] = 0.0
                 for u in range(4 * n):
-                    for v in range(held, 4):
-                        a[v, u] = 0.0
                     v0, v1, v2, w = a[0, u], a[1, u], a[2, u], a[3, u]
                     for t in range(width):
                         sums[u, t] += (
@@ -297,8 +291,7 @@ def move_bones(transforms, x):
     transforms  (F, B, 3, 4)  float64  bones, updated
     x           (F, B, 6)     float64  tangents (ω, τ), in
     """
-    turn = np.empty((3, 3))
-    old = np.empty(3)
+    turn, old = np.empty((3, 3)), np.empty(3)
     for t in range(len(transforms)):
         for j in range(transforms.shape[1]):
             m = transforms[t, j]

@@ -43,6 +43,19 @@ def cholesky_solve(a, b, n):
 
 
 @inline
+def qp_value(h, f, w, n):
+    """The value wᵀhw − 2fᵀw of n weights, and how many of them are positive."""
+    value, positive = 0.0, 0
+    for q in range(n):
+        if w[q] > 0.0:
+            positive += 1
+            value -= 2.0 * w[q] * f[q]
+            for s in range(n):
+                value += w[q] * w[s] * h[q, s]
+    return value, positive
+
+
+@inline
 def simplex_qp(h, f, w, alive, n, a, b):
     """Minimise wᵀhw − 2fᵀw over weights w ≥ 0 with sum 1 (in place), and return how many stay free.
 

@@ -94,35 +94,20 @@ def polish_vertices(
     size = n_keep - 1 + 3 * (n_points - fixed)
     ids = np.zeros((n_keep, LANES), dtype=np.uint32)
     count = np.empty(LANES, dtype=np.int64)
-    w = np.empty((n_keep, LANES))
-    trial = np.empty((n_keep, LANES))
-    free = np.empty((n_keep, LANES))
-    f = np.empty((n_keep, LANES))
-    slope = np.empty((n_keep, LANES))
-    p = np.empty((n_points, 3, LANES))
-    moved = np.empty((n_points, 3, LANES))
+    each = n_keep, LANES
+    w, trial, free = np.empty(each), np.empty(each), np.empty(each)
+    f, slope = np.empty(each), np.empty(each)
+    p, moved = np.empty((n_points, 3, LANES)), np.empty((n_points, 3, LANES))
     along = np.empty((n_keep, n_points, 4, LANES))
     blocks = np.empty((n_keep * (n_keep + 1) // 2, 16, LANES))
     turned = np.empty((n_points, n_keep, 3, LANES))
-    mean = np.empty((3, 3, LANES))
-    h = np.empty((n_keep, n_keep, LANES))
-    a = np.empty((size, size, LANES))
-    x = np.empty((size, size, LANES))
-    g = np.empty((size, LANES))
-    b = np.empty((size, LANES))
-    scale = np.empty((size, LANES))
-    pull = np.empty((4, LANES))
-    squares = np.empty((n_points + 1, LANES))
-    e = np.empty(LANES)
-    e_new = np.empty(LANES)
-    step = np.empty(LANES)
-    total = np.empty(LANES)
-    live = np.empty(LANES)
-    pending = np.empty(LANES)
-    bad = np.empty(LANES)
-    take = np.empty(LANES)
-    own = np.empty(n_keep, dtype=np.uint32)
-    own_w = np.empty(n_keep)
+    mean, h = np.empty((3, 3, LANES)), np.empty((n_keep, n_keep, LANES))
+    a, x = np.empty((size, size, LANES)), np.empty((size, size, LANES))
+    g, b, scale = np.empty((size, LANES)), np.empty((size, LANES)), np.empty((size, LANES))
+    pull, squares = np.empty((4, LANES)), np.empty((n_points + 1, LANES))
+    e, e_new, step, total = np.empty(LANES), np.empty(LANES), np.empty(LANES), np.empty(LANES)
+    live, pending, bad, take = np.empty(LANES), np.empty(LANES), np.empty(LANES), np.empty(LANES)
+    own, own_w = np.empty(n_keep, dtype=np.uint32), np.empty(n_keep)
     place = np.empty(size, dtype=np.int64)
     for first in range(0, len(rest), LANES):
         last = min(first + LANES, len(rest))
@@ -180,9 +165,8 @@ def polish_vertices(
                 for k in range(LANES):
                     out[k] *= u[k]
             # the longest step that keeps all weights at 0 or above
-            for k in range(LANES):
-                step[k] = 1.0
-                total[k] = 0.0
+            step[:] = 1.0
+            total[:] = 0.0
             for q in range(1, n_keep):
                 u, v = b[q - 1], w[q]
                 for k in range(LANES):
@@ -205,8 +189,7 @@ def polish_vertices(
                     for c in range(3):
                         out, u = moved[t, c], p[t, c]
                         if t < fixed:
-                            for k in range(LANES):
-                                out[k] = u[k]
+                            out[:] = u
                             continue
                         v = b[z + c]
                         for k in range(LANES):
@@ -253,10 +236,8 @@ def polish_vertices(
                 place[q] = q if q < n else -1
                 if q >= n_keep - 1:
                     place[q] = q - (n_keep - 1) + n
-            for q in range(gradient.shape[1]):
-                gradient[i, q] = 0.0
-                for s in range(gradient.shape[1]):
-                    inverse[i, q, s] = 0.0
+            gradient[i] = 0.0
+            inverse[i] = 0.0
             for q in range(size):
                 if place[q] < 0:
                     continue

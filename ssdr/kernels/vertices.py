@@ -9,14 +9,16 @@ import numpy as np
 
 from .policy import inline, kernel
 from .simplex_qp import cholesky_solve, simplex_qp
-from .weight_problem import (
-    all_pulled,
-    begin_qp,
-    close_gaps,
-    gradient_of_all,
-    hessian_row,
-    take_columns,
-)
+from .weights import all_pulled, begin_qp, close_gaps, gradient_of_all, hessian_row, take_columns
+
+
+@inline
+def holds(ids, n, bone):
+    """Whether `bone` is among the first n bones of `ids`."""
+    found = False
+    for q in range(n):
+        found = found or ids[q] == bone
+    return found
 
 
 @inline
@@ -161,22 +163,14 @@ def solve_vertices(
     n_bones = gram.shape[0]
     n_slots = support.shape[1]
     n_keep = indices.shape[1]
-    m = np.empty(10)
-    form = np.empty(10)
-    g = np.empty(4)
-    rows = np.empty((n_slots, n_bones))
-    h = np.empty((n_slots, n_slots))
-    f = np.empty(n_slots)
-    f_all = np.empty(n_bones)
-    grad = np.empty(n_bones)
-    w = np.empty(n_slots)
-    ids = np.empty(n_slots, dtype=np.uint32)
-    alive = np.empty(n_slots, dtype=np.uint32)
+    m, form, g, p = np.empty(10), np.empty(10), np.empty(4), np.empty((x2.shape[1], 4))
+    f_all, grad = np.empty(n_bones), np.empty(n_bones)
+    rows, h = np.empty((n_slots, n_bones)), np.empty((n_slots, n_slots))
+    f, w = np.empty(n_slots), np.empty(n_slots)
+    ids, alive = np.empty(n_slots, dtype=np.uint32), np.empty(n_slots, dtype=np.uint32)
     size = max(n_slots, 3)
-    a = np.empty((size, size))
-    b = np.empty(size)
+    a, b = np.empty((size, size)), np.empty(size)
     smooth = pull.shape[0] > 0
-    p = np.empty((x2.shape[1], 4))
     for i in range(len(rest)):
         load_points(rest[i], normals[i], length, p)
         if locked[i]:
@@ -213,13 +207,7 @@ def solve_vertices(
                     if grad[j] < grad[enter]:
                         enter = j
                 slope = level - grad[enter]
-                if not slope > 0.0:
-                    break
-                known = False
-                for q in range(n):
-                    if ids[q] == enter:
-                        known = True
-                if known:
+                if not slope > 0.0 or holds(ids, n, enter):
                     break
                 hessian_row(gram, enter, m, rows[n])
                 rows[n, enter] += alpha

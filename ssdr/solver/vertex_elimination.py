@@ -19,6 +19,7 @@ without edges).
 
 from __future__ import annotations
 
+import functools
 import itertools
 from typing import Any, NamedTuple
 
@@ -32,6 +33,9 @@ from .model import CHUNK, Constraints, Model
 from .moments import bone_sums, stack_blocks
 from .trajectories import Array, Trajectories
 from .vertex_newton import VertexSystem
+
+Mask = NDArray[np.bool_]
+Precision = type[np.floating[Any]]
 
 # Fewest rows and multiplications of a piece: small products are slow, and handing them to threads
 # costs more than it saves.
@@ -47,7 +51,7 @@ _ROUGH, _ACCURATE = (12, 1e-4), (20, 1e-4)
 
 
 class _Groups(NamedTuple):
-    """Arguments of :func:`answer_bones`: vertices in groups that the same bones move."""
+    """Arguments of the kernels of the Schur complement, in their order, except `gradient`."""
 
     start: NDArray[np.intp]  # (G + 1,) first vertex of each group
     bones: NDArray[np.intp]  # (G, K) bones of each group, ascending, padded with B
@@ -55,9 +59,9 @@ class _Groups(NamedTuple):
     slot: NDArray[np.intp]  # (V, K) column of each of the group's bones in the model's weights
     points: Array
     weights: Array  # (V, K) in the order of the group's bones
-    importance: Array
     free: NDArray[np.bool_]
     inverse: Array
+    importance: Array
     gradient: Array
 
 
@@ -86,12 +90,6 @@ class ReducedSystem:
     gradient : (3F, 4B) float64
         Half gradient of the squared error and the terms of rest pose and normals with respect to
         the stacked transforms, with the vertices at their optimum.
-    patches : (B, B, 4, 4) float64 or None
-        If every transform M_j is multiplied by the same 1 + X_j (3×4) in all frames and the rest
-        pose follows with −Σ_j w_j X_j p̃, the squared error and the term of the edges rise by
-        about Σ_jk tr(X_j patches_jk X_kᵀ): R_jᵀR_k is replaced by a third of its trace, and weights
-        stay.  None if the rest pose is locked or bones have joints, and for bones that stretch if
-        no edge holds it: there a step with `patches` ends a polish early.
     """
 
     def __init__(
@@ -100,7 +98,7 @@ class ReducedSystem:
         model: Model,
         constraints: Constraints,
         vertices: VertexSystem,
-        precision: type[np.floating[Any]],
+        precision: Precision,
     ) -> None:
         self.n_bones = model.n_bones
         self.move_rest = not constraints.lock_rest
@@ -112,23 +110,30 @@ class ReducedSystem:
         self.length = vertices.length
         self.u, c = bone_sums(data, model, length=self.length)
         stacked, u = vertices.stacked, stack_blocks(self.u)
-        axes = stacked.reshape(-1, 4, self.n_bones)[:, :3].transpose(1, 2, 0)
-        self._axes = np.einsum("aju,bju->jab", axes, axes)
-        self.patches = None
-        free = self.move_rest and constraints.bone_model == "rigid"
-        if model.tree is None and (free or self._coupling is not None):
-            self.patches = self._patches(data, model, vertices, axes)
+        self._axes = stacked.reshape(-1, 4, self.n_bones)[:, :3].transpose(1, 2, 0)
+        self._squares = np.einsum("aju,bju->jab", self._axes, self._axes)
+        self._given = data, model, constraints, vertices.strength
         c *= data.frame_scale[:, None, None, None]
         _, answer = self._eliminate(np.zeros_like(u), 1.0)
         self.gradient = product(stacked, u - answer) - c.reshape(stacked.shape)
         self.stacked, self.u_flat = (x.astype(precision, copy=False) for x in (stacked, u))
 
-    def _patches(
-        self, data: Trajectories, model: Model, vertices: VertexSystem, axes: Array
-    ) -> Array:
-        """The attribute `patches`, from the columns `axes` of all R_j."""
-        n, surface, strength = data.n_vertices, data.surface, vertices.strength
-        turns = (axes @ axes.transpose(0, 2, 1)).sum(axis=0) / 3
+    @functools.cached_property
+    def patches(self) -> Array | None:
+        """Cost (B, B, 4, 4) of changes of the bones that are the same in all frames.
+
+        If every transform M_j is multiplied by the same 1 + X_j (3×4) in all frames and the rest
+        pose follows with −Σ_j w_j X_j p̃, the squared error and the term of the edges rise by
+        about Σ_jk tr(X_j patches_jk X_kᵀ): R_jᵀR_k is replaced by a third of its trace, and weights
+        stay.  None if the rest pose is locked or bones have joints, and for bones that stretch if
+        no edge holds it: there a step with `patches` ends a polish early.
+        """
+        data, model, constraints, strength = self._given
+        free = self.move_rest and constraints.bone_model == "rigid"
+        if model.tree is not None or not (free or self._coupling is not None):
+            return None
+        n, surface = data.n_vertices, data.surface
+        turns = (self._axes @ self._axes.transpose(0, 2, 1)).sum(axis=0) / 3
         skin = model.points(self.length), model.indices, model.weights, data.importance, turns
         rows: Any = np.zeros(n), np.zeros(n + 1, dtype=np.int64), np.zeros(0, dtype=np.uint32)
         rows = *rows, np.zeros(0)
@@ -137,8 +142,7 @@ class ReducedSystem:
 
         def work(_: int, i: int, k: int) -> Array:
             total = np.zeros_like(self.u)
-            arrays: Any = *skin, *rows, i, k, total
-            add_patches(*arrays)
+            add_patches(*skin, *rows, i, k, total)
             return total
 
         total: Array = np.sum(run_chunks(work, self._tasks), axis=0)
@@ -167,8 +171,7 @@ class ReducedSystem:
         def work(_: int, i: int, k: int) -> None:
             names = ("rest", "normals", "indices", "weights")
             rows = [getattr(model, name)[i:k] for name in names]
-            arrays: Any = step[i:k], *rows, self.length, self.keep[i:k], self.move_rest
-            apply_vertex_step(*arrays)
+            apply_vertex_step(step[i:k], *rows, self.length, self.keep[i:k], self.move_rest)
 
         run_chunks(work, self._tasks)
 
@@ -197,19 +200,17 @@ class ReducedSystem:
         move_rest = self.move_rest
         cuts = np.searchsorted(groups.start, [0, *(k for _, k in self._tasks)])
         tasks = list(itertools.pairwise(cuts.tolist()))
-        run_chunks(
-            lambda _, i, k: answer_bones(table, *groups, share, step, move_rest, i, k), tasks
-        )
+        arrays: Any = table, *groups[:8], groups.gradient, share, step, move_rest
+        run_chunks(lambda _, i, k: answer_bones(*arrays, i, k), tasks)
         change = np.empty((0, 3), dtype=step.dtype)
         if self._coupling is not None:
             change = np.empty((len(step), 3), dtype=step.dtype)
             accuracy = _ACCURATE if share else _ROUGH
             # rest positions that follow what the bones do in all frames are the first guess
             same = np.einsum("djej->jde", cross.reshape(4, n_bones, 4, n_bones)[:3])
-            moves = np.linalg.solve(self._axes, same)
+            moves = np.linalg.solve(self._squares, same)
             skin: Any = moves.astype(step.dtype), *groups[:3], groups.points, groups.weights
-            arrays: Any = step, *skin, self._order, *self._coupling, *accuracy, change
-            couple_vertices(*arrays)
+            couple_vertices(step, *skin, self._order, *self._coupling, *accuracy, change)
 
         def work(_: int, i: int, k: int) -> Array:
             total = np.zeros((n_bones, n_bones, 4, 4))
@@ -224,11 +225,7 @@ class ReducedSystem:
 
 
 def _group(
-    data: Trajectories,
-    model: Model,
-    keep: NDArray[np.bool_],
-    vertices: VertexSystem,
-    precision: type[np.floating[Any]],
+    data: Trajectories, model: Model, keep: Mask, vertices: VertexSystem, precision: Precision
 ) -> tuple[NDArray[np.intp], _Groups]:
     """Order (V,) that sorts the vertices by the set of bones that moves them, and the groups."""
     n_bones = model.n_bones
@@ -258,19 +255,15 @@ def _group(
         slot=slot,
         points=real(model.points(vertices.length)),
         weights=real(weights),
-        importance=real(data.importance),
         free=~keep[order],
         inverse=real(vertices.inverse),
+        importance=real(data.importance),
         gradient=real(vertices.gradient),
     )
 
 
 def _couple(
-    data: Trajectories,
-    model: Model,
-    keep: NDArray[np.bool_],
-    vertices: VertexSystem,
-    precision: type[np.floating[Any]],
+    data: Trajectories, model: Model, keep: Mask, vertices: VertexSystem, precision: Precision
 ) -> tuple[Any, ...] | None:
     """Arguments of :func:`couple_vertices` that stay, from `column` to `edges`.
 
