@@ -140,7 +140,8 @@ def fit_weights(
         for _ in range(1 if smooth is None else iterations):
             pull, stiff = (0.0, 0.0) if smooth is None else smooth.terms(model)
             pulls = np.ascontiguousarray(pull + constant)
-            vertex_step(data, model, constraints=constraints, pull=pulls, stiff=stiff + stiffness)
+            terms = pulls, stiff + stiffness
+            vertex_step(data, model, constraints=constraints, terms=terms)
     padded = model.with_influences(k)
     indices, weights = padded.indices[row], padded.weights[row]
     found = dataclasses.replace(skinning, indices=indices, weights=weights)

@@ -36,10 +36,6 @@ class Alignment:
     rotation: Array
     scale: float
 
-    @property
-    def n_frames(self) -> int:
-        return len(self.centre)
-
     def select_frames(self, frames: Any) -> Alignment:
         """The alignment of some frames, given by indices or a slice."""
         return dataclasses.replace(self, centre=self.centre[frames], rotation=self.rotation[frames])
@@ -59,10 +55,6 @@ class Alignment:
             out[i:k, ..., :3] = r
             out[i:k, ..., 3] = shift + self.centre[i:k, None] - r @ origin
         return self.points_to_world(rest), out
-
-    def from_world(self, rest: Array, transforms: Array) -> tuple[Array, Array]:
-        """Map a rest pose and transforms to the solver's space."""
-        return self.points_from_world(rest, "rest"), self.moves_from_world(transforms, "transforms")
 
     def points_from_world(self, points: Array, argument: str) -> Array:
         """Map points of the rest pose to the solver's space.

@@ -29,13 +29,12 @@ def repeat_alternation(
     The objective never increases, except when a vertex's influences are reduced to K: that keeps
     the largest weights, even if other bones would fit better (Le and Deng 2012, section 3).
     """
-    penalty, pull, stiff = 0.0, None, None
+    penalty, terms = 0.0, None
     for _ in range(count):
         if smoothness is not None:
-            penalty = smoothness.penalty(model)
-            pull, stiff = smoothness.terms(model)
+            penalty, terms = smoothness.penalty(model), smoothness.terms(model)
         bone_step(data, model, constraints=constraints, length=normal_length(data, model, penalty))
-        vertex_step(data, model, constraints=constraints, pull=pull, stiff=stiff, penalty=penalty)
+        vertex_step(data, model, constraints=constraints, terms=terms, penalty=penalty)
 
 
 def vertex_step(
@@ -43,8 +42,7 @@ def vertex_step(
     model: Model,
     *,
     constraints: Constraints = FREE,
-    pull: Array | None = None,
-    stiff: Array | None = None,
+    terms: tuple[Array, Array] | None = None,
     penalty: float = 0.0,
 ) -> None:
     """Solve the weights, then the rest position of every vertex, and set its error (in place).
@@ -54,8 +52,9 @@ def vertex_step(
     data : Trajectories
     model : Model
     constraints : Constraints
-    pull, stiff : (V, B), (V,) arrays, optional
-        Coefficients of a penalty stiff_i |w_i|² − 2 pull_i · w_i on the weights w_i of vertex i.
+    terms : ((V, B), (V,)) arrays, optional
+        Coefficients `pull` and `stiff` of a penalty stiff_i |w_i|² − 2 pull_i · w_i on the weights
+        w_i of vertex i.
     penalty : float
         Penalty that the objective adds to the error of the model.
     """
@@ -65,22 +64,12 @@ def vertex_step(
         hold = rest_pulls(data, model, constraints, penalty)
         _, gram, _, reduced = transform_sums(data, model.transforms)
         pairs = np.ascontiguousarray(gram.transpose(0, 2, 1))
-        none, none1 = np.zeros((0, 0)), np.zeros(0)
+        pull, stiff = terms or (np.zeros((0, 0)), np.zeros(0))
 
         def work(_: int, i: int, k: int) -> None:
-            solve_vertices(
-                data.products(slice(i, k), reduced, length),
-                data.squares(slice(i, k), length),
-                gram,
-                pairs,
-                none if pull is None else pull[i:k],
-                none1 if stiff is None else stiff[i:k],
-                *model.vertex_rows(i, k),
-                hold[i:k],
-                length,
-                keep[i:k],
-                not constraints.lock_rest,
-            )
+            sums = data.products(slice(i, k), reduced, length), data.squares(slice(i, k), length)
+            rows = pull[i:k], stiff[i:k], *model.vertex_rows(i, k), hold[i:k]
+            solve_vertices(*sums, gram, pairs, *rows, length, keep[i:k], not constraints.lock_rest)
 
         run_chunks(work, chunk_bounds(data.n_vertices, CHUNK))
     # a difference of large numbers, which rounding may have made negative
@@ -96,7 +85,7 @@ def bone_step(
     constraints: Constraints = FREE,
     leaps: int = 0,
     length: float | None = None,
-) -> tuple[Array, Array]:
+) -> None:
     """Fit the transforms of every frame under the weights and rest pose (in place).
 
     Rigid and similarity bones take Gauss–Seidel sweeps; affine ones take one linear solve.
@@ -114,33 +103,20 @@ def bone_step(
         without a leap.
     length : float, optional
         Length of a normal treated as a point; by default that of the objective.
-
-    Returns
-    -------
-    u, c : arrays
-        As :func:`~ssdr.solver.moments.bone_sums` returns them.
     """
     length = normal_length(data, model) if length is None else length
     u, c = bone_sums(data, model, length=length)
     if constraints.bone_model == "affine":
         solve_affine(model.transforms, u, c)
-        return u, c
+        return
     scaled = constraints.bone_model == "similarity"
     for k in range(max(1, leaps)):
         if k < leaps and not scaled:
             leap_rigid(model.transforms, u, c)
         sweep(model.transforms, u, c, sweeps=sweeps, scaled=scaled)
-    return u, c
 
 
-def sweep(
-    transforms: Array,
-    u: Array,
-    c: Array,
-    *,
-    sweeps: int,
-    scaled: bool = False,
-) -> None:
+def sweep(transforms: Array, u: Array, c: Array, *, sweeps: int, scaled: bool = False) -> None:
     """Fit each bone given the others, one after the other, in every frame (Gauss–Seidel, in place).
 
     Parameters

@@ -23,12 +23,7 @@ _COLUMNS = 1 << 14  # columns of directions and images on which a thread works a
 
 
 def conjugate_gradients(
-    apply: Operator,
-    rhs: Array,
-    precondition: Operator,
-    *,
-    steps: int,
-    recycled: Recycled | None = None,
+    apply: Operator, rhs: Array, precondition: Operator, *, steps: int, recycled: Recycled | None
 ) -> tuple[Array, Array, Recycled | None]:
     """Solve A x = b for a symmetric positive definite matrix A, from x = 0.
 
@@ -42,7 +37,7 @@ def conjugate_gradients(
         Multiplies an array by a symmetric positive definite approximation of A⁻¹.
     steps : int
         Largest number of products with A.
-    recycled : Recycled, optional
+    recycled : Recycled or None
         Directions of an earlier, similar system.
 
     Returns

@@ -20,14 +20,11 @@ SLOTS = 12
 SOLVED = ("rest", "indices", "weights", "error", "normals", "normal_error")
 CHUNK = 512  # vertices of a task: the task takes milliseconds, and its arrays stay in the cache
 
-Indices = NDArray[np.int32]
-VertexRows = tuple[Array, Indices, Array, Indices, Indices, Array, Array, Array, Array]
-
 
 class Skin(NamedTuple):
     """Bone indices and weights (V, K) of every vertex, largest weight first."""
 
-    indices: Indices
+    indices: NDArray[np.int32]
     weights: Array
 
 
@@ -89,10 +86,9 @@ class Model:
         arrays = {name: getattr(self, name).copy() for name in ARRAYS}
         return Model(**arrays, tree=self.tree)
 
-    def vertex_rows(self, i: int, k: int) -> VertexRows:
+    def vertex_rows(self, i: int, k: int) -> tuple[Any, ...]:
         """Rows i to k (views) of every array of the vertices, in the order of the attributes."""
-        rows: Any = tuple(getattr(self, name)[i:k] for name in ARRAYS[1:])
-        return rows  # type: ignore[no-any-return]
+        return tuple(getattr(self, name)[i:k] for name in ARRAYS[1:])
 
     def select_vertices(self, chosen: NDArray[np.intp]) -> Model:
         """A copy with the chosen vertices and all bones."""
@@ -109,7 +105,15 @@ class Model:
         transforms: Array, rest: Array, label: NDArray[np.signedinteger[Any]], influences: int
     ) -> Model:
         """A model with K = `influences` slots, whose vertex i follows bone `label[i]` alone."""
-        n, slots = len(rest), max(SLOTS, influences)
+        one = np.ones((len(rest), 1))
+        return Model.with_weights(transforms, rest, label[:, None], one, influences)
+
+    @staticmethod
+    def with_weights(
+        transforms: Array, rest: Array, indices: NDArray[Any], weights: Array, influences: int
+    ) -> Model:
+        """A model with the given weights, which come largest first, in K = `influences` slots."""
+        n, slots, k = len(rest), max(SLOTS, influences), min(influences, indices.shape[1])
         model = Model(
             transforms=transforms,
             rest=rest.copy(),
@@ -122,17 +126,6 @@ class Model:
             normals=np.zeros((n, 0, 3)),
             normal_error=np.zeros(n),
         )
-        model.indices[:, 0], model.weights[:, 0] = label, 1.0
-        model.restart_support()
-        return model
-
-    @staticmethod
-    def with_weights(
-        transforms: Array, rest: Array, indices: NDArray[np.int32], weights: Array, influences: int
-    ) -> Model:
-        """A model with the given weights, which come largest first, in K = `influences` slots."""
-        model = Model.start(transforms, rest, indices[:, 0], influences)
-        k = min(influences, indices.shape[1])
         model.indices[:, :k], model.weights[:, :k] = indices[:, :k], weights[:, :k]
         model.restart_support()
         return model
@@ -248,9 +241,7 @@ class Model:
     def with_bone(self, transform: Array) -> Model:
         """A copy without a tree and with one more bone (F, 3, 4), which no vertex uses yet."""
         transforms = np.concatenate([self.transforms, transform[:, None]], axis=1)
-        return dataclasses.replace(
-            self.copy(), transforms=np.ascontiguousarray(transforms), tree=None
-        )
+        return dataclasses.replace(self.copy(), transforms=transforms, tree=None)
 
 
 class Lowest:

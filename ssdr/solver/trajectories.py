@@ -108,11 +108,6 @@ class Trajectories:
         out = full.reshape(self.n_frames, 3, four, b)
         return np.ascontiguousarray(out / self.frame_scale[:, None, None, None])
 
-    @property
-    def n_points(self) -> int:
-        """Number of points of a vertex: its position and, where normals are solved, its normal."""
-        return 1 if self.normals is None else 2
-
     def squares(self, rows: Any, length: float) -> Array:
         """Squared norms (n, P), over all frames, of the P points of each vertex in `rows`.
 
@@ -195,8 +190,7 @@ class Trajectories:
         inside = normals @ q
         if (inside**2).sum() < (1 - _LOST_NORMALS) * n2.sum():
             count = min(4 * bones, 3 * n_frames - q.shape[1])
-            mixed = normals.T @ np.random.default_rng(0).standard_normal((n, count))
-            more = mixed
+            more = normals.T @ np.random.default_rng(0).standard_normal((n, count))
             for _ in range(2):  # what is left may be small beside what is taken away
                 more = np.linalg.qr(more - q @ (q.T @ more))[0]
             z, q = np.pad(z, ((0, 0), (0, count))), np.concatenate([q, more], axis=1)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from ..common.parallel import chunk_bounds, run_chunks, serial_blas
 from ..kernels.influence_choice import choose_influences
 from ..kernels.vertex_polish import polish_vertices
-from .model import CHUNK, FREE, SOLVED, Constraints, Model
+from .model import CHUNK, SOLVED, Constraints, Model
 from .moments import transform_sums
 from .objective import normal_length, rest_pulls, rest_strength, seen_error
 from .rest_surface import RestSurface
@@ -55,7 +54,7 @@ def optimise_vertices(
     data: Trajectories,
     model: Model,
     *,
-    constraints: Constraints = FREE,
+    constraints: Constraints,
     entering: int = 3,
     rounds: int = 2,
 ) -> VertexSystem:
@@ -190,13 +189,11 @@ def newton_vertices(
         sums = products(i, k), x2[i:k]
         rows = [getattr(model, name)[i:k] for name in SOLVED]
         rest, indices, weights, _, normals, _ = rows
-        flags: Any = length, keep[i:k]
-        chosen: Any = *sums, gram, rest, indices, weights, normals, *flags, entering
+        flags = length, keep[i:k]
         if entering >= 0:
-            choose_influences(*chosen)
-        flags = *flags, not constraints.lock_rest, rounds
-        arrays: Any = *sums, gram4, *rows, hold[i:k], *flags, inverse[i:k], gradient[i:k]
-        polish_vertices(*arrays)
+            choose_influences(*sums, gram, rest, indices, weights, normals, *flags, entering)
+        system = not constraints.lock_rest, rounds, inverse[i:k], gradient[i:k]
+        polish_vertices(*sums, gram4, *rows, hold[i:k], *flags, *system)
 
     run_chunks(work, chunk_bounds(n, CHUNK))
     return inverse, gradient

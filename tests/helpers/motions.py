@@ -47,6 +47,12 @@ def blend(rest, indices, weights, transforms):
     return np.einsum("tiab,ib->tia", matrices[..., :3], rest) + matrices[..., 3]
 
 
+def in_solver(data, rest, transforms):
+    """A rest pose and transforms in the solver's space of `data`."""
+    align = data.alignment
+    return align.points_from_world(rest, "rest"), align.moves_from_world(transforms, "transforms")
+
+
 def rotation(*vector):
     """Rotation matrix of a rotation vector (radians)."""
     return Rotation.from_rotvec(vector).as_matrix()

@@ -63,7 +63,7 @@ class Tiny:
             frame_importance=0.5 + rng.random(self.frames),
         )
         assert self.data.q is None
-        inner, start = self.data.alignment.from_world(rest, truth)
+        inner, start = motions.in_solver(self.data, rest, truth)
         start[..., 3] += 0.05 * rng.standard_normal(start[..., 3].shape)
         self.model = Model.with_weights(start, inner, indices, weights, self.k)
         model_of = "rigid" if tree else kind

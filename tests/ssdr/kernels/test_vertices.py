@@ -88,7 +88,7 @@ def problem(rng: np.random.Generator) -> Problem:
     counts = 0.4 + rng.random(FRAMES)
     data = gather([ssdr.MeshSequence(frames, faces)], bones=99, frame_importance=counts)
     data = data.with_normals()
-    inner, moves = data.alignment.from_world(rest, truth)
+    inner, moves = motions.in_solver(data, rest, truth)
     model = Model.with_weights(moves, inner, indices, weights, BONES)
     model.normals = rng.standard_normal((N, 1, 3))
     hold = rng.standard_normal((N, 4))

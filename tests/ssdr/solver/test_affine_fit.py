@@ -37,7 +37,7 @@ def test_bones_that_data_turn_inside_out_stop_before_and_still_descend() -> None
     frames = motions.blend(rest, indices, weights, motions.motions(rng, 6, 3))
     frames[2:] *= np.array([1, 1, -1])
     data = gather([ssdr.MeshSequence(frames)], bones=3)
-    inner, m = data.alignment.from_world(rest, np.tile(np.eye(4)[:3], (6, 3, 1, 1)))
+    inner, m = motions.in_solver(data, rest, np.tile(np.eye(4)[:3], (6, 3, 1, 1)))
     assert m is not None
     u, c = bone_sums(data, Model.with_weights(m, inner, indices, weights, 2))
     goal = np.stack([data.frame(t) for t in range(6)])
@@ -57,7 +57,7 @@ def test_a_leap_is_a_step_of_gauss_newton_about_the_centres_of_the_bones() -> No
     truth = np.tile(motions.motions(rng, 1, 4), (2, 1, 1, 1))
     frames = motions.blend(rest, indices, weights, truth)
     data = gather([ssdr.MeshSequence(frames)], bones=4, compress=False)
-    rest, exact = data.alignment.from_world(rest, truth)
+    rest, exact = motions.in_solver(data, rest, truth)
     far = np.concatenate([np.full((1, 12), 0.1), np.full((1, 12), 1.5)])
     start = exact.copy()
     turns = Rotation.from_rotvec((far * rng.standard_normal(12)).reshape(-1, 3)).as_matrix()

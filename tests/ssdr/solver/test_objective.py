@@ -31,7 +31,7 @@ def _model(rng: np.random.Generator, frames: int = 6):
     """A chain of four bones with overlapping weights, one of which moves nothing."""
     rig = motions.chain(1, bones=3, frames=frames)
     data = gather([ssdr.MeshSequence(rig.frames)], bones=4)
-    rest, moves = data.alignment.from_world(rig.rest, rig.transforms)
+    rest, moves = motions.in_solver(data, rig.rest, rig.transforms)
     moves = np.concatenate([moves, moves[:, :1]], axis=1)
     model = Model.with_weights(moves, rest, rig.indices, rig.weights, rig.indices.shape[1])
     points = np.array([rest[rig.indices[:, 0] == min(b, 2)].min(axis=0) for b in range(4)])

@@ -28,7 +28,7 @@ def test_world_and_back(rng: np.random.Generator) -> None:
     frames = 50 + rng.standard_normal((6, 9, 3))
     data = gathered(frames)
     rest, transforms = rng.standard_normal((9, 3)), motions.motions(rng, 6, 3)
-    outer, moved = data.alignment.to_world(*data.alignment.from_world(rest, transforms))
+    outer, moved = data.alignment.to_world(*motions.in_solver(data, rest, transforms))
     np.testing.assert_allclose(outer, rest, atol=1e-12)
     np.testing.assert_allclose(moved, transforms, atol=1e-12)
 
@@ -42,7 +42,7 @@ def test_normalising_changes_no_error(importance: bool, rng: np.random.Generator
     data = gathered(frames, bones=100, vertex_importance=weight)
     moved = rig.transforms.copy()
     moved[..., 3] += 7.1
-    rest, transforms = data.alignment.from_world(rig.rest, moved)
+    rest, transforms = motions.in_solver(data, rig.rest, moved)
     inner = np.stack([data.frame(t) for t in range(8)])
     got = naive.squared_error(inner, rest, rig.indices, rig.weights, transforms)
     want = naive.squared_error(frames, rig.rest, rig.indices, rig.weights, moved)
@@ -134,7 +134,7 @@ def test_vertex_error_is_that_of_skinning(n_frames: int, rng: np.random.Generato
     frames = motions.wobble(rig, 0.1)
     data = gathered(frames, bones=4)
     assert (data.q is not None) == (n_frames == 120)
-    rest, transforms = data.alignment.from_world(rig.rest, rig.transforms)
+    rest, transforms = motions.in_solver(data, rig.rest, rig.transforms)
     model = Model.start(transforms, rest, rig.indices[:, 0].astype(np.intp), 2)
     vertex_step(data, model)
     rest, transforms = data.alignment.to_world(model.rest, model.transforms)

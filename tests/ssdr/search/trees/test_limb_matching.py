@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ssdr
-from helpers import trees
+from helpers import motions, trees
 from ssdr.model.tree import Tree
 from ssdr.search.trees.limb_matching import limb_distances, match_by_motion, matched_bones
 from ssdr.solver.trajectories import gather
@@ -66,8 +66,8 @@ def test_vertices_go_where_they_move_not_to_the_nearest_limb() -> None:
     made = trees.skeleton(9, 40, seed=2)
     own = made.indices[:, 0]
     data = gather([ssdr.MeshSequence(made.frames)], bones=9)
-    rest, _ = data.alignment.from_world(made.rest, made.transforms)
-    points, _ = data.alignment.from_world(made.points, made.transforms)
+    rest, _ = motions.in_solver(data, made.rest, made.transforms)
+    points, _ = motions.in_solver(data, made.points, made.transforms)
     shuffled = np.random.default_rng(0).permutation(9)
     tree = Tree(made.parents, points, rigid=False)
     found = match_by_motion(data, rest, shuffled[own].astype(np.intp), 9, tree)

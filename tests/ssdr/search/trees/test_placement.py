@@ -23,7 +23,7 @@ from ssdr.solver.trajectories import gather
 
 def _model(made, influences=4):
     data = gather([ssdr.MeshSequence(made.frames)], bones=len(made.parents))
-    rest, transforms = data.alignment.from_world(made.rest, made.transforms)
+    rest, transforms = motions.in_solver(data, made.rest, made.transforms)
     model = Model.start(transforms.copy(), rest, made.indices[:, 0], influences)
     model.indices[:, :2], model.weights[:, :2] = made.indices, made.weights
     model.restart_support()
@@ -137,7 +137,7 @@ def test_a_stiffer_penalty_closes_the_gaps():
     rng = np.random.default_rng(0)
     noisy = made.frames + 0.05 * rng.normal(size=made.frames.shape)
     data = gather([ssdr.MeshSequence(noisy)], bones=7)
-    rest, transforms = data.alignment.from_world(made.rest, made.transforms)
+    rest, transforms = motions.in_solver(data, made.rest, made.transforms)
     model = Model.start(transforms.copy(), rest, made.indices[:, 0], 2)
     vertex_step(data, model)
     for _ in range(4):  # bones of their own, each by its own vertices
