@@ -138,10 +138,7 @@ def _fit_span(
             part = part.with_normals()
         x2 += part.squares(slice(None), length)
         piece = dataclasses.replace(
-            model,
-            transforms=transforms[some],
-            error=part.x2.copy(),
-            normals=model.normals.copy(),
+            model, transforms=transforms[some], error=part.x2.copy(), normals=model.normals.copy()
         )
         fit_motion(
             part, piece, constraints=constraints, sweeps=_SWEEPS, leaps=_LEAPS, length=length

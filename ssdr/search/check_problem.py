@@ -90,7 +90,12 @@ def check_problem(
         raise InputError("rig", "None, 'loose', 'rigid' or a Skeleton", repr(rig))
     by_default = bones is None and most_bones is not None
     bones = _count_bones(min(n, most_bones or n) if by_default else bones, n, rig, start)
-    initial, constraints = check_start(start, (n_frames, n, bones, influences), bone_model)
+    initial, constraints = Initial(), Constraints(bone_model=bone_model)
+    shape = n_frames, n, bones, influences
+    if isinstance(start, Kept):
+        initial, constraints = _from_parts(start, shape, bone_model)
+    elif start is not None:
+        initial = _from_model(start, shape, bone_model)
     if rest_frame is not None:
         frame = check_whole(rest_frame, "rest_frame", 0, n_frames - 1)
         if initial.rest is not None:
@@ -200,28 +205,15 @@ def _check_rig(
         raise InputError("smoothness", f"0 {beside}", smoothness)
 
 
+Shape = tuple[int, int, int, int]  # F, V, B, K
 _ALIKE = 8.0  # largest ratio of the sizes of a model and a mesh in one unit
 # Largest joint gaps, relative to the mesh's size, that are rounding errors: of double precision,
 # and of single precision or a file's keys.  Gaps between these two bounds are closed at once.
 _EXACTLY, _NEARLY = 1e-12, 1e-4
 
 
-def check_start(
-    start: Skinning | Kept | None, shape: tuple[int, int, int, int], bone_model: BoneModel
-) -> tuple[Initial, Constraints]:
-    """Check a start; return the parts of a model that it gives, and which of them are kept.
-
-    `shape` is (F, V, B, K).
-    """
-    if isinstance(start, Kept):
-        return _from_parts(start, shape, bone_model)
-    constraints = Constraints(bone_model=bone_model)
-    return Initial() if start is None else _from_model(start, shape, bone_model), constraints
-
-
-def _from_model(
-    model: Skinning, shape: tuple[int, int, int, int], bone_model: BoneModel
-) -> Initial:
+def _from_model(model: Skinning, shape: Shape, bone_model: BoneModel) -> Initial:
+    """Check a model to start from, and return its parts."""
     n_frames, n, bones, influences = shape
     if model.n_vertices != n:
         raise InputError("start", f"a model of {n} vertices, as the sequence has", model.n_vertices)
@@ -239,17 +231,12 @@ def _from_model(
         if transforms is not None and _EXACTLY < gap <= _NEARLY:
             move_onto_joints(transforms, tree)
     return Initial(
-        rest=_check_rest(model.rest, n),
-        skin=skin,
-        transforms=transforms,
-        is_model=True,
-        tree=tree,
+        rest=_check_rest(model.rest, n), skin=skin, transforms=transforms, is_model=True, tree=tree
     )
 
 
-def _from_parts(
-    start: Kept, shape: tuple[int, int, int, int], bone_model: BoneModel
-) -> tuple[Initial, Constraints]:
+def _from_parts(start: Kept, shape: Shape, bone_model: BoneModel) -> tuple[Initial, Constraints]:
+    """Check parts to keep; return them, and that they are kept."""
     _, n, bones, influences = shape
     indices, weights, skin = start.indices, start.weights, None
     if (indices is None) != (weights is None):
@@ -296,8 +283,10 @@ def with_skeleton(
     if isinstance(start, Skinning):
         if rig.joints == "kept":
             raise InputError("start", "None or a Kept beside joints that are kept", "a Skinning")
-        tree = _same_tree(initial, skeleton)
-        return dataclasses.replace(initial, tree=tree, keeps_tree=True), constraints
+        known, tree = skeleton.n_bones, initial.tree
+        if tree is None or not np.array_equal(tree.parents[:known], skeleton.parents):
+            raise InputError("start", "a model whose bones hang as those of rig.skinning", "others")
+        return dataclasses.replace(initial, keeps_tree=True), constraints
     if extra and initial.skin is not None:
         expected = "0 beside start.indices and start.weights"
         raise InputError("rig.extra_bones", expected, rig.extra_bones)
@@ -331,14 +320,6 @@ def with_skeleton(
         skeleton_skin=skin,
         extra_parents=extra,
     ), constraints
-
-
-def _same_tree(initial: Initial, skeleton: Skinning) -> Tree:
-    """Check that the model to start from has the parents of the skeleton, and return its tree."""
-    tree, known = initial.tree, skeleton.n_bones
-    if tree is None or not np.array_equal(tree.parents[:known], skeleton.parents):
-        raise InputError("start", "a model whose bones hang as those of rig.skinning", "others")
-    return tree
 
 
 def _check_rest(rest: Any, n_vertices: int) -> Array:
@@ -388,20 +369,19 @@ def extra_parents(rig: Skeleton, n_vertices: int) -> tuple[int, ...]:
         if count + len(parents) + rig.skinning.n_bones > n_vertices:
             expected = f"no more bones in all than the {n_vertices} vertices"
             raise InputError("rig.extra_bones", expected, repr(rig.extra_bones))
-        if isinstance(rig.extra_bones, Mapping):
-            parents += [_single_joint(rig.skinning, name, "rig.extra_bones")] * int(count)
-        else:
-            parents += [-1] * int(count)
+        by_name = isinstance(rig.extra_bones, Mapping)
+        parents += [_single_joint(rig.skinning, name) if by_name else -1] * int(count)
     return tuple(parents)
 
 
-def _single_joint(skeleton: Skinning, name: Any, argument: str) -> int:
+def _single_joint(skeleton: Skinning, name: Any) -> int:
     """Index of the joint called `name`; raises InputError unless exactly one has that name."""
     names = skeleton.names()
     found = [k for k, known in enumerate(names) if known == name]
     if len(found) != 1:
         expected = f"names of single joints of the skeleton ({', '.join(names[:8])}, ...)"
-        raise InputError(argument, expected, f"{name!r}, {len(found)} joints of that name")
+        came = f"{name!r}, {len(found)} joints of that name"
+        raise InputError("rig.extra_bones", expected, came)
     return found[0]
 
 

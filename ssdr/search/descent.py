@@ -66,6 +66,7 @@ class Work:
     report: Callable[[str], None] | None = None
 
 
+@dataclasses.dataclass(eq=False, repr=False)
 class Descent:
     """Decomposition in progress.
 
@@ -107,33 +108,25 @@ class Descent:
         One for each new best model.
     """
 
-    model: Model
+    data: Trajectories
+    _: dataclasses.KW_ONLY
+    bones: int
+    influences: int
+    rng: np.random.Generator
+    constraints: Constraints
+    initial: Initial
+    smoothness: WeightSmoothness | None = None
+    monitor: Monitor = dataclasses.field(default_factory=Monitor)
+    rigid_joints: bool = False
+    normals: float | None = None
+    model: Model = dataclasses.field(init=False)
 
-    def __init__(
-        self,
-        data: Trajectories,
-        *,
-        bones: int,
-        influences: int,
-        rng: np.random.Generator,
-        constraints: Constraints,
-        initial: Initial,
-        smoothness: WeightSmoothness | None = None,
-        monitor: Monitor | None = None,
-        rigid_joints: bool = False,
-        normals: float | None = None,
-    ) -> None:
-        self.data = data
+    def __post_init__(self) -> None:
         self.few: Descent | None = None
         self._chosen: NDArray[np.intp] = np.zeros(0, dtype=np.intp)
-        self.bones, self.influences, self.rng = bones, influences, rng
-        self.constraints, self.initial, self.smoothness = constraints, initial, smoothness
-        self.rigid_joints, self.normals = rigid_joints, normals
-        self.objective = Objective(constraints, smoothness)
-        self.monitor = monitor or Monitor()
-        self.best = Lowest()
+        self.objective = Objective(self.constraints, self.smoothness)
+        self.best, self.work, self.converged = Lowest(), Work(), False
         self.records: list[tuple[int, float, float, str]] = []
-        self.work, self.converged = Work(), False
 
     # --- what steps ask ------------------------------------------------------------------------
 

@@ -6,8 +6,6 @@ cheapest bones are those whose removal raises the squared error least.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -23,6 +21,8 @@ from ..solver.moments import transform_sums
 from ..solver.objective import normal_length, rest_pulls
 from ..solver.trajectories import Array, Trajectories
 
+# Alternations after a bone is moved, and after bones are added and at each merge of these.
+AFTER_A_MOVE, AFTER_AN_ADDITION = 4, 3
 # Number of vertices, drawn by their error, around which a new bone may be placed: to compare the
 # error of so many neighbourhoods costs next to nothing beside one alternation.
 _CANDIDATES = 32
@@ -67,12 +67,7 @@ def merge_bones(
 
 
 def move_cheapest_bone(
-    data: Trajectories,
-    model: Model,
-    rng: np.random.Generator,
-    constraints: Constraints,
-    *,
-    alternations: int,
+    data: Trajectories, model: Model, rng: np.random.Generator, constraints: Constraints
 ) -> Model | None:
     """Move one of the cheapest bones to the patch with most error.
 
@@ -91,30 +86,25 @@ def move_cheapest_bone(
     members = patch_of_most_error(data, model, rng, _PATCH_SIZE)
     moved = _with_patch(data, model.without(np.array([drop])), members, constraints)
     vertex_step(data, moved, constraints=constraints)
-    repeat_alternation(data, moved, alternations, constraints)
+    repeat_alternation(data, moved, AFTER_A_MOVE, constraints)
     return moved
 
 
 def add_and_merge_bones(
-    data: Trajectories,
-    model: Model,
-    rng: np.random.Generator,
-    constraints: Constraints,
-    *,
-    alternations: int,
+    data: Trajectories, model: Model, rng: np.random.Generator, constraints: Constraints
 ) -> Model:
     """Add two to six bones where the error is largest, then merge down to the previous number.
 
-    `alternations` alternations follow the addition and each merge: a tenth of the time of a change
-    that polishes.  Several bones added at once find places that a single bone would not keep.
+    A few alternations follow the addition and each merge: a tenth of the time of a change that
+    polishes.  Several bones added at once find places that a single bone would not keep.
     """
     least, most = _ADDED
     most = max(least + 1, min(most, model.n_bones // 4))
     count = int(rng.integers(least, most + 1))
     changed = _with_more_bones(data, model.with_restarted_support(), count, rng, constraints)
-    repeat_alternation(data, changed, alternations, constraints)
+    repeat_alternation(data, changed, AFTER_AN_ADDITION, constraints)
     while changed.n_bones > model.n_bones:
-        changed = merge_bones(data, changed, model.n_bones, alternations, constraints)
+        changed = merge_bones(data, changed, model.n_bones, AFTER_AN_ADDITION, constraints)
     return changed
 
 
@@ -203,12 +193,9 @@ def drop_influence(data: Trajectories, model: Model, constraints: Constraints) -
                 weights[:, q] = 0.0
                 weights /= weights.sum(axis=1, keepdims=True)
                 rest, indices, _, _, normals, _ = trial.values()
-                chosen: Any = *sums, gram, rest, indices, weights, normals, *flags, 0
-                choose_influences(*chosen)
-                found = *trial.values(), hold[some]
-                free: Any = not constraints.lock_rest, _ROUNDS
-                arrays: Any = *sums, gram4, *found, *flags, *free, *unread
-                polish_vertices(*arrays)
+                choose_influences(*sums, gram, rest, indices, weights, normals, *flags, 0)
+                found = *trial.values(), hold[some], *flags, not constraints.lock_rest
+                polish_vertices(*sums, gram4, *found, _ROUNDS, *unread)
                 off = hold[some, 0] * ((trial["rest"] - hold[some, 1:]) ** 2).sum(axis=1)
                 error = trial["error"] + length**2 * trial["normal_error"] + off
                 better = error < least
@@ -259,12 +246,7 @@ def alternate_some(
 
 
 def polish_steps(
-    data: Trajectories,
-    model: Model,
-    count: int,
-    constraints: Constraints,
-    *,
-    entering: bool = True,
+    data: Trajectories, model: Model, count: int, constraints: Constraints, *, entering: bool = True
 ) -> None:
     """Make `count` Gauss–Newton steps (in place); bones may enter a vertex's influences or not."""
     GaussNewton(data, model, constraints=constraints).run(count, entering=entering)

@@ -86,10 +86,7 @@ class Initial:
         for name in ("rest", "skin", "tree_pose", "nearest_bone", "skeleton_skin"):
             part = getattr(self, name)
             if isinstance(part, Skin):
-                indices, weights = part
-                some[name] = Skin(
-                    np.ascontiguousarray(indices[kept]), np.ascontiguousarray(weights[kept])
-                )
+                some[name] = Skin(*(np.ascontiguousarray(array[kept]) for array in part))
             elif part is not None:
                 some[name] = np.ascontiguousarray(part[kept])
         return dataclasses.replace(self, **some)
@@ -105,21 +102,18 @@ class Initial:
 
     def inside(self, alignment: Alignment) -> Initial:
         """A copy with rest pose, joints and transforms mapped to the solver's space."""
-        inward, inside, tree = alignment.points_from_world, self, self.tree
+        inward, tree, inside = alignment.points_from_world, self.tree, dict[str, Any]()
         if tree is not None:
             owner = "rig.skinning" if self.keeps_tree else "start"
             points = inward(tree.points, f"{owner}.joint_positions")
-            inside = dataclasses.replace(inside, tree=dataclasses.replace(tree, points=points))
+            inside["tree"] = dataclasses.replace(tree, points=points)
         if self.transforms is not None:
-            moves = alignment.moves_from_world(self.transforms, "start.transforms")
-            inside = dataclasses.replace(inside, transforms=moves)
+            inside["transforms"] = alignment.moves_from_world(self.transforms, "start.transforms")
         if self.rest is not None:
-            inside = dataclasses.replace(inside, rest=inward(self.rest, "start.rest"))
+            inside["rest"] = inward(self.rest, "start.rest")
         if self.tree_pose is not None:
-            inside = dataclasses.replace(
-                inside, tree_pose=inward(self.tree_pose, "rig.skinning.rest")
-            )
-        return inside
+            inside["tree_pose"] = inward(self.tree_pose, "rig.skinning.rest")
+        return dataclasses.replace(self, **inside)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -254,8 +248,3 @@ class Problem:
         """Whether a complete model was given that is only tried beside other starts."""
         bound = self.rig == "rigid" or self.initial.keeps_tree or self.smoothness > 0
         return self.initial.is_model and not bound
-
-    @property
-    def bones_placed(self) -> bool:
-        """Whether weights are kept, so that no bone has to find its place."""
-        return len(self.constraints.weights) > 0

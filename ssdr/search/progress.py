@@ -10,12 +10,10 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..common.errors import Cancelled, InputError, SsdrError, SsdrWarning
-
-if TYPE_CHECKING:
-    from ..model.skinning import Skinning
+from ..model.skinning import Skinning
 
 _SECONDS = 60.0  # between two checkpoints, and so the most that a killed process loses
 

@@ -69,7 +69,7 @@ def solve(problem: Problem, schedule: Schedule | None = None) -> Decomposition:
         follow_effort,
         effort=problem.effort,
         rig=problem.rig,
-        bones_placed=problem.bones_placed,
+        bones_placed=len(problem.constraints.weights) > 0,  # no bone has to find its place
         tries_model=problem.tries_model,
     )
     if schedule is None and problem.rig != "kept" and needs_streaming(problem.sequences):
@@ -179,11 +179,7 @@ def _of_chosen(d: Descent, usual: Schedule, effort: Effort) -> None:
 # --- the best model in the input's space, with its true error ----------------------------------
 
 
-def skinning_of(
-    problem: Problem,
-    alignment: Alignment,
-    model: Model,
-) -> Skinning:
+def skinning_of(problem: Problem, alignment: Alignment, model: Model) -> Skinning:
     """Convert a model to a skinning in the input's space, with the faces and names of the input.
 
     The skinning's normals are those of the rest pose, if the input has any: :func:`with_normals`
@@ -334,10 +330,8 @@ def _with_tree(
     They are those of the given skeleton if there is one; otherwise they are found from the motion.
     """
     tree, n_bones = problem.initial.tree, skinning.n_bones
-    if problem.rig == "kept" and tree is not None:
-        joints = tree.points
-    elif problem.rig == "loose" and tree is not None:
-        tree = refit_joints(skinning.transforms, tree)
+    if problem.rig in ("kept", "loose") and tree is not None:
+        tree = tree if problem.rig == "kept" else refit_joints(skinning.transforms, tree)
         joints = tree.points
     else:
         tree = model.hierarchy if problem.rig == "rigid" else spanning_tree(model, by_gap=True)

@@ -138,7 +138,8 @@ def start_from_model(d: Descent) -> Iterator[None]:
     tree = initial.tree if d.rigid_joints else None
     if own is model or own.weighted_error(data) < model.weighted_error(data):
         model = own
-        _fit_motion(d, model)
+        fit_motion(data, model, constraints=d.constraints, sweeps=_FIRST_SWEEPS, leaps=_FIRST_LEAPS)
+        _measure_error(d, model)
         tree = None if tree is None else dataclasses.replace(tree, rigid=False)
         d.initial = dataclasses.replace(initial, transforms=None)
     if data.normals is not None:
@@ -163,15 +164,6 @@ def _patches_of_weights(d: Descent, rest: Array, skin: Skin) -> Array:
     """Transforms (F, B, 3, 4) of bones, each fitted to the vertices where its weight is largest."""
     label, kind = skin.indices[:, 0].astype(np.intp), d.constraints.bone_model
     return fit_patches(d.data, rest, label, d.bones, kind)
-
-
-def _fit_motion(d: Descent, model: Model) -> None:
-    """Fit the transforms from a poor first guess, and recompute the vertex errors (in place).
-
-    Weights and rest pose are held.
-    """
-    fit_motion(d.data, model, constraints=d.constraints, sweeps=_FIRST_SWEEPS, leaps=_FIRST_LEAPS)
-    _measure_error(d, model)
 
 
 def _measure_error(d: Descent, model: Model) -> None:

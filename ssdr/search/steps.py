@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
 
 import numpy as np
 
@@ -16,14 +15,10 @@ from ..solver.model import Constraints, Lowest, Model
 from ..solver.objective import strength_of
 from ..solver.trajectories import Trajectories
 from ..solver.vertex_newton import optimise_some
-from .descent import (
-    LEAST,
-    MOST,
-    Descent,
-    Schedule,
-    step,
-)
+from .descent import LEAST, MOST, Descent, Schedule, step
 from .moves import (
+    AFTER_A_MOVE,
+    AFTER_AN_ADDITION,
     add_and_merge_bones,
     alternate_some,
     exchange_bones,
@@ -318,27 +313,25 @@ def merge(d: Descent, *, steps: int = 3, alternations: int = 4) -> Iterator[None
 
 
 @step("move bones", cost=6)
-def move_bones(
-    d: Descent, *, steps: int = 16, patience: int = 4, alternations: int = 4
-) -> Iterator[None]:
+def move_bones(d: Descent, *, steps: int = 16, patience: int = 4) -> Iterator[None]:
     """Move bones whose removal costs least, one at a time, to where the error is largest.
 
     Each improvement is kept.  It ends after `steps` moves, or `patience` moves in a row that do not
     lower the objective.
     """
-    change = partial(move_cheapest_bone, alternations=alternations)
-    return tried(d, [change], steps=steps, iterations=alternations, patience=patience)
+    changes = [move_cheapest_bone]
+    return tried(d, changes, steps=steps, iterations=AFTER_A_MOVE, patience=patience)
 
 
 @step("add and merge", cost=20)
-def add_and_merge(d: Descent, *, alternations: int = 3) -> Iterator[None]:
+def add_and_merge(d: Descent) -> Iterator[None]:
     """Add several bones where the error is largest, and merge down to the previous number.
 
     The result is kept even if its objective is higher, since it is judged only after a relaxation
     and a search.
     """
-    d.model = add_and_merge_bones(d.data, d.model, d.rng, d.constraints, alternations=alternations)
-    d.work.iteration += alternations
+    d.model = add_and_merge_bones(d.data, d.model, d.rng, d.constraints)
+    d.work.iteration += AFTER_AN_ADDITION
     yield
 
 

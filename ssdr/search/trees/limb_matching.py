@@ -62,9 +62,8 @@ def match_by_motion(
     hung = tree.non_roots
     gap = np.empty((len(hung), count, count))
     for row, k in enumerate(hung):
-        point, squared = fit_joints(
-            bones, np.broadcast_to(tree.points[k], (count, count, 3)), away=_AWAY
-        )
+        prior = np.broadcast_to(tree.points[k], (count, count, 3))
+        point, squared = fit_joints(bones, prior, away=_AWAY)
         gap[row] = squared / len(bones) + _AWAY * ((point - tree.points[k]) ** 2).sum(axis=-1)
     own = matched_bones(place, _GAP * gap, tree)
     nearest = place.argmin(axis=1)

@@ -189,11 +189,8 @@ def split_bone(
     size = float(rng.choice(_PATCH_SIZES))
     main = model.indices[np.arange(data.n_vertices), model.weights.argmax(axis=1)]
     members = patch_of_most_error(data, model, rng, size, among=main == parent)
-    share = np.bincount(
-        model.indices[members].ravel(),
-        weights=model.weights[members].ravel(),
-        minlength=model.n_bones,
-    )
+    skin = model.indices[members].ravel(), model.weights[members].ravel()
+    share = np.bincount(*skin, minlength=model.n_bones)
     bone = int(share.argmax()) if parent < 0 else parent
     tree, twin = model.hierarchy, model.n_bones
     grown = model.with_bone(model.transforms[:, bone])

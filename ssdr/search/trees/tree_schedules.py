@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from ..descent import Descent, Schedule
 from ..effort_numbers import NUMBERS, TREE_ROUNDS, TREE_SEARCHES, TRIALS_OF_A_TREE
 from ..problem import Effort
@@ -54,7 +56,7 @@ def tree_of_bones(d: Descent, effort: Effort) -> None:
             lowest_tree(d, *starts)
             relax_tree(d)
             search_trees(d, steps=10)
-        search_best_trees(d)
+        search_from_best(d, TREE_ROUNDS, search_trees)
         return_to_best(d)
     last_polish(d, steps=40, gain=0.002)
 
@@ -131,14 +133,11 @@ def skin_of_joints(d: Descent) -> None:
 
 def tree_from_model(d: Descent, effort: Effort) -> None:
     """Continue from the given model with bones attached at joints."""
-    search_model = search_weights if d.initial.keeps_tree else search_trees
     start_from_model(d)
     compress(d)
     attach_unattached(d)
-    for _ in range({"fast": 0, "balanced": 1, "best": TREE_ROUNDS}[effort]):
-        return_to_best(d)
-        relax_tree(d)
-        search_model(d, steps=TRIALS_OF_A_TREE)
+    rounds = {"fast": 0, "balanced": 1, "best": TREE_ROUNDS}[effort]
+    search_from_best(d, rounds, search_weights if d.initial.keeps_tree else search_trees)
     return_to_best(d)
     last_polish(d, steps=40, gain=0.002)
 
@@ -180,9 +179,9 @@ def lowest_tree(d: Descent, *starts: Schedule) -> None:
     polish(d, steps=20, gain=0.01)
 
 
-def search_best_trees(d: Descent) -> None:
-    """Search for better trees repeatedly, each time from the best one so far."""
-    for _ in range(TREE_ROUNDS):
+def search_from_best(d: Descent, rounds: int, search: Callable[..., None]) -> None:
+    """Relax and search a tree repeatedly, each time from the best model so far."""
+    for _ in range(rounds):
         return_to_best(d)
         relax_tree(d)
-        search_trees(d, steps=TRIALS_OF_A_TREE)
+        search(d, steps=TRIALS_OF_A_TREE)

@@ -140,11 +140,8 @@ def start_on_joints(d: Descent) -> Iterator[None]:
 
 def _unposed(data: Trajectories, bones: Array, frame: int) -> tuple[NDArray[np.intp], Array]:
     """Bone (V,) that alone moves each vertex best from a frame, and its place (V, 3) at rest."""
-    back, shift, points = (
-        np.linalg.inv(bones[frame, :, :, :3]),
-        bones[frame, :, :, 3],
-        data.frame(frame),
-    )
+    back, shift = np.linalg.inv(bones[frame, :, :, :3]), bones[frame, :, :, 3]
+    points = data.frame(frame)
     turned = bones[..., :3] @ back
     moved = bones[..., 3] - np.einsum("tbij,bj->tbi", turned, shift)
     label = nearest_bones(data, points, np.concatenate([turned, moved[..., None]], axis=-1))

@@ -104,7 +104,7 @@ def test_relaxing_finds_what_the_polish_alone_does_not() -> None:
 def rebuild(
     data: Trajectories, model: Model, rng: np.random.Generator, constraints: Constraints
 ) -> Model:
-    return add_and_merge_bones(data, model, rng, constraints, alternations=3)
+    return add_and_merge_bones(data, model, rng, constraints)
 
 
 CHANGES = (exchange_bones, alternate_some, exchange_influences, rebuild)
@@ -133,7 +133,7 @@ def test_rebuilding_finds_what_exchanges_of_one_bone_do_not() -> None:
         exchanged, rebuilt = model.copy(), model.copy()
         rng = np.random.default_rng(seed)
         for _ in range(40):
-            trial = move_cheapest_bone(data, exchanged, rng, FREE, alternations=4)
+            trial = move_cheapest_bone(data, exchanged, rng, FREE)
             assert trial is not None
             if trial.weighted_error(data) < exchanged.weighted_error(data):
                 exchanged = trial

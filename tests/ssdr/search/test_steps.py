@@ -146,7 +146,7 @@ def test_some_vertices_are_solved_as_all_are_and_the_others_stay() -> None:
     before, data = d.best.model, d.data
     every, few = before.copy(), before.copy()
     rows = np.arange(0, data.n_vertices, 3)
-    optimise_vertices(data, every, entering=3)
+    optimise_vertices(data, every, constraints=Constraints(), entering=3)
     assert data.surface is not None
     options: Any = {"constraints": Constraints(), "entering": 3, "times": 1}
     optimise_some(data, few, rows, data.surface, **options)
