@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from ssdr.common.errors import InputError
 
-# Reflection in the plane x = 0, the symmetry of body and garment.
-REFLECTION = np.diag([-1.0, 1.0, 1.0])
 # Largest entry of |RRᵀ − I| that still counts as a rotation; text files round to few digits.
 _ORTHOGONAL = 1e-3
 

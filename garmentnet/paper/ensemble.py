@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -113,10 +113,6 @@ class Mixed(NamedTuple):
         p = list(pivots)
         return cls(np.asarray(parameters, float)[p], np.asarray(theta, float), q[np.ix_(p, p)])
 
-    def error(self, mix: Callable[[Array, Array], Array]) -> float:
-        """RMSE, metres, of the weights ``(K,)`` that a rule gives the pivots."""
-        return _root(self.q, mix(self.pivots, self.theta))
-
 
 def convex_fit(q: Array) -> tuple[Array, float]:
     """Weights w ≥ 0 with sum 1 that minimise wᵀ Q w, and the square root of the minimum.
@@ -207,9 +203,7 @@ def select_pivots(grams: Sequence[Array], parameters: Any, count: int) -> list[i
     return chosen
 
 
-def fit_kernel(
-    learned: Sequence[Mixed], *, steps: int = 600, seed: int = 0, power: int = 2
-) -> Kernel:
+def fit_kernel(learned: Sequence[Mixed], *, steps: int = 600, seed: int = 0) -> Kernel:
     """Train the kernel, leaving the pivot of one training parameter set out at a time.
 
     Parameters
@@ -220,8 +214,6 @@ def fit_kernel(
         Number of steps of Adam.
     seed : int
         Seed of the initial weights.
-    power : {2, 1}
-        As of :class:`~garmentnet.paper.ensemble.Kernel`.
 
     Examples
     --------
@@ -231,7 +223,7 @@ def fit_kernel(
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        made = Kernel(len(learned[0].theta), power=power)
+        made = Kernel(len(learned[0].theta))
     optimiser = torch.optim.Adam(made.parameters(), lr=1e-2, weight_decay=1e-3)
     sets = [[torch.from_numpy(x) for x in mixed] for mixed in learned]
     for _ in range(steps):
