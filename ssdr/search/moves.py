@@ -6,6 +6,8 @@ cheapest bones are those whose removal raises the squared error least.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -195,7 +197,8 @@ def drop_influence(data: Trajectories, model: Model, constraints: Constraints) -
                 rest, indices, _, _, normals, _ = trial.values()
                 choose_influences(*sums, gram, rest, indices, weights, normals, *flags, 0)
                 found = *trial.values(), hold[some], *flags, not constraints.lock_rest
-                polish_vertices(*sums, gram4, *found, _ROUNDS, *unread)
+                arrays: Any = *sums, gram4, *found, _ROUNDS, *unread
+                polish_vertices(*arrays)
                 off = hold[some, 0] * ((trial["rest"] - hold[some, 1:]) ** 2).sum(axis=1)
                 error = trial["error"] + length**2 * trial["normal_error"] + off
                 better = error < least

@@ -86,7 +86,7 @@ class Initial:
         for name in ("rest", "skin", "tree_pose", "nearest_bone", "skeleton_skin"):
             part = getattr(self, name)
             if isinstance(part, Skin):
-                some[name] = Skin(*(np.ascontiguousarray(array[kept]) for array in part))
+                some[name] = Skin._make(np.ascontiguousarray(array[kept]) for array in part)
             elif part is not None:
                 some[name] = np.ascontiguousarray(part[kept])
         return dataclasses.replace(self, **some)

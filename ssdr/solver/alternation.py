@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -69,7 +71,8 @@ def vertex_step(
         def work(_: int, i: int, k: int) -> None:
             sums = data.products(slice(i, k), reduced, length), data.squares(slice(i, k), length)
             rows = pull[i:k], stiff[i:k], *model.vertex_rows(i, k), hold[i:k]
-            solve_vertices(*sums, gram, pairs, *rows, length, keep[i:k], not constraints.lock_rest)
+            arrays: Any = *sums, gram, pairs, *rows, length, keep[i:k], not constraints.lock_rest
+            solve_vertices(*arrays)
 
         run_chunks(work, chunk_bounds(data.n_vertices, CHUNK))
     # a difference of large numbers, which rounding may have made negative
@@ -147,7 +150,8 @@ def bone_costs(data: Trajectories, model: Model) -> Array:
         def work(_: int, i: int, k: int) -> Array:
             cost = np.zeros(n_bones)
             y = (data.z[i:k] @ reduced).reshape(k - i, 1, 4, n_bones)
-            removal_cost(y, gram, *model.vertex_rows(i, k)[:4], data.importance[i:k], cost)
+            arrays: Any = y, gram, *model.vertex_rows(i, k)[:4], data.importance[i:k], cost
+            removal_cost(*arrays)
             return cost
 
         parts = run_chunks(work, chunk_bounds(data.n_vertices, CHUNK))

@@ -51,7 +51,7 @@ _ROUGH, _ACCURATE = (12, 1e-4), (20, 1e-4)
 
 
 class _Groups(NamedTuple):
-    """Arguments of the kernels of the Schur complement, in their order, except `gradient`."""
+    """Arguments of :func:`answer_bones`, and `importance`, which :func:`effect_on_bones` reads."""
 
     start: NDArray[np.intp]  # (G + 1,) first vertex of each group
     bones: NDArray[np.intp]  # (G, K) bones of each group, ascending, padded with B
@@ -61,8 +61,8 @@ class _Groups(NamedTuple):
     weights: Array  # (V, K) in the order of the group's bones
     free: NDArray[np.bool_]
     inverse: Array
-    importance: Array
     gradient: Array
+    importance: Array
 
 
 class ReducedSystem:
@@ -98,7 +98,7 @@ class ReducedSystem:
         model: Model,
         constraints: Constraints,
         vertices: VertexSystem,
-        precision: Precision,
+        precision: type[np.floating[Any]],
     ) -> None:
         self.n_bones = model.n_bones
         self.move_rest = not constraints.lock_rest
@@ -142,7 +142,8 @@ class ReducedSystem:
 
         def work(_: int, i: int, k: int) -> Array:
             total = np.zeros_like(self.u)
-            add_patches(*skin, *rows, i, k, total)
+            arrays: Any = *skin, *rows, i, k, total
+            add_patches(*arrays)
             return total
 
         total: Array = np.sum(run_chunks(work, self._tasks), axis=0)
@@ -171,7 +172,8 @@ class ReducedSystem:
         def work(_: int, i: int, k: int) -> None:
             names = ("rest", "normals", "indices", "weights")
             rows = [getattr(model, name)[i:k] for name in names]
-            apply_vertex_step(step[i:k], *rows, self.length, self.keep[i:k], self.move_rest)
+            arrays: Any = step[i:k], *rows, self.length, self.keep[i:k], self.move_rest
+            apply_vertex_step(*arrays)
 
         run_chunks(work, self._tasks)
 
@@ -200,8 +202,9 @@ class ReducedSystem:
         move_rest = self.move_rest
         cuts = np.searchsorted(groups.start, [0, *(k for _, k in self._tasks)])
         tasks = list(itertools.pairwise(cuts.tolist()))
-        arrays: Any = table, *groups[:8], groups.gradient, share, step, move_rest
-        run_chunks(lambda _, i, k: answer_bones(*arrays, i, k), tasks)
+        run_chunks(
+            lambda _, i, k: answer_bones(table, *groups[:-1], share, step, move_rest, i, k), tasks
+        )
         change = np.empty((0, 3), dtype=step.dtype)
         if self._coupling is not None:
             change = np.empty((len(step), 3), dtype=step.dtype)
@@ -210,11 +213,12 @@ class ReducedSystem:
             same = np.einsum("djej->jde", cross.reshape(4, n_bones, 4, n_bones)[:3])
             moves = np.linalg.solve(self._squares, same)
             skin: Any = moves.astype(step.dtype), *groups[:3], groups.points, groups.weights
-            couple_vertices(step, *skin, self._order, *self._coupling, *accuracy, change)
+            arrays: Any = step, *skin, self._order, *self._coupling, *accuracy, change
+            couple_vertices(*arrays)
 
         def work(_: int, i: int, k: int) -> Array:
             total = np.zeros((n_bones, n_bones, 4, 4))
-            effect_on_bones(*groups[:-1], change, step, total, move_rest, i, k)
+            effect_on_bones(*groups[:-2], groups.importance, change, step, total, move_rest, i, k)
             return total
 
         parts = run_chunks(work, tasks)
@@ -257,8 +261,8 @@ def _group(
         weights=real(weights),
         free=~keep[order],
         inverse=real(vertices.inverse),
-        importance=real(data.importance),
         gradient=real(vertices.gradient),
+        importance=real(data.importance),
     )
 
 

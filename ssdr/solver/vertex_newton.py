@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -193,7 +194,8 @@ def newton_vertices(
         if entering >= 0:
             choose_influences(*sums, gram, rest, indices, weights, normals, *flags, entering)
         system = not constraints.lock_rest, rounds, inverse[i:k], gradient[i:k]
-        polish_vertices(*sums, gram4, *rows, hold[i:k], *flags, *system)
+        arrays: Any = *sums, gram4, *rows, hold[i:k], *flags, *system
+        polish_vertices(*arrays)
 
     run_chunks(work, chunk_bounds(n, CHUNK))
     return inverse, gradient
