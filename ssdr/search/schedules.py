@@ -39,6 +39,7 @@ from .steps import (
     compress,
     for_positions,
     last_polish,
+    look_ahead,
     move_bones,
     on_sample,
     polish,
@@ -102,9 +103,10 @@ def free_bones(d: Descent, effort: Effort, *, stretching: bool) -> None:
         relax_bones(d)
         relax_from_rigid(d)
         return
+    look_ahead(d, steps=3)
     bones = [place_bones] if effort == "fast" else [place_bones, relax_placed]
     sizes = {"least": RELAXED_VERTICES, "most": 2 * RELAXED_VERTICES}
-    on_sample(d, *bones, **sizes, free=False, ahead=3)
+    on_sample(d, *bones, **sizes, free=False)
     if effort == "fast":
         last_polish(d, steps=6)
     else:

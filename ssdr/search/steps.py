@@ -204,7 +204,6 @@ def on_sample(
     least: int = LEAST,
     most: int = MOST,
     free: bool = True,
-    ahead: int = 0,
 ) -> bool:
     """Follow schedules on a third of the vertices, then continue from the best model on all.
 
@@ -213,17 +212,14 @@ def on_sample(
     the schedules run on all.  Returns whether they ran on a sample.  If `free`, no surface holds
     the rest pose of the sample: that is enough to find where bones belong.
 
-    What a run returns that is stopped on the sample changes nothing there: the model of all
-    vertices after `ahead` alternations from the present one and, between two schedules, the
-    sample's best model fitted to all vertices.
+    Between two schedules the sample's best model is fitted to all vertices, as what a run returns
+    that is stopped on the sample; the next schedule goes on from the sample's own.
     """
     count = min(most * d.bones, max(least * d.bones, d.data.n_vertices // 3))
     if 2 * count >= d.data.n_vertices:
         for schedule in schedules:
             schedule(d)
         return False
-    if ahead:
-        look_ahead(d, steps=ahead)
     few, (*first, last) = d.sample(count, free=free), schedules
     for schedule in first:
         schedule(few)
