@@ -134,7 +134,6 @@ def toy_config():
             "learning_rate": 3e-3,
             "window": 30,
             "threads": 1,
-            "tensorboard": False,
             "device": "cpu",
         }
         # The paper's high module; that of the preset has tests of its own.
@@ -166,7 +165,7 @@ def toy_config():
 @pytest.fixture(scope="session")
 def toy_store(tmp_path_factory):
     pytest.importorskip("torch")
-    pytest.importorskip("zarr")
+    pytest.importorskip("numcodecs")
     from garmentnet.data.parameters import SimulationParameters as P
     from helpers import toy_store as toy
 

@@ -1,4 +1,4 @@
-"""A frame of a live garment in one thread by onnxruntime, beside torch and the simulator.
+"""A frame of a live garment in one thread by onnxruntime, beside torch.
 
 The network has the sizes of the dress that ships, or of ``rooted``, and reads simulation
 parameters, which change in every frame; its weights are random, since they do not change the time::
@@ -6,8 +6,8 @@ parameters, which change in every frame; its weights are random, since they do n
     python benchmarks/garment/live_speed.py
 
 Milliseconds a frame, the median and the quickest of blocks of thirty frames: the exported file;
-pushing out; the same network in torch, frame by frame; the simulator at the settings of its data
-set.  ``start`` is the seconds to open the file, ``megabytes`` its size.
+pushing out; the same network in torch, frame by frame.
+``start`` is the seconds to open the file, ``megabytes`` its size.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ CASES = {
     "12,273 vertices": {"preset": "soft_dress", **_SHIPPED},
     "12,273 vertices, rooted": {"preset": "soft_dress", **_ROOTED},
 }
-COLUMNS = ("frame", "frame_quickest", "push_out", "torch", "simulator", "start", "megabytes")
+COLUMNS = ("frame", "frame_quickest", "push_out", "torch", "start", "megabytes")
 
 
 def subject_of(garment: Any, body: Any, fps: float) -> Any:
@@ -73,10 +73,8 @@ def blocks(step: Callable[[int], Any], frames: int) -> list[float]:
 def measure(preset: str, hidden: int, rank: int) -> common.Row:
     import torch
 
-    from benchmarks.garment.scenes.cloth import Cloth
     from benchmarks.garment.scenes.dance.choreography import dance
     from benchmarks.garment.scenes.scene_file import load_data_set
-    from benchmarks.garment.scenes.simulator import simulate
     from garmentnet.collision.outward import OutwardPush
     from garmentnet.configs.config import load_config, override
     from garmentnet.data.parameters import SimulationParameters
@@ -132,12 +130,6 @@ def measure(preset: str, hidden: int, rank: int) -> common.Row:
         memory, _ = network.step(memory, poses[frame], parameters=theta)
 
     row["torch"] = float(np.median(blocks(in_torch, 4 * BLOCK)))
-    cloth, short = Cloth(body, garment, data_set.solver), motion.cut(0, 120)
-    simulate(cloth, short, SimulationParameters())  # compiled
-    lead = data_set.solver.approach + data_set.solver.settle
-    began = time.process_time()
-    simulate(cloth, short, SimulationParameters())
-    row["simulator"] = 1e3 * (time.process_time() - began) / (120 + lead)
     return row
 
 

@@ -10,11 +10,11 @@ from 0 to 1: gender, age, muscle, weight, height, proportions.  Needs ``anny``.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
@@ -22,8 +22,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from benchmarks.garment.scenes.body import Body, save_body
 from garmentnet.data.skeleton import Skeleton
-from garmentnet.data.skin_weights import strongest
-from ssdr.common.errors import InputError
 from ssdr.io.optional import import_optional as require
 from ssdr.model.skinning import Skinning
 
@@ -68,16 +66,10 @@ def make_body(**build: float) -> Body:
 
     Raises
     ------
-    InputError
-        If a number is not in [0, 1], or anny has no such parameter.
     MissingDependencyError
         If anny is not installed.
     """
-    for name, value in build.items():
-        if name not in _BUILD or not 0 <= value <= 1:
-            raise InputError(name, f"{', '.join(_BUILD)}, each from 0 to 1", value)
     anny = require("anny", "anny>=0.6", "a body")
-    torch = require("torch", "anny>=0.6", "a body")
     model = anny.Anny(topology=_TOPOLOGY)
     with torch.no_grad():
         out = model(phenotype_kwargs=_BUILD | build)
@@ -101,7 +93,6 @@ def make_body(**build: float) -> Body:
     rows = np.arange(len(vertices))[:, None]
     bones = model.vertex_bone_indices.numpy()
     np.add.at(dense, (rows, joint_of[bones]), model.vertex_bone_weights.double().numpy())
-    order, weights = strongest(dense, _INFLUENCES)
     rest = np.array([heads[labels.index(row[2])] for row in table])
     parents = [names.index(row[1]) if row[1] else -1 for row in table]
     tree = Skeleton(names, np.array(parents), rest)
@@ -109,11 +100,11 @@ def make_body(**build: float) -> Body:
     rest = (rest + rest[tree.mirror()] * [-1, 1, 1]) / 2
     floor = np.array([0.0, vertices[:, 1].min(), 0.0])
     floor[2] = rest[0, 2]
-    skinning = Skinning(
+    skinning = Skinning.from_dense(
         (vertices - floor).astype(np.float32),
-        order,
-        weights.astype(np.float32),
+        (dense / dense.sum(axis=1, keepdims=True)).astype(np.float32),
         np.eye(3, 4, dtype=np.float32)[None, None].repeat(len(names), axis=1),
+        influences=_INFLUENCES,
         faces=np.asarray(model.faces.numpy(), dtype=np.int32),
         bone_names=names,
         name="body",
@@ -125,14 +116,7 @@ def _y_up(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([points[:, 0], points[:, 2], -points[:, 1]], axis=1)
 
 
-def main() -> None:
-    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    options.add_argument("file", type=Path, help="what is written, .npz")
-    options.add_argument("build", nargs="*", metavar="NAME=NUMBER")
-    given = options.parse_args()
-    pairs = (text.split("=", 1) for text in given.build)
-    save_body(make_body(**{name: float(value) for name, value in pairs}), given.file)
-
-
 if __name__ == "__main__":
-    main()
+    target, *build = sys.argv[1:]
+    pairs = (text.split("=", 1) for text in build)
+    save_body(make_body(**{name: float(value) for name, value in pairs}), Path(target))

@@ -27,8 +27,8 @@ from benchmarks.garment.scenes.cloth import Cloth, Solver
 from benchmarks.garment.scenes.cut import Cut, cut_garment
 from benchmarks.garment.scenes.dance.choreography import dance
 from benchmarks.garment.scenes.garments import Garment, follow
+from benchmarks.garment.scenes.motion import Motion
 from benchmarks.garment.scenes.simulator import simulate
-from garmentnet.data.motion import Motion
 from garmentnet.data.parameters import SimulationParameters
 from ssdr import MeshSequence
 

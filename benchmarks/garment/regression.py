@@ -28,7 +28,7 @@ from garmentnet.networks.gru import GRULinear
 from garmentnet.paper.bones import VirtualBones, apply_frame, remove_frame
 from garmentnet.paper.train import pose_reader
 from garmentnet.training.batches import Track, load_tracks
-from garmentnet.training.coefficients import CoefficientObjective
+from garmentnet.training.detail import CoefficientObjective
 from garmentnet.training.loop import fit
 from garmentnet.training.shapes import ShapeBasis
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
-import math
 import os
 import sys
 import time
@@ -21,23 +20,13 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 
 from benchmarks.garment.intervals import interval_cell, intervals
-from benchmarks.garment.matching import MotionMatching
 from benchmarks.garment.published import BASELINES, SANTESTEBAN, train_chen
 from benchmarks.garment.regression import Variant, train_regression
-from benchmarks.garment.rules import (
-    RawNetwork,
-    Rule,
-    Ruled,
-    inverse_distance,
-    nearest,
-    raw_parameters,
-)
+from benchmarks.garment.rules import Rule, Ruled, inverse_distance, nearest
 from benchmarks.garment.scenes.dataset import make_data_set, recorded_motions
 from benchmarks.garment.scenes.scene_file import load_data_set
 from garmentnet.cli.progress import progress_bar
@@ -48,12 +37,13 @@ from garmentnet.evaluation.methods import BonesThemselves, MeanDetail, Method, N
 from garmentnet.evaluation.reporting import RECORDED, group_of
 from garmentnet.evaluation.scores import evaluate
 from garmentnet.evaluation.tables import markdown
-from garmentnet.io.files import Progress, silent, write_file
+from garmentnet.io.files import Progress, silent
 from garmentnet.networks.checkpoint import Checkpoint, load_checkpoint
 from garmentnet.paper.bones import VirtualBones, parameter_roles, virtual_bones
 from garmentnet.paper.train import choose_clips, train, train_ensemble, with_mirrored
 from garmentnet.training.batches import load_tracks
 from ssdr.common.errors import InputError
+from ssdr.io.atomic import write_bytes
 
 # A few dances are enough to find the bones, so that these stay the same while a data set grows.
 _FEW = "bones.motions=dance-20[01]*"
@@ -61,7 +51,6 @@ _DRESSES = ("dress", "gown", "a_line")
 _TIGHT = ("t_shirt", "skirt", "trousers")
 # Sleeves follow the arms, which `rooted` does not read.
 _SLEEVES = {"gown": ("features.joints=[]",), "t_shirt": ("features.joints=[]",)}
-_SIZES = (8000, 16000, 32000, 64000, 128000, 256000, 512000, 1024000)
 _BONES = (20, 40, 80, 160, 320, 500)
 # Beginning of the names of the motions on which methods are tested.
 _TESTED = "dance-"
@@ -114,7 +103,7 @@ class Reproduction:
             raise InputError("only", f"of {', '.join(TABLES)}", repr(name))
         file = self.folder / f"{name}.md"
         if not file.is_file():
-            write_file(file, TABLES[name](self).encode())
+            write_bytes(file, TABLES[name](self).encode())
         return file.read_text("utf-8")
 
     def store(self, name: str) -> ClipStore:
@@ -182,10 +171,10 @@ class Reproduction:
             test = self.clips(store, config)[2] if test is None else test
             made = [*(make() for make in methods), MeanDetail(bones)]
             rows = evaluate(bones, made, test, progress=self.progress)
-            pooled = [dataclasses.replace(r, clips=()).as_dict() for r in rows]
+            pooled = [dataclasses.asdict(dataclasses.replace(r, clips=())) for r in rows]
             record = {"rows": pooled, **intervals(rows, rows[0].name)}
             file.parent.mkdir(parents=True, exist_ok=True)
-            write_file(file, json.dumps(record, indent=1).encode())
+            write_bytes(file, json.dumps(record, indent=1).encode())
         return dict(json.loads(file.read_text("utf-8")))
 
     def baselines(
@@ -231,7 +220,7 @@ class Reproduction:
             wall, used = hours.get(name, (0.0, 0.0))
             wall += (time.perf_counter() - began) / 3600
             used += (time.process_time() - cpu) / 3600
-            write_file(file, json.dumps(hours | {name: (wall, used)}, indent=1).encode())
+            write_bytes(file, json.dumps(hours | {name: (wall, used)}, indent=1).encode())
 
 
 def _text(record: dict[str, Any], part: str) -> str:
@@ -276,7 +265,6 @@ def _dress(run: Reproduction, store: str) -> str:
         ),
         run.method(store, "body motion", override(rooted, ["high.source=body"])),
         run.method(store, "no local stream", override(paper, ["high.local=false"])),
-        lambda: MotionMatching(run.bones(store, rooted), learned, rooted.features),
         lambda: MeanShape(run.bones(store, rooted), learned),
         run.bound(store, rooted),
     ]
@@ -325,49 +313,18 @@ def _table4(run: Reproduction) -> str:
     sets = sum(role == "train" for role in roles.values())
     short = override(large, [f"train.epochs={max(1, config.train.epochs // sets)}"])
 
-    def raw(name: str, config: Config) -> Callable[[], Method]:
-        def made() -> Method:
-            with raw_parameters():
-                return RawNetwork(name, run.network("parameters", name, config))
-
-        return made
-
     methods = [
         pivots("pivots, RBF"),
         pivots("pivots, inverse distance", inverse_distance),
         pivots("pivots, nearest", nearest),
         run.method("parameters", "large network", large),
         run.method("parameters", "large network, steps of a pivot", short),
-        raw("large network, raw parameters", large),
-        raw("large network, raw parameters, steps of a pivot", short),
     ]
     tests = [c for c in store.clips("test") if c.motion.startswith(_TESTED)]
     unseen = [c.name for c in tests if roles[c.parameters] == "test"]
     record = run.scores("parameters", "table4", config, methods, unseen)
     parts = (_text(record, part) for part in ("low", "high", "overall"))
     return "## unseen parameters\n\n" + "\n\n".join(parts) + "\n"
-
-
-def _curve(run: Reproduction) -> str:
-    """Error by number of training frames, with the exponent of the power law fitted to it."""
-    everything = run.clips("large", run.config("rooted"))[0]
-    total = sum(run.store("large").clip(n).n_frames for n in everything) / 2
-    rows = []
-    for size in (s for s in _SIZES if s < 1.1 * total):
-        # Steps grow with the square root of the frames.
-        epochs = max(3, round(12 * math.sqrt(64000 / size)))
-        config = run.config("rooted", f"data.frames={size}", f"train.epochs={epochs}")
-        config = override(config, ["train.high_epochs=0", "train.patience=1000"])
-        name = f"curve-{size}"
-        record = run.scores("large", f"scores-{size}", config, [run.method("large", name, config)])
-        history = json.loads((run.folder / "large" / name / "history.json").read_text("utf-8"))
-        last = history["low"][-1]
-        low = record["rows"][0]["free"]["low"]["rmse"]
-        rows.append((size, epochs, 1e3 * last["trained"], 1e3 * last["rmse"], low))
-    slope = np.polyfit(np.log([r[0] for r in rows]), np.log([r[4] for r in rows]), 1)[0]
-    head = ["frames", "epochs", "training", "validation", "test"]
-    lines = [[f"{r[0]:,}", f"{r[1]}", *(f"{x:.2f}" for x in r[2:])] for r in rows]
-    return f"{markdown(head, lines)}\n\nRMSE ~ frames^{slope:.3f}\n"
 
 
 def _bones(run: Reproduction) -> str:
@@ -426,7 +383,6 @@ def _left_out(run: Reproduction, name: str, recorded: str, test: list[str]) -> d
 
 
 TABLES: dict[str, Callable[[Reproduction], str]] = {
-    "curve": _curve,
     "table2": _table2,
     "table3": _table3,
     "table4": _table4,

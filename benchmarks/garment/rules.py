@@ -1,22 +1,16 @@
-"""Other uses of simulation parameters: pivots mixed by a formula, a network that reads them raw."""
+"""Pivots mixed by a formula of the simulation parameters."""
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
-from unittest import mock
 
 import numpy as np
 from numpy.typing import NDArray
 
-from garmentnet.data.clip import Clip
-from garmentnet.data.parameters import SimulationParameters
-from garmentnet.evaluation.methods import Network
-from garmentnet.paper.bones import VirtualBones
 from garmentnet.paper.ensemble import Kernel
 
-__all__ = ["RawNetwork", "Rule", "Ruled", "inverse_distance", "nearest", "raw_parameters"]
+__all__ = ["Rule", "Ruled", "inverse_distance", "nearest"]
 
 Array = NDArray[np.float64]
 # Weights (K,) of pivots (K, P) at parameters (P,), all normalised.
@@ -60,35 +54,3 @@ def nearest(pivots: Any, theta: Any) -> Array:
     """
     gap = np.linalg.norm(np.asarray(pivots, float) - np.asarray(theta, float), axis=1)
     return np.asarray(np.arange(len(gap)) == gap.argmin(), float)
-
-
-@contextlib.contextmanager
-def raw_parameters() -> Iterator[None]:
-    """Context in which networks read bending, density and time scale in SI units, unscaled.
-
-    Examples
-    --------
-    >>> with raw_parameters():
-    ...     SimulationParameters(bending=0.5).normalised().tolist()
-    [0.0005, 0.2, 1.0]
-    """
-
-    def raw(parameters: SimulationParameters) -> Array:
-        return np.array([1e-3 * parameters.bending, parameters.density, parameters.time_scale])
-
-    with mock.patch.object(SimulationParameters, "normalised", raw):
-        yield
-
-
-class RawNetwork(Network):
-    """Prediction by a checkpoint that was trained with :func:`raw_parameters`."""
-
-    def predict(self, clip: Clip) -> NDArray[np.float32]:
-        with raw_parameters():
-            return super().predict(clip)
-
-    def split(
-        self, clip: Clip, bones: VirtualBones
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        with raw_parameters():
-            return super().split(clip, bones)

@@ -9,54 +9,28 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from benchmarks.garment.scenes.dataset import make_data_set, recorded_motions
 from benchmarks.garment.scenes.scene_file import load_data_set
 from garmentnet.cli.learning import output_folder
-from garmentnet.cli.progress import aligned, progress_bar
+from garmentnet.cli.progress import progress_bar
 from garmentnet.data.clip import Clip
 from garmentnet.data.store import ClipStore
 
-_HEAD = (
-    *("set", "clips", "rejected", "frames"),
-    *("stretch p50", "p99", "max", "inside %", "worst frame %", "depth mm"),
-)
-# What a clip's quality holds, how it is summed up over clips, and its unit and digits.
-_FIGURES: tuple[tuple[str, Any, float, int], ...] = (
-    ("stretch_p50", np.median, 1, 3),
-    ("stretch_p99", max, 1, 3),
-    ("stretch_max", max, 1, 2),
-    ("inside_fraction", np.mean, 100, 3),
-    ("inside_worst_frame", max, 100, 2),
-    ("depth_max", max, 1e3, 1),
-)
 
-
-def quality_rows(store: ClipStore) -> list[Sequence[str]]:
-    """Quality of the clips, one row for each parameter set.
-
-    Medians and means over its clips for ``stretch p50`` and ``inside %``, the worst clip otherwise.
-    """
+def counts(store: ClipStore) -> list[str]:
+    """For each parameter set how many clips and frames it has, and how many the gate refused."""
     groups: dict[str, list[Clip]] = {}
     for clip in store.clips(accepted=None, perturbed=None):
         groups.setdefault(str(clip.provenance.get("parameter_set", "?")), []).append(clip)
-    rows: list[Sequence[str]] = [_HEAD]
-    for name, clips in groups.items():
-        good = [c.quality for c in clips if c.accepted]
-        counts = len(clips), len(clips) - len(good), sum(c.n_frames for c in clips)
-        figures = (
-            f"{unit * over([q[key] for q in good]):.{digits}f}" if good else "-"
-            for key, over, unit, digits in _FIGURES
-        )
-        rows.append([name, *map(str, counts), *figures])
-    return rows
+    return [
+        f"{name}: {len(clips)} clips, {sum(c.n_frames for c in clips)} frames, "
+        f"{sum(not c.accepted for c in clips)} refused"
+        for name, clips in groups.items()
+    ]
 
 
 def main() -> None:
@@ -77,9 +51,9 @@ def main() -> None:
         store = make_data_set(
             data_set, target, recorded=recorded, workers=given.workers, progress=show
         )
-    print(aligned(quality_rows(store)))
+    print(*counts(store), sep="\n")
     for clip in store.clips(accepted=False, perturbed=None):
-        print(f"rejected {clip.name}: {clip.quality['reason']}")
+        print(f"refused {clip.name}: {clip.quality['reason']}")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """A garment on an animated armature in Blender, predicted frame by frame from its ONNX file.
 
     garmentnet export dress -o dress.onnx
-    garmentnet export dress -o dress.glb --motion MOTION.bvh
+    garmentnet predict dress walk.npz -o dress.glb
     blender -b --python docs/examples/blender_live.py -- dress.onnx dress.glb live.npz
 
 The .glb brings an armature whose bones are named as the body's joints; any other with those names

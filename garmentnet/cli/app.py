@@ -14,9 +14,8 @@ import typer
 from ssdr.cli.output import Output
 from ssdr.cli.shell import run_app
 
-from .exporting import export
 from .importing import import_clips
-from .learning import demo, evaluate, predict, train
+from .learning import demo, evaluate, export, predict, train
 from .models import models
 
 app = typer.Typer(
@@ -26,10 +25,7 @@ app = typer.Typer(
 )
 
 
-_COMMANDS = (
-    train, evaluate, predict, export, demo, models
-)  # fmt: skip
-for _command in _COMMANDS:
+for _command in (train, evaluate, predict, export, demo, models):
     app.command()(_command)
 app.command("import")(import_clips)
 

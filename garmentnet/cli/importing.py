@@ -11,6 +11,8 @@ import typer
 from ssdr.common.errors import InputError
 from ssdr.mesh.surface import Up
 
+from .learning import Parameters, entered_parameters
+
 
 def import_clips(
     output: Annotated[Path, typer.Option("--output", "-o", help="Store of clips, new or not.")],
@@ -23,9 +25,7 @@ def import_clips(
         typer.Option("--rig", "-r", help="Its skeleton, as .fbx, .glb or .usd; one per cloth."),
     ] = None,
     fps: Annotated[float | None, typer.Option(help="Frames a second of the store.")] = None,
-    parameters: Annotated[
-        str, typer.Option(help="Of the simulation: bending=0.5,density=0.2,time_scale=1.")
-    ] = "",
+    parameters: Parameters = "",
     test: Annotated[
         list[str] | None,
         typer.Option(help="Clip for testing; else the last tenth of each. Repeatable."),
@@ -53,7 +53,7 @@ def import_clips(
     from ..data.parameters import SimulationParameters
     from ..importing.importing import ImportOptions, import_clips
     from ..importing.scene_files import Source
-    from ..io.tables import from_table, parse_toml
+    from ..io.tables import from_table
 
     def say(text: str) -> None:
         typer.echo(text, err=True)
@@ -65,7 +65,7 @@ def import_clips(
         rigs *= len(cloths)
     if len(cloths) != len(rigs):
         raise InputError("--rig", f"one file, or as many as cloths: {len(cloths)}", len(rigs))
-    table = parse_toml(parameters.replace(",", "\n"), "--parameters")
+    table = entered_parameters(parameters)
     options = ImportOptions(
         fps=fps,
         offset=offset,
@@ -75,14 +75,8 @@ def import_clips(
         test=test or (),
         validation=validation or (),
     )
-    store = import_clips(
-        list(zip(cloths, rigs, strict=True)),
-        output,
-        options,
-        rest=rest,
-        say=say,
-    )
-    typer.echo(str(store.path))
+    pairs = list(zip(cloths, rigs, strict=True))
+    typer.echo(str(import_clips(pairs, output, options, rest=rest, say=say).path))
 
 
 def _files(option: str, words: list[str]) -> list[Path]:

@@ -1,10 +1,10 @@
-"""The commands ``garmentnet train, evaluate, predict, demo``."""
+"""The commands ``garmentnet train, evaluate, predict, export, demo``."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -19,12 +19,16 @@ Settings = Annotated[
 ]
 
 
-def entered_parameters(
-    bending: float | None, density: float | None, time_scale: float | None
-) -> dict[str, float]:
-    """Simulation parameters that were given as options, by name."""
-    options = {"bending": bending, "density": density, "time_scale": time_scale}
-    return {name: value for name, value in options.items() if value is not None}
+Parameters = Annotated[
+    str, typer.Option(help="Of the simulation: bending=0.5,density=0.2,time_scale=1.")
+]
+
+
+def entered_parameters(text: str) -> dict[str, Any]:
+    """Simulation parameters that were given as an option, by name."""
+    from ..io.tables import parse_toml
+
+    return parse_toml(text.replace(",", "\n"), "--parameters")
 
 
 def output_folder() -> Path:
@@ -33,12 +37,10 @@ def output_folder() -> Path:
 
 
 def train(
+    store: Annotated[Path, typer.Option("--store", "-s", help="Folder of clips.")],
     config: Annotated[
         str, typer.Argument(metavar="CONFIG", help="A .toml, or a preset: faithful, rooted, tiny.")
     ] = "faithful",
-    store: Annotated[
-        Path | None, typer.Option("--store", "-s", help="Folder of clips; else data.store.")
-    ] = None,
     output: Folder = None,
     ensemble: Annotated[
         bool, typer.Option("--ensemble", help="A network for every training set, and the kernel.")
@@ -58,10 +60,7 @@ def train(
     from ..paper.train import train_ensemble
 
     chosen = override(load_config(config), settings or ())
-    source = store or (Path(chosen.data.store) if chosen.data.store else None)
-    if source is None:
-        raise InputError("--store", "a folder of clips, here or as data.store", "nothing")
-    clips = ClipStore.open(source)
+    clips = ClipStore.open(store)
     stem = Path(config).stem + ("-ensemble" if ensemble else "") + f"-seed{chosen.train.seed}"
     folder = output or output_folder() / "runs" / stem
     begun = load_checkpoint(start) if start else None
@@ -111,21 +110,20 @@ def evaluate(
 def predict(
     checkpoint: Annotated[Path, typer.Argument(metavar="CHECKPOINT")],
     motion: Annotated[
-        Path, typer.Argument(metavar="MOTION", help=".bvh, .glb, .fbx, .usd, .npz or a clip.")
+        Path, typer.Argument(metavar="MOTION", help=".glb, .fbx, .usd, .npz or a clip.")
     ],
     output: Annotated[
         list[Path],
         typer.Option("--output", "-o", help="out.{html,mp4,gif,png,glb,usda,pc2,npz}; repeatable."),
     ],
-    bending: Annotated[float | None, typer.Option(help="Bending stiffness.")] = None,
-    density: Annotated[float | None, typer.Option(help="kg/m².")] = None,
-    time_scale: Annotated[float | None, typer.Option(help="Seconds of cloth per second.")] = None,
+    parameters: Parameters = "",
     detail: Annotated[bool, typer.Option(help="Run the high-frequency module.")] = True,
     truth: Annotated[
         bool, typer.Option(help="Show a clip's own cloth beside the prediction.")
     ] = True,
     error: Annotated[bool, typer.Option(help="Show the error in films of a clip, too.")] = False,
     every: Annotated[int, typer.Option(help="Every n-th frame alone in films.")] = 1,
+    shapes: Annotated[int, typer.Option(help="Of a .glb: morph targets, at most.")] = 8,
     push_out: Annotated[
         bool, typer.Option(help="Move vertices that lie inside the body out of it.")
     ] = True,
@@ -141,13 +139,12 @@ def predict(
     for path in output:
         check_output(path)
     model = load_checkpoint(checkpoint)
-    entered = entered_parameters(bending, density, time_scale)
-    parameters = chosen_parameters(model, entered)
+    chosen = chosen_parameters(model, entered_parameters(parameters))
     joints, clip = read_motion(motion, model.subject)
     if not truth:
         clip = None
-    result = run(model, joints, parameters, detail=detail, push_out=push_out, name=motion.stem)
-    shown = parameters or model.parameters[0]
+    result = run(model, joints, chosen, detail=detail, push_out=push_out, name=motion.stem)
+    shown = chosen or model.parameters[0]
     of = f" of {shown}" if shown else ""
     typer.echo(f"{len(joints)} frames{of}", err=True)
     if clip is not None and shown is not None and clip.parameters != shown:
@@ -164,20 +161,44 @@ def predict(
     for path in output:
         with progress_bar() as show:
             text = save_prediction(
-                result,
-                path,
-                truth=clip,
-                error=error,
-                every=every,
-                progress=show,
+                result, path, truth=clip, error=error, every=every, shapes=shapes, progress=show
             )
         typer.echo(f"{path}: {text}")
 
 
+def export(
+    model: Annotated[Path, typer.Argument(metavar="MODEL", help="Checkpoint, or dress.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="dress.onnx")],
+    bits: Annotated[int, typer.Option(help="Of stored weights, 32 or 16.")] = 32,
+) -> None:
+    """Write a garment for engines as an .onnx that predicts; predict writes a .glb that plays."""
+    from ..networks.checkpoint import load_checkpoint
+    from ..runtime.onnx_file import export_onnx
+
+    if output.suffix.lower() != ".onnx":
+        raise InputError("--output", "a file .onnx", str(output))
+    path = export_onnx(load_checkpoint(model), output, bits=bits)
+    typer.echo(f"{path}: {path.stat().st_size / 1e6:.1f} MB, {bits}-bit weights")
+
+
 def demo(output: Folder = None) -> None:
     """Dress a dance with the garment that ships: pictures, film and meshes within a minute."""
-    from .demo import run_demo
+    from ..data.parameters import SimulationParameters
+    from ..io.tensors import SHIPPED
+    from ..networks.checkpoint import load_checkpoint
+    from ..prediction.motion_file import read_motion
+    from ..prediction.output import save_prediction
+    from ..prediction.prediction import predict as run
 
+    folder = output or output_folder() / "demo"
+    folder.mkdir(parents=True, exist_ok=True)
     with progress_bar() as show:
-        files = run_demo(output or output_folder() / "demo", progress=show)
+        show("predicting", 0.0)
+        checkpoint = load_checkpoint("dress")
+        # Four seconds of a generated dance: sway, spin, kick, walk.
+        joints, _ = read_motion(SHIPPED / "dance.npz", checkpoint.subject)
+        result = run(checkpoint, joints, SimulationParameters(), name="dress")
+        files = [folder / f"dress.{suffix}" for suffix in ("png", "npz", "webp", "glb")]
+        for path in files:
+            save_prediction(result, path, size=360, every=2, progress=show)
     typer.echo("\n".join(map(str, files)))

@@ -33,19 +33,14 @@ def models(
 
 
 def _row(path: Path) -> tuple[str, ...]:
-    from ssdr.io.file_errors import reading
-
-    from ..io.tensors import load_arrays
-    from ..networks.document import read_document
+    from ..networks.checkpoint import load_checkpoint
 
     size = f"{path.stat().st_size / 1e6:.1f}"
     try:
-        arrays, document = load_arrays(path, "checkpoint")
-        with reading(path):
-            d, subject = read_document(arrays, document)
-            reads = ["pose"] + ["parameters"] * d.reads_parameters
-            errors = [f"{k} {1e3 * v:.1f} mm" for k, v in d.errors.items()]
+        found = load_checkpoint(path)
     except FormatError as error:
         return "", "", "", size, str(error).removeprefix(f"{path}: ")
-    g = subject.garment
+    reads = ["pose"] + ["parameters"] * found.reads_parameters
+    errors = [f"{k} {1e3 * v:.1f} mm" for k, v in found.errors.items()]
+    g = found.subject.garment
     return str(g.n_vertices), str(g.n_bones), ", ".join(reads), size, ", ".join(errors) or "unknown"

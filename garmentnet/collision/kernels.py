@@ -22,6 +22,8 @@ import numpy as np
 from ssdr.kernels.closest import gap_to_box, push_children
 from ssdr.kernels.policy import inline, kernel
 
+from .crossing_kernels import normal_of
+
 
 @inline
 def closest(px, py, pz, corners, i):
@@ -132,10 +134,15 @@ def winding(px, py, pz, scene):
 
 
 @inline
-def _nearest(px, py, pz, limit, scene, nodes, gaps):
-    """Squared distance to the mesh, or `limit`, squared, if nothing is nearer."""
+def nearest_facing(px, py, pz, limit, gx, gy, gz, cosine, scene, nodes, gaps):
+    """Squared distance to the mesh, its closest point and the normal there.
+
+    Triangles count whose normal has more than the given cosine with (gx, gy, gz).  The distance is
+    `limit`, squared, if there is none nearer.
+    """
     corners, depth, boxes = scene
-    count, base, best = len(corners), (1 << depth) - 1, limit
+    count, base = len(corners), (1 << depth) - 1
+    best, cx, cy, cz, fx, fy, fz = limit, px, py, pz, 0.0, 0.0, 0.0
     nodes[0], gaps[0], top = 0, gap_to_box(px, py, pz, boxes, 0), 1
     while top > 0:
         top -= 1
@@ -145,13 +152,19 @@ def _nearest(px, py, pz, limit, scene, nodes, gaps):
         if node >= base:
             j = node - base
             for t in range((count * j) >> depth, (count * (j + 1)) >> depth):
-                d, _, _, _ = closest(px, py, pz, corners, t)
-                best = min(best, d)
+                nx, ny, nz = normal_of(corners, t)
+                size = np.sqrt(nx * nx + ny * ny + nz * nz)
+                if nx * gx + ny * gy + nz * gz <= cosine * size:
+                    continue
+                d, x, y, z = closest(px, py, pz, corners, t)
+                if d < best:
+                    best, cx, cy, cz = d, x, y, z
+                    fx, fy, fz = nx / size, ny / size, nz / size
             continue
         left = gap_to_box(px, py, pz, boxes, 2 * node + 1)
         right = gap_to_box(px, py, pz, boxes, 2 * node + 2)
         top = push_children(node, left, right, best, nodes, gaps, top)
-    return best
+    return best, cx, cy, cz, fx, fy, fz
 
 
 @kernel
@@ -168,7 +181,8 @@ def signed_distances(points: Any, scene: Any, limit: float, out: Any) -> None:
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
         inside = winding(px, py, pz, scene) > 0
         most = np.inf if inside else limit * limit
-        d = _nearest(px, py, pz, most, scene, nodes, gaps)
+        found = nearest_facing(px, py, pz, most, 0.0, 0.0, 0.0, -1.0, scene, nodes, gaps)
+        d = found[0]
         out[i] = -np.sqrt(d) if inside else np.sqrt(d) if d < most else np.inf
 
 

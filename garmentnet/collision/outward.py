@@ -9,18 +9,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ssdr import Skinning
-from ssdr.common.checks import check_faces, check_mask, check_whole
-from ssdr.common.errors import InputError, is_real
+from ssdr.common.checks import check_faces, check_mask
+from ssdr.common.errors import InputError
 from ssdr.common.parallel import chunk_bounds, run_chunks
 
 from ..data.outfit import neighbours
 from ..data.subject import Subject
-from .body_tree import CLOSED, BodyTree, Scene, check_frames, is_closed, tree_of
+from .body_tree import CLOSED, BodyTree, check_frames, is_closed, tree_of
 from .crossings import DEEP
 from .outward_kernels import push_outward
 
 # Distance from the skin, metres, which the simulated cloth of the data sets keeps, too.
-MARGIN = 4e-3
+_MARGIN = 4e-3
+_SWEEPS = 8  # edges over which a displacement spreads
+_ROUNDS = 8  # most repetitions
 _FRAMES = 8  # of a chunk
 # The farthest skin to which a vertex is moved, metres: more than half a thigh.
 _REACH = 0.12
@@ -73,14 +75,8 @@ class OutwardPush:
         Triangles of the garment, which face outwards, too.
     rest : (V, 3) array
         The garment in some pose, in which neighbouring triangles are found.
-    margin : float
-        Height above the skin, metres, to which vertices are moved.
     pinned : (V,) bool array, optional
         Vertices that stay where they are; none by default.
-    sweeps : int
-        Number of edges over which a displacement spreads.
-    rounds : int
-        Most repetitions.
 
     Raises
     ------
@@ -99,7 +95,7 @@ class OutwardPush:
     ... )
     >>> sheet = np.array([[[-2, 0, -0.02], [2, -2, -0.02], [2, 2, -0.02], [0, 0, -0.05]]])
     >>> faces = [[0, 1, 3], [1, 2, 3], [2, 0, 3]]
-    >>> out = OutwardPush(body, faces, sheet[0], sweeps=0)(sheet, body.transforms)
+    >>> out = OutwardPush(body, faces, sheet[0])(sheet, body.transforms)
     >>> bool(out.vertices[0, 3, 2] > 0)
     True
     """
@@ -110,23 +106,14 @@ class OutwardPush:
         faces: ArrayLike,
         rest: ArrayLike,
         *,
-        margin: float = MARGIN,
         pinned: ArrayLike | None = None,
-        sweeps: int = 8,
-        rounds: int = 8,
     ) -> None:
         shape = np.asarray(rest, np.float64)
-        if not is_real(margin) or margin <= 0:
-            raise InputError("margin", "a positive number of metres", repr(margin))
         if not is_closed(body.faces):
             raise InputError("body", CLOSED, "an open one")
-        self.n_vertices, self._tree, self.margin = len(shape), BodyTree(body), float(margin)
+        self.n_vertices, self._tree = len(shape), BodyTree(body)
         fixed = check_mask(pinned, "pinned", len(shape))
         self.fixed = np.zeros(len(shape), bool) if fixed is None else fixed
-        self.sweeps, self.rounds = (
-            check_whole(sweeps, "sweeps", 0),
-            check_whole(rounds, "rounds", 1),
-        )
         every = np.ascontiguousarray(check_faces(faces, self.n_vertices), np.int32)
         movable = every[~self.fixed[every].all(axis=1)]
         if not len(movable):
@@ -174,15 +161,12 @@ class OutwardPush:
         def push(_: int, start: int, stop: int) -> None:
             for t, scene in enumerate(self._tree.scenes(m[start:stop]), start):
                 points = np.array(v[t], np.float64, order="C")
-                self._push(points, scene)
+                push_outward(points, self._garment, scene, _MARGIN, _REACH, _SWEEPS, _ROUNDS)
                 out[t] = points
                 distance[t] = np.sqrt(((points - v[t]) ** 2).sum(axis=1))
 
         run_chunks(push, chunk_bounds(len(v), _FRAMES))
         return PushedOut(out, distance)
-
-    def _push(self, points: NDArray[np.float64], scene: Scene) -> None:
-        push_outward(points, self._garment, scene, self.margin, _REACH, self.sweeps, self.rounds)
 
 
 def push_of(subject: Subject) -> OutwardPush | None:

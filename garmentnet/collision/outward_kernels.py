@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from ssdr.kernels.closest import gap_to_box, push_children
 from ssdr.kernels.policy import inline, kernel
 
 from .crossing_kernels import (
@@ -23,7 +22,7 @@ from .crossing_kernels import (
     normal_of,
     straddles,
 )
-from .kernels import closest, spread, winding
+from .kernels import nearest_facing, spread, winding
 
 # Cosine of the angle to the cloth's normal from which skin faces the way out.
 _FACING = 0.4
@@ -36,39 +35,6 @@ _NEARER = 5.0
 # limbs that overlap; more would only move the cloth about.
 _PATIENCE = 4
 _PAIRS = 8192  # pairs of leaves that are looked at in a round; more than any garment had
-
-
-@inline
-def _skin_that_faces(px, py, pz, limit, gx, gy, gz, scene, nodes, gaps):
-    """Nearest point of the skin that faces (gx, gy, gz), with its normal and squared distance.
-
-    The distance is `limit`, squared, if there is none nearer.
-    """
-    corners, depth, boxes = scene
-    count, base = len(corners), (1 << depth) - 1
-    best, cx, cy, cz, fx, fy, fz = limit, px, py, pz, 0.0, 0.0, 0.0
-    nodes[0], gaps[0], top = 0, gap_to_box(px, py, pz, boxes, 0), 1
-    while top > 0:
-        top -= 1
-        if gaps[top] >= best:
-            continue
-        node = nodes[top]
-        if node >= base:
-            j = node - base
-            for t in range((count * j) >> depth, (count * (j + 1)) >> depth):
-                nx, ny, nz = normal_of(corners, t)
-                size = np.sqrt(nx * nx + ny * ny + nz * nz)
-                if nx * gx + ny * gy + nz * gz <= _FACING * size:
-                    continue
-                d, x, y, z = closest(px, py, pz, corners, t)
-                if d < best:
-                    best, cx, cy, cz = d, x, y, z
-                    fx, fy, fz = nx / size, ny / size, nz / size
-            continue
-        left = gap_to_box(px, py, pz, boxes, 2 * node + 1)
-        right = gap_to_box(px, py, pz, boxes, 2 * node + 2)
-        top = push_children(node, left, right, best, nodes, gaps, top)
-    return best, cx, cy, cz, fx, fy, fz
 
 
 @inline
@@ -240,12 +206,12 @@ def push_outward(
                 x, y, z = points[u, 0] - px, points[u, 1] - py, points[u, 2] - pz
                 if x * gx + y * gy + z * gz <= _BEFORE * np.sqrt(x * x + y * y + z * z):
                     continue
-            d, x, y, z, nx, ny, nz = _skin_that_faces(
-                px, py, pz, reach * reach, gx, gy, gz, scene, nodes, gaps
+            d, x, y, z, nx, ny, nz = nearest_facing(
+                px, py, pz, reach * reach, gx, gy, gz, _FACING, scene, nodes, gaps
             )
             limit = d / _NEARER**2
-            e, ex, ey, ez, mx, my, mz = _skin_that_faces(
-                px, py, pz, limit, -gx, -gy, -gz, scene, nodes, gaps
+            e, ex, ey, ez, mx, my, mz = nearest_facing(
+                px, py, pz, limit, -gx, -gy, -gz, _FACING, scene, nodes, gaps
             )
             if e < limit:
                 d, x, y, z, nx, ny, nz = e, ex, ey, ez, mx, my, mz

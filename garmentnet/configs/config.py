@@ -7,27 +7,32 @@ other file holds only the settings that differ.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+from msgspec import Meta
 
 from ssdr.common.errors import FormatError, InputError
 
 from ..io.tables import from_table, parse_toml, read_toml
 
 _PRESETS = Path(__file__).parent
+# Ranges, which are checked where a file or a checkpoint is read.
+Count = Annotated[int, Meta(ge=1)]
+Number = Annotated[int, Meta(ge=0)]
+Amount = Annotated[float, Meta(ge=0, le=1e9)]  # finite
+Share = Annotated[float, Meta(ge=0, lt=1)]
 
 
 @dataclasses.dataclass(frozen=True)
 class DataOptions:
     """Choice of the clips on which a network is trained."""
 
-    store: str = ""
     parameters: str = ""
     motions: str = ""
     leave_out: str = ""
-    frames: int = 0
+    frames: Number = 0
     mirror: bool = True
     condition: bool = False
 
@@ -36,13 +41,13 @@ class DataOptions:
 class BoneOptions:
     """Settings of the virtual bones and of the split by frequency; `length` is in metres."""
 
-    length: float = 0.02
-    count: int = 80
-    influences: int = 8
+    length: Amount = 0.02
+    count: Count = 80
+    influences: Count = 8
     effort: Literal["fast", "balanced", "best"] = "balanced"
-    frames: int = 1000
+    frames: Count = 1000
     motions: str = ""
-    seed: int = 0
+    seed: Number = 0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,8 +60,8 @@ class FeatureOptions:
     translation: bool = True
     velocities: bool = False
     root_motion: bool = False
-    floor: float = 0.001
-    clamp: float = 0.0
+    floor: Amount = 0.001
+    clamp: Amount = 0.0
     frame: Literal["world", "root", "heading"] = "root"
 
 
@@ -64,11 +69,11 @@ class FeatureOptions:
 class LowOptions:
     """Settings of the low-frequency module."""
 
-    hidden: int = 600
+    hidden: Count = 600
     rotation: Literal["euler", "sixd"] = "euler"
     relative_to: Literal["frame", "joints"] = "frame"
-    laplacian: float = 1.0
-    dropout: float = 0.0
+    laplacian: Amount = 1.0
+    dropout: Share = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,50 +81,49 @@ class HighOptions:
     """Settings of the high-frequency module."""
 
     kind: Literal["vertices", "basis"] = "vertices"
-    hidden: int = 600
+    hidden: Count = 600
     source: Literal["bones", "body"] = "bones"
     target: Literal["detail", "residual"] = "residual"
-    rank: int = 64
+    rank: Count = 64
     local: bool = True
-    global_features: int = 10
-    edge_features: tuple[int, ...] = (8, 16)
-    mlp: tuple[int, ...] = ()
+    global_features: Count = 10
+    edge_features: tuple[Count, ...] = (8, 16)
+    mlp: tuple[Count, ...] = ()
     activation: Literal["relu", "prelu"] = "prelu"
     batch_norm: bool = True
-    dropout: float = 0.5
-    edge_dropout: float = 0.8
-    collision: float = 0.1
-    frames: int = 4
+    dropout: Share = 0.5
+    edge_dropout: Share = 0.8
+    collision: Amount = 0.1
+    frames: Count = 4
 
 
 @dataclasses.dataclass(frozen=True)
 class TrainOptions:
     """Settings of the training loop."""
 
-    seed: int = 0
-    batch: int = 8
-    window: int = 30
-    learning_rate: float = 1e-3
-    high_learning_rate: float = 1e-3
-    weight_decay: float = 0.0
-    gradient_norm: float = 1.0
-    epochs: int = 48
-    high_epochs: int = 12
-    validate_every: int = 2
-    patience: int = 10
-    threads: int = 0
+    seed: Number = 0
+    batch: Count = 8
+    window: Count = 30
+    learning_rate: Amount = 1e-3
+    high_learning_rate: Amount = 1e-3
+    weight_decay: Amount = 0.0
+    gradient_norm: Amount = 1.0
+    epochs: Count = 48
+    high_epochs: Number = 12
+    validate_every: Count = 2
+    patience: Count = 10
+    threads: Number = 0
     precision: Literal["single", "bfloat16", "auto"] = "auto"
     device: str = "auto"
-    tensorboard: bool = True
 
 
 @dataclasses.dataclass(frozen=True)
 class EnsembleOptions:
     """Settings of the pivots and of the kernel that mixes them."""
 
-    pivots: int = 0
-    frames: int = 60
-    steps: int = 600
+    pivots: Number = 0
+    frames: Count = 60
+    steps: Count = 600
 
 
 @dataclasses.dataclass(frozen=True)
@@ -129,7 +133,7 @@ class Config:
     Raises
     ------
     InputError
-        If a number is out of its range.
+        If the detail by components has a weight of collisions.
 
     Examples
     --------
@@ -146,26 +150,9 @@ class Config:
     ensemble: EnsembleOptions = EnsembleOptions()
 
     def __post_init__(self) -> None:
-        for section in dataclasses.fields(self):
-            part = getattr(self, section.name)
-            for field in dataclasses.fields(part):
-                value = getattr(part, field.name)
-                name = f"{section.name}.{field.name}"
-                if isinstance(value, float) and not (math.isfinite(value) and value >= 0):
-                    raise InputError(name, "a number >= 0", value)
-                if "dropout" in field.name and value >= 1:
-                    raise InputError(name, "a fraction below 1", value)
-                low = 0 if field.name in _ZERO or name == "data.frames" else 1
-                for number in value if isinstance(value, tuple) else (value,):
-                    if type(number) is int and number < low:
-                        raise InputError(name, f"an integer >= {low}", number)
         if self.high.kind == "basis" and self.high.collision:
             expected = 'collision = 0 where kind = "basis", which computes no mesh in training'
             raise InputError("high.collision", expected, self.high.collision)
-
-
-# Integers that may be 0; all others are at least 1.
-_ZERO = ("seed", "threads", "pivots", "high_epochs")
 
 
 def preset_names() -> list[str]:
@@ -185,9 +172,9 @@ def load_config(path: Path | str) -> Config:
     Raises
     ------
     InputError
-        If there is neither such a file nor such a preset, or a number is out of range.
+        If there is neither such a file nor such a preset.
     FormatError
-        If the file is not TOML or a setting is unknown or of the wrong type.
+        If the file is not TOML, or a setting is unknown, of the wrong type or out of its range.
 
     Examples
     --------
@@ -207,7 +194,7 @@ def override(config: Config, changes: Sequence[str]) -> Config:
     Raises
     ------
     FormatError
-        If a change cannot be read, or the setting is unknown or of another type.
+        If a change cannot be read, or the setting is unknown, of another type or out of its range.
 
     Examples
     --------

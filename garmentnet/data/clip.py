@@ -11,30 +11,32 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ssdr.common.errors import FormatError, InputError
-from ssdr.io.file_errors import reading
+from ssdr.common.errors import InputError
+from ssdr.io.file_errors import check, reading
 from ssdr.mesh.sequence import MeshSequence
 from ssdr.model.lbs import skin
 
-from .clip_files import Split, StoredFrames, open_array
-from .motion import CLASSES
+from .clip_files import Split, StoredFrames, read_parts
 from .outfit import Outfit
 from .parameters import SimulationParameters
 from .skeleton import check_finite, mirror_transforms
 
+# Classes of motion; "recorded" is motion capture, the others are made by a generator.  New ones are
+# added at the end: stores hold indices into this list.
+CLASSES = (
+    *("stand", "walk", "sway", "spin", "kick", "squat", "jump", "stop"),
+    *("recorded", "turn", "shift"),
+)
 # Suffix of a mirrored clip's name; no name on disk may hold it.
 MIRRORED = "~mirrored"
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Clip:
-    """One clip of a store.
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class ClipDocument:
+    """What the file of a clip states of it.
 
     Attributes
     ----------
-    outfit : Outfit
-        Garment and body, those of the store.
-    name : str
     split : {"train", "validation", "test"}
     motion : str
         Name of the motion; clips of one motion under several parameters share it.
@@ -50,12 +52,8 @@ class Clip:
     n_frames : int
     step : float
         Step, metres, to whose multiples the stored vertices are rounded; 0: they are float32.
-    is_mirrored : bool
-        Whether the clip is reflected in x as it is read; only the original is stored.
     """
 
-    outfit: Outfit
-    name: str
     split: Split
     motion: str
     parameters: SimulationParameters
@@ -64,9 +62,29 @@ class Clip:
     quality: dict[str, Any]
     provenance: dict[str, Any]
     n_frames: int
-    step: float
-    is_mirrored: bool
+    step: float = 0.0
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Clip(ClipDocument):
+    """One clip of a store.
+
+    Attributes
+    ----------
+    outfit : Outfit
+        Garment and body, those of the store.
+    name : str
+    path : Path
+    is_mirrored : bool
+        Whether the clip is reflected in x as it is read; only the original is stored.
+
+    It also has the attributes of :class:`ClipDocument`.
+    """
+
+    outfit: Outfit
+    name: str
     path: Path
+    is_mirrored: bool = False
 
     @property
     def accepted(self) -> bool:
@@ -92,20 +110,21 @@ class Clip:
     def joints(self) -> NDArray[np.float32]:
         """Transforms ``(F, J, 3, 4)`` from the body's rest pose to the pose of each frame."""
         shape = (self.n_frames, self.outfit.skeleton.n_joints, 3, 4)
+        values: NDArray[np.float32]
+        values = read_parts(self.path, {"joints": shape}, np.float32)["joints"]
         with reading(self.path):
-            values = np.asarray(open_array(self.path, "joints", shape)[:])
             check_finite(values, "joints")
         if self.is_mirrored:
-            values = mirror_transforms(values, self.outfit.skeleton.mirror())
+            return mirror_transforms(values, self.outfit.skeleton.mirror())
         return values
 
     @functools.cached_property
     def classes(self) -> NDArray[np.int8]:
         """Class of motion ``(F,)`` of each frame, an index into ``CLASSES``."""
-        with reading(self.path):
-            values = np.asarray(open_array(self.path, "classes", (self.n_frames,))[:])
-            if values.min() < 0 or values.max() >= len(CLASSES):
-                raise FormatError(f"classes: {values.min()} to {values.max()}")
+        values: NDArray[np.int8]
+        values = read_parts(self.path, {"classes": (self.n_frames,)}, np.int8)["classes"]
+        known = values.min() >= 0 and values.max() < len(CLASSES)
+        check(known, f"{self.path}: classes {values.min()} to {values.max()}")
         return values
 
     def body(self, frames: Any = slice(None)) -> NDArray[np.float32]:

@@ -1,82 +1,87 @@
-"""Files of one clip: a zarr group of three arrays and its attributes, checked as they are read.
+"""Files of one clip: an archive of compressed arrays, whose frames are read as they are used.
 
-Every chunk has a checksum, and a missing chunk reads as a value that no clip may hold, so that
-damage is always found.
+The archive is an ``.npz``.  Its member ``document`` is a JSON text, ``joints`` and ``classes`` are
+whole, and ``vertices-0``, ``vertices-32`` and so on hold 32 frames each.  All but the text are
+compressed by Blosc.  Every member has a checksum, so that damage is always found.
 
 Vertices are float32, or integer multiples of a step of length.  The integers are stored as second
-differences in time, within a chunk, of differences between successive vertices; these are small
-and compress to about an eighth of float32.
+differences in time of differences between successive vertices; these are small and compress to
+about an eighth of float32.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import zarr
+from numcodecs import Blosc
 from numpy.typing import NDArray
-from zarr.codecs import BloscCodec, Crc32cCodec
 
-from ssdr.common.errors import FormatError
-from ssdr.io.atomic import atomic_path
+from ssdr.io.arrays.array_files import read_arrays, write_arrays
 from ssdr.io.file_errors import reading
 
 from .skeleton import check_finite
 
 Split = Literal["train", "validation", "test"]
 # Number of frames whose vertices are compressed together: about 1 s, 100 KiB for 2,000 vertices.
-_CHUNK_FRAMES = 32
-# Type of every array, and the value that a missing chunk reads as.
-_ARRAYS: Mapping[str, tuple[str, float]] = {
-    "vertices": ("float32", math.nan),
-    "steps": ("uint32", 0xFFFFFFFF),
-    "joints": ("float32", math.nan),
-    "classes": ("int8", -1),
-}
+_TOGETHER = 32
+_CODEC = Blosc(cname="zstd", clevel=5, shuffle=Blosc.BITSHUFFLE)
+# Axes of differences: along the vertices, then twice in time.
+_AXES = (2, 0, 0)
 
 
 def write_clip(
-    target: Path,
-    arrays: Mapping[str, NDArray[Any]],
-    metadata: Mapping[str, Any],
-    step: float = 0.0,
+    path: Path,
+    document: Mapping[str, Any],
+    vertices: NDArray[np.float32],
+    step: float,
+    **others: NDArray[Any],
 ) -> None:
-    """Write a clip under a temporary name; the folder is renamed when it is complete.
+    """Write a clip under a temporary name; the file is renamed when it is complete.
 
     Parameters
     ----------
-    target : Path
-    arrays : dict
-        ``vertices`` (F, V, 3), ``joints`` (F, J, 3, 4), ``classes`` (F,).
-    metadata : dict
-        The clip's attributes, plain JSON.
+    path : Path
+    document : dict
+        What is stated of the clip, plain JSON.
+    vertices : (F, V, 3) array
     step : float
         Step, metres, to whose multiples coordinates are rounded; 0: they are stored as float32.
+    **others : arrays
+        ``joints`` and ``classes``.
     """
-    frames = len(arrays["vertices"])
-    stored = dict(arrays)
-    if step > 0:
-        stored["steps"] = encode_steps(stored.pop("vertices"), step)
-    with atomic_path(target, flush=False) as temporary:
-        group = zarr.create_group(store=str(temporary), attributes=dict(metadata) | {"step": step})
-        for key, values in stored.items():
-            chunk = min(frames, _CHUNK_FRAMES) if key in ("vertices", "steps") else frames
-            array = group.create_array(
-                key,
-                shape=values.shape,
-                dtype=values.dtype,
-                chunks=(chunk, *values.shape[1:]),
-                fill_value=_ARRAYS[key][1],
-                # A chunk is one file with dots in its name, not a file in nested folders.
-                chunk_key_encoding={"name": "default", "separator": "."},
-                compressors=compressors(
-                    values.itemsize, "bitshuffle" if key == "steps" else "shuffle"
-                ),
-            )
-            array[:] = values
+    arrays = dict(others)
+    for start in range(0, len(vertices), _TOGETHER):
+        part = vertices[start : start + _TOGETHER]
+        arrays[f"vertices-{start}"] = encode_steps(part, step) if step > 0 else part
+    stored = {k: _CODEC.encode(np.ascontiguousarray(x)) for k, x in arrays.items()}
+    stored = {"document": json.dumps(document).encode(), **stored}
+    members = {k: np.frombuffer(data, np.uint8) for k, data in stored.items()}
+    write_arrays(path, members, compress=False)
+
+
+def read_document(path: Path) -> bytes:
+    """Text of the JSON document of a clip."""
+    return read_arrays(path, required=("document",))["document"].tobytes()
+
+
+def read_parts(path: Path, shapes: Mapping[str, tuple[int, ...]], kind: Any) -> dict[str, Any]:
+    """Arrays of a clip by name, given their shapes and their common type.
+
+    Raises
+    ------
+    FormatError
+        If one is missing or damaged, or its size is another.
+    """
+    stored = read_arrays(path, required=tuple(shapes))
+    with reading(path):
+        return {
+            key: np.frombuffer(_CODEC.decode(stored[key]), kind).reshape(shape).copy()
+            for key, shape in shapes.items()
+        }
 
 
 def encode_steps(vertices: NDArray[np.floating], step: float) -> NDArray[np.uint32]:
@@ -90,42 +95,18 @@ def encode_steps(vertices: NDArray[np.floating], step: float) -> NDArray[np.uint
     True
     """
     x = np.rint(np.swapaxes(np.asarray(vertices, np.float64), 1, 2) / step).astype(np.int32)
-    x[:, :, 1:] = np.diff(x, axis=2)
-    for start in range(0, len(x), _CHUNK_FRAMES):
-        chunk = x[start : start + _CHUNK_FRAMES]
-        chunk[1:] = np.diff(chunk, axis=0)
-        chunk[2:] = np.diff(chunk[1:], axis=0)
+    for axis in _AXES:
+        x = np.diff(x, axis=axis, prepend=np.int32(0))
     # The sign goes to the lowest bit, so that small numbers of either sign have high bits of 0.
-    return np.ascontiguousarray((x << 1) ^ (x >> 31)).view(np.uint32)
+    return np.asarray((x << 1) ^ (x >> 31)).view(np.uint32)
 
 
 def decode_steps(stored: NDArray[np.uint32], step: float) -> NDArray[np.float32]:
-    """Vertices ``(F, V, 3)`` that :func:`encode_steps` encoded, all or those of whole chunks."""
+    """Vertices ``(F, V, 3)`` that :func:`encode_steps` encoded."""
     x = (stored >> 1).astype(np.int32) ^ -(stored & 1).astype(np.int32)
-    for start in range(0, len(x), _CHUNK_FRAMES):
-        chunk = x[start : start + _CHUNK_FRAMES]
-        chunk[1:] = np.cumsum(chunk[1:], axis=0, dtype=np.int32)
-        chunk[:] = np.cumsum(chunk, axis=0, dtype=np.int32)
-    whole = np.cumsum(x, axis=2, dtype=np.int32)
-    return (np.swapaxes(whole, 1, 2) * step).astype(np.float32)
-
-
-def open_array(path: Path, name: str, shape: tuple[int, ...]) -> Any:
-    """Array of a clip, not yet read from disk, after a check of its type and shape.
-
-    Raises
-    ------
-    FormatError
-        If the array is missing, or its type or shape is another.
-    """
-    with reading(path):
-        array = zarr.open_array(str(path / name), mode="r")
-        kind = _ARRAYS[name][0]
-        if tuple(array.shape) != shape or str(array.dtype) != kind:
-            raise FormatError(
-                f"{name}: expected {kind} {shape}, got {array.dtype} {tuple(array.shape)}"
-            )
-        return array
+    for axis in reversed(_AXES):
+        x = np.cumsum(x, axis=axis, dtype=np.int32)
+    return (np.swapaxes(x, 1, 2) * step).astype(np.float32)
 
 
 class StoredFrames:
@@ -151,51 +132,38 @@ class StoredFrames:
         permutation: NDArray[np.int32] | None,
     ) -> None:
         self._path, self._step, self._permutation = path, step, permutation
-        if step > 0:
-            self._array = open_array(path, "steps", (shape[0], 3, shape[1]))
-        else:
-            self._array = open_array(path, "vertices", shape)
         self.shape: tuple[int, ...] = shape
-        self.dtype = np.dtype(np.float32)
-        self.ndim = 3
+        self.dtype, self.ndim = np.dtype(np.float32), 3
 
     def __len__(self) -> int:
         return self.shape[0]
 
     def __getitem__(self, index: Any) -> NDArray[np.float32]:
         first, rest = (index[0], index[1:]) if isinstance(index, tuple) else (index, ())
+        frames = np.asarray(np.arange(len(self))[first])
+        block = self._frames(frames)
         with reading(self._path):
-            block = self._decoded(first) if self._step > 0 else np.asarray(self._array[first])
-            one = isinstance(first, int)
-            check_finite(block[None] if one else block, "vertices", first if one else 0)
+            start = first if isinstance(first, int) else 0
+            check_finite(block.reshape(-1, *self.shape[1:]), "vertices", start)
         if self._permutation is not None:
             block = block[..., self._permutation, :] * np.array([-1, 1, 1], dtype=np.float32)
-        if rest:
-            block = block[(slice(None),) * (block.ndim - 2) + rest]
-        return block
+        return block[(slice(None),) * frames.ndim + rest]
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         return np.asarray(self[:], dtype=dtype)
 
-    def _decoded(self, index: Any) -> NDArray[np.float32]:
-        """Frames selected by an index, decoded from the chunks that hold them."""
-        frames = np.arange(len(self))[index]
-        chunks, place = np.unique(frames // _CHUNK_FRAMES, return_inverse=True)
-        out = np.empty((*np.shape(frames), *self.shape[1:]), np.float32)
-        for k, c in enumerate(chunks):
-            start = c * _CHUNK_FRAMES
-            stored = np.asarray(self._array[start : start + _CHUNK_FRAMES])
-            if (stored == _ARRAYS["steps"][1]).any():
-                raise FormatError(f"vertices: a chunk is missing from frame {start} on")
-            here = place.reshape(np.shape(frames)) == k
-            out[here] = decode_steps(stored, self._step)[frames[here] - start]
+    def _frames(self, frames: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Frames of the given numbers, from the members that hold them."""
+        total, count, _ = self.shape
+        starts, of = frames - frames % _TOGETHER, {}
+        for start in np.unique(starts).tolist():
+            long = min(_TOGETHER, total - start)
+            of[start] = (long, 3, count) if self._step > 0 else (long, count, 3)
+        shapes = {f"vertices-{start}": shape for start, shape in of.items()}
+        parts = read_parts(self._path, shapes, np.uint32 if self._step > 0 else np.float32)
+        out = np.empty((*frames.shape, count, 3), np.float32)
+        for start, part in zip(of, parts.values(), strict=True):
+            here = starts == start
+            whole = decode_steps(part, self._step) if self._step > 0 else part
+            out[here] = whole[frames[here] - start]
         return out
-
-
-def compressors(itemsize: int = 4, shuffle: Any = "shuffle") -> Sequence[Any]:
-    """Codecs with which the arrays of a store are compressed; `itemsize` is in bytes."""
-    # The checksum comes last: a flipped bit is found before anything is decompressed.
-    return (
-        BloscCodec(cname="zstd", clevel=5, shuffle=shuffle, typesize=itemsize),
-        Crc32cCodec(),
-    )

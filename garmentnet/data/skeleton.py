@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ssdr.common.errors import InputError
+from ssdr.model.transforms import from_local, local_of_pose, to_local
 
 # Largest entry of |RRᵀ − I| that still counts as a rotation; text files round to few digits.
 _ORTHOGONAL = 1e-3
@@ -118,24 +119,9 @@ class Skeleton:
         >>> arm.transforms([[0, 3, 0]], still)[0, 1, :, 3].tolist()
         [0.0, 2.0, 0.0]
         """
-        local = np.asarray(rotations, dtype=np.float64)
-        place = np.asarray(root, dtype=np.float64)
-        if local.ndim != 4 or local.shape[1:] != (self.n_joints, 3, 3):
-            raise InputError("rotations", f"shape (F, {self.n_joints}, 3, 3)", local.shape)
-        if place.shape != (len(local), 3):
-            raise InputError("root", f"shape ({len(local)}, 3)", place.shape)
-        world = np.empty_like(local)
-        heads = np.empty((*local.shape[:2], 3))
-        for j, parent in enumerate(self.parents):
-            if parent < 0:
-                world[:, j], heads[:, j] = local[:, j], place
-            else:
-                world[:, j] = world[:, parent] @ local[:, j]
-                heads[:, j] = heads[:, parent] + world[:, parent] @ (
-                    self.rest[j] - self.rest[parent]
-                )
-        shift = heads - np.einsum("fjab,jb->fja", world, self.rest)
-        return np.concatenate([world, shift[..., None]], axis=-1)
+        place = np.asarray(root, dtype=np.float64)[:, None]
+        local = local_of_pose(self.parents, self.rest, rotations, place)
+        return from_local(local, self.parents, self.rest)
 
     def positions(self, joints: ArrayLike) -> NDArray[np.float64]:
         """Positions ``(F, J, 3)`` of the joints under world transforms ``(F, J, 3, 4)``.
@@ -161,13 +147,8 @@ class Skeleton:
         >>> root[0].tolist(), rotations.shape
         ([0.0, 1.0, 0.0], (5, 2, 3, 3))
         """
-        m = self._checked(joints)
-        world = m[..., :3]
-        local = world.copy()
-        for j, parent in enumerate(self.parents):
-            if parent >= 0:
-                local[:, j] = world[:, parent].swapaxes(-1, -2) @ world[:, j]
-        return self.positions(m)[:, 0], local
+        local = to_local(self._checked(joints), self.parents, self.rest)
+        return local[:, 0, :, 3], local[..., :3]
 
     def _checked(self, joints: ArrayLike) -> NDArray[np.float64]:
         m = np.asarray(joints, dtype=np.float64)

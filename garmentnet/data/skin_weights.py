@@ -128,33 +128,3 @@ def _rest_points(
         target = truth[:, v] - blend[..., 3]
         found[v] = np.linalg.lstsq(blend[..., :3].reshape(-1, 3), target.ravel(), rcond=1e-6)[0]
     return found
-
-
-def strongest(
-    weights: NDArray[np.float64], count: int
-) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """Strongest influences of every vertex, with weights scaled to sum 1.
-
-    Parameters
-    ----------
-    weights : (V, B) array
-        Dense weights >= 0, of which no row is all 0.
-    count : int
-        Number K of influences per vertex.
-
-    Returns
-    -------
-    joints : (V, K) int32
-        Joints, strongest first; 0 where the weight is 0.
-    weights : (V, K)
-
-    Examples
-    --------
-    >>> joints, largest = strongest(np.array([[0.1, 0.6, 0.3]]), 2)
-    >>> joints.tolist(), largest.round(3).tolist()
-    ([[1, 2]], [[0.667, 0.333]])
-    """
-    order = np.argsort(-weights, axis=1, kind="stable")[:, :count]
-    largest: NDArray[np.float64] = np.take_along_axis(weights, order, axis=1)
-    largest /= largest.sum(axis=1, keepdims=True)
-    return np.where(largest > 0, order, 0).astype(np.int32), largest

@@ -1,8 +1,9 @@
 """A store: simulated clips of one garment on one body, in a folder.
 
-Garment and body are stored once; each clip is a zarr group with the garment's vertices, the body's
-joint transforms and the class of motion of every frame.  A clip is on disk complete or not at all.
-Training, evaluation and prediction need nothing else.
+Garment and body are stored once; each clip is a file with the garment's vertices, the body's joint
+transforms and the class of motion of every frame.  A clip is on disk complete or not at all, and a
+store that has lost one of its clips is refused.  Training, evaluation and prediction need nothing
+else.
 """
 
 from __future__ import annotations
@@ -14,28 +15,30 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
-import zarr
 from numpy.typing import ArrayLike, NDArray
 
 import ssdr
 from ssdr.common.checks import check_mask
-from ssdr.common.errors import FormatError, InputError, check_choice
-from ssdr.io.atomic import atomic_path, remove
+from ssdr.common.errors import InputError, check_choice
+from ssdr.io.arrays.array_files import read_arrays, write_arrays
+from ssdr.io.atomic import atomic_path, remove, write_bytes
 from ssdr.io.file_errors import check, reading
 from ssdr.mesh.sequence import MeshSequence
 from ssdr.model.skinning import Skinning
 
-from .clip import MIRRORED, Clip, spread
-from .clip_files import Split, compressors, write_clip
-from .motion import CLASSES
+from ..io.tables import from_table
+from .clip import CLASSES, MIRRORED, Clip, ClipDocument, spread
+from .clip_files import Split, read_document, write_clip
 from .outfit import Outfit, is_mirror
 from .parameters import SimulationParameters
 from .skeleton import Skeleton, check_finite
 
-_FORMAT, _VERSION = "garmentnet clips", 1
+_VERSION = 2
+# Of garment and skeleton, and of the names of all clips, which are in the folder `clips`.
+_OUTFIT, _LIST = "outfit.npz", "clips.txt"
 _ARRAYS = ("rest", "faces", "pinned", "mirror_vertices")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.\-]*\Z")
 
@@ -138,26 +141,18 @@ class ClipStore(Outfit):
         )
         if target.exists():
             return cls._same(target, outfit)
-        metadata = {
-            "format": _FORMAT,
-            "version": _VERSION,
-            "fps": outfit.fps,
-            "parents": skeleton.parents.tolist(),
-            "joint_rest": skeleton.rest.tolist(),
-            "classes": list(CLASSES),
-        }
+        arrays = {k: x for k in _ARRAYS if (x := getattr(outfit, k)) is not None}
+        arrays |= {"parents": skeleton.parents, "joint_rest": skeleton.rest, "fps": outfit.fps}
+        arrays |= {"version": _VERSION, "classes": np.array(CLASSES)}
         try:
             with atomic_path(target, flush=False) as temporary:
-                group = zarr.create_group(store=str(temporary), attributes=metadata)
-                for name in _ARRAYS:
-                    values = getattr(outfit, name)
-                    if values is not None:
-                        group.create_array(name, data=values, compressors=compressors())
-                (temporary / "clips").mkdir()
+                (temporary / "clips").mkdir(parents=True)
+                (temporary / _LIST).touch()
+                write_arrays(temporary / _OUTFIT, arrays)
                 ssdr.save(body, temporary / "body.npz")
         except OSError:
             # Another process may have made the store in the meantime.
-            if not (target / "zarr.json").is_file():
+            if not (target / _OUTFIT).is_file():
                 raise
         return cls._same(target, outfit)
 
@@ -180,29 +175,21 @@ class ClipStore(Outfit):
         """
         target = Path(path)
         check(target.is_dir(), f"{target}: no such folder")
-        check((target / "zarr.json").is_file(), f"{target}: not a store of clips (no zarr.json)")
-        with reading(target):
-            group: Any = zarr.open_group(str(target), mode="r")
-            attributes = dict(group.attrs)
-            if attributes.get("format") != _FORMAT:
-                raise FormatError("not a store of clips (no such attribute format)")
-            if attributes.get("version") != _VERSION:
-                raise FormatError(f"version {attributes.get('version')}, this reads {_VERSION}")
-            arrays: dict[str, Any] = {
-                name: np.asarray(group[name][:])
-                for name in _ARRAYS
-                if name in group or name != "mirror_vertices"
-            }
-            MeshSequence(arrays["rest"][None], arrays["faces"])
+        file = target / _OUTFIT
+        check(file.is_file(), f"{target}: not a store of clips (no {_OUTFIT})")
+        stated = ("version", "classes", "fps", "parents", "joint_rest")
+        d = read_arrays(file, required=(*stated, *_ARRAYS[:3]), optional=_ARRAYS[3:])
+        with reading(file):
+            check(d["version"] == _VERSION, f"version {d['version']}, this reads {_VERSION}")
+            known = tuple(d["classes"].tolist())
+            check(known == CLASSES[: len(known)], f"other classes of motion: {known}")
+            MeshSequence(d["rest"][None], d["faces"])
             body = ssdr.load_skinning(target / "body.npz").skinning
-            if list(attributes["classes"]) != list(CLASSES[: len(attributes["classes"])]):
-                raise FormatError(f"other classes of motion: {attributes['classes']}")
-            joint_rest = np.asarray(attributes["joint_rest"])
             return cls(
-                **arrays,
+                **{name: d.get(name) for name in _ARRAYS},
                 body=body,
-                skeleton=Skeleton(body.names(), attributes["parents"], joint_rest),
-                fps=float(attributes["fps"]),
+                skeleton=Skeleton(body.names(), d["parents"], d["joint_rest"]),
+                fps=float(d["fps"]),
                 path=target,
             )
 
@@ -226,11 +213,7 @@ class ClipStore(Outfit):
         """
         if split is not None:
             check_choice(split, "split", Split)
-        folder = self.path / "clips"
-        check(folder.is_dir(), f"{self.path}: no folder clips")
-        # Unfinished writes have hidden names; whatever else is there must be a clip.
-        names = sorted(p.name for p in folder.iterdir() if not p.name.startswith("."))
-        for clip in map(self.clip, names):
+        for clip in map(self.clip, self._every()):
             if (
                 split in (None, clip.split)
                 and parameters in (None, clip.parameters)
@@ -257,27 +240,13 @@ class ClipStore(Outfit):
             return self.clip(name.removesuffix(MIRRORED)).mirrored()
         if name not in self:
             raise InputError("name", f"a clip of {self.path}", repr(name))
-        path = self.path / "clips" / name
+        path = self._file(name)
+        text = read_document(path)
         with reading(path):
-            metadata = json.loads((path / "zarr.json").read_text())["attributes"]
-            check(metadata["split"] in get_args(Split), f"split {metadata['split']!r}")
-            accepted = metadata["quality"].get("accepted")
+            stated = from_table(ClipDocument, json.loads(text), file="document")
+            accepted = stated.quality.get("accepted")
             check(isinstance(accepted, bool), "quality does not state whether it was accepted")
-            return Clip(
-                outfit=self,
-                name=name,
-                split=metadata["split"],
-                motion=str(metadata["motion"]),
-                parameters=SimulationParameters(**metadata["parameters"]),
-                seed=int(metadata["seed"]),
-                perturbation=float(metadata["perturbation"]),
-                quality=dict(metadata["quality"]),
-                provenance=dict(metadata["provenance"]),
-                n_frames=int(metadata["frames"]),
-                step=float(metadata.get("step", 0.0)),
-                is_mirrored=False,
-                path=path,
-            )
+            return Clip(**vars(stated), outfit=self, name=name, path=path)
 
     def sample(self, names: Sequence[str], count: int) -> Iterator[tuple[Clip, NDArray[np.int64]]]:
         """Clips and indices of frames of each, `count` in total (or all), evenly spread."""
@@ -300,11 +269,28 @@ class ClipStore(Outfit):
         return tuple(named)
 
     def __contains__(self, name: object) -> bool:
-        return (
-            isinstance(name, str)
-            and bool(_NAME.match(name))
-            and (self.path / "clips" / name).exists()
-        )
+        known = isinstance(name, str) and _NAME.match(name)
+        return bool(known) and self._file(str(name)).is_file()
+
+    def _file(self, name: str) -> Path:
+        return self.path / "clips" / f"{name}.npz"
+
+    def _every(self) -> list[str]:
+        """Names of all clips, sorted.
+
+        Raises
+        ------
+        FormatError
+            If a clip is not there that the list of clips has.
+        """
+        listed = self.path / _LIST
+        check(listed.is_file(), f"{self.path}: no {_LIST}, the list of its clips")
+        # Unfinished writes have hidden names.
+        there = {p.stem for p in (self.path / "clips").glob("[!.]*.npz")}
+        for name in listed.read_text("utf-8").split():
+            lost = f"lost; to do without it, take its line out of {_LIST}"
+            check(name in there, f"{self._file(name)}: {lost}")
+        return sorted(there)
 
     def add(
         self,
@@ -349,8 +335,7 @@ class ClipStore(Outfit):
         """
         if not (isinstance(name, str) and _NAME.match(name)):
             raise InputError("name", "letters, digits, '_', '.' and '-'", repr(name))
-        target = self.path / "clips" / name
-        if target.exists():
+        if name in self:
             raise InputError("name", "a clip that is not in the store", repr(name))
         check_choice(split, "split", Split)
         accepted = quality.get("accepted")
@@ -370,27 +355,32 @@ class ClipStore(Outfit):
             raise InputError("classes", f"{frames} indices below {len(CLASSES)}", c)
         if accepted:
             check_finite(v, "vertices")
-        metadata = {
-            "frames": frames,
-            "fps": self.fps,
-            "split": split,
-            "motion": str(motion),
-            "parameters": dataclasses.asdict(parameters),
-            "seed": int(seed),
-            "perturbation": float(perturbation),
-            "quality": json.loads(json.dumps(dict(quality))),
-            "provenance": json.loads(json.dumps(dict(provenance))),
-        }
-        arrays: dict[str, NDArray[Any]] = {"vertices": v, "joints": m, "classes": c}
-        write_clip(target, arrays, metadata, step if accepted else 0.0)
+        document = ClipDocument(
+            split=split,
+            motion=str(motion),
+            parameters=parameters,
+            seed=int(seed),
+            perturbation=float(perturbation),
+            quality=dict(quality),
+            provenance=dict(provenance),
+            n_frames=frames,
+            step=float(step) if accepted else 0.0,
+        )
+        stated = dataclasses.asdict(document)
+        write_clip(self._file(name), stated, v, document.step, joints=m, classes=c)
+        # The line is added to the list at once, whoever else adds clips.
+        with (self.path / _LIST).open("a", encoding="utf-8") as listed:
+            listed.write(f"{name}\n")
         return self.clip(name)
 
     def sweep(self) -> int:
         """Remove incomplete clips that killed writers left behind, and return their number.
 
-        It must not be called while another process writes to the store.
+        Whole ones that they did not list are listed.  It must not be called while another process
+        writes to the store.
         """
         left = list((self.path / "clips").glob(".*"))
         for path in left:
             remove(path)
+        write_bytes(self.path / _LIST, "".join(f"{name}\n" for name in self._every()).encode())
         return len(left)

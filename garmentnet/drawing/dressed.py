@@ -16,8 +16,7 @@ from ssdr import MeshSequence
 from ssdr.metrics import rmse
 from ssdr.show import FABRIC, SKIN, contact_sheet, write_picture
 
-from ..data.clip import Clip
-from ..data.motion import CLASSES
+from ..data.clip import CLASSES, Clip
 from ..data.outfit import Outfit
 
 MILLIMETRES = ("mm", 1000.0)

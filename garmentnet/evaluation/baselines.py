@@ -18,7 +18,6 @@ from ssdr import Skinning
 
 from ..configs.config import FeatureOptions
 from ..data.clip import Clip
-from ..data.skin_weights import strongest
 from ..data.store import ClipStore
 from ..networks.features import PoseFeatures, transforms_in_frame
 from ..paper.bones import TorchSkinning, VirtualBones, apply_frame, remove_frame
@@ -87,8 +86,10 @@ def body_skinning(store: ClipStore) -> Skinning:
     near = 1 / np.maximum(distance, _CLOSEST) ** 2
     near /= near.sum(axis=1, keepdims=True)
     weights = np.einsum("vk,vkj->vj", near, body.dense_weights()[index])
-    indices, largest = strongest(weights, _INFLUENCES)
-    return Skinning(store.rest, indices, largest, body.transforms, faces=store.faces, fps=store.fps)
+    options: dict[str, Any] = {"faces": store.faces, "fps": store.fps}
+    return Skinning.from_dense(
+        store.rest, weights, body.transforms, influences=_INFLUENCES, **options
+    )
 
 
 class BodySkinned(Method):

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,33 +16,15 @@ from .methods import Method
 from .tables import markdown
 
 
-@dataclasses.dataclass(frozen=True)
-class Limbs:
-    """How often a body comes through its garment.
-
-    Attributes
-    ----------
-    name : str
-    frames : int
-    crossed, deep : float
-        Fraction of the frames in which a triangle of the body crosses one of the cloth that can
-        move, and in which one does so by more than 5 mm.
-    deepest : float
-        Depth of the deepest crossing, mm; see :class:`~garmentnet.collision.crossings.Crossings`.
-    """
-
-    name: str
-    frames: int
-    crossed: float
-    deep: float
-    deepest: float
-
-
 def count_limbs(
     bones: VirtualBones, methods: Sequence[Method], names: Sequence[str]
-) -> list[Limbs]:
+) -> list[dict[str, Any]]:
     """Crossings of body and garment in the named clips: one row of the simulation's own, then two
     of each method, before and after its prediction is pushed out.
+
+    A row has its name, the number of frames, the fractions of these in which a triangle of the body
+    crosses one of the cloth that can move, `crossed`, and in which one does so by more than 5 mm,
+    `deep`, and the depth of the deepest crossing in mm, `deepest`.
 
     There are no rows for a body without triangles, and none of what is pushed out of a body that is
     not closed.
@@ -70,16 +52,16 @@ def count_limbs(
         whole = Crossings(
             np.concatenate([c.pairs for c in parts]), np.concatenate([c.depth for c in parts])
         )
-        deepest = 1e3 * float(whole.depth.max())
-        rows.append(Limbs(name, len(whole.depth), whole.any, whole.deep, deepest))
+        row = {"name": name, "frames": len(whole.depth), "crossed": whole.any, "deep": whole.deep}
+        rows.append(row | {"deepest": 1e3 * float(whole.depth.max())})
     return rows
 
 
-def limbs_table(rows: Sequence[Limbs]) -> str:
+def limbs_table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Table in Markdown, in per cent of the frames and mm."""
     head = ["body through the cloth", "frames", "deeper than 5 mm", "deepest, mm"]
     lines = [
-        [r.name, f"{100 * r.crossed:.2f} %", f"{100 * r.deep:.2f} %", f"{r.deepest:.0f}"]
+        [r["name"], *(f"{100 * r[k]:.2f} %" for k in ("crossed", "deep")), f"{r['deepest']:.0f}"]
         for r in rows
     ]
     return markdown(head, lines)

@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from ssdr.common.errors import InputError
+from ssdr.io.atomic import write_bytes
 
-from ..data.clip import Clip
-from ..data.motion import CLASSES
+from ..data.clip import CLASSES, Clip
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
 from ..drawing.dressed import draw_clip
-from ..io.files import Progress, silent, write_file, writing
+from ..io.files import Progress, silent
 from ..networks.checkpoint import Checkpoint, load_checkpoint
 from ..paper.bones import VirtualBones, parameter_roles, virtual_bones
 from ..paper.train import choose_clips
@@ -71,8 +71,7 @@ def report(
         matches none.
     """
     folder = Path(folder)
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
     networks = [Network(_name(p, paths), load_checkpoint(p)) for p in paths]
     for network in networks:
         network.checkpoint.subject.check_fits(store)
@@ -103,18 +102,17 @@ def report(
         limbs = count_limbs(bones, networks if entered is methods else reading, names)
         if limbs:
             found = document["groups"][title.removeprefix(_MOTIONS)]
-            found["limbs"] = [dataclasses.asdict(row) for row in limbs]
+            found["limbs"] = limbs
             lines += [limbs_table(limbs), ""]
     lines += _chaos(bones, document)
     motions = [n for title in sections if title.startswith(_MOTIONS) for n in sections[title]]
     for network in networks:
         for name in motions[:pictures]:
             clip, file = store.clip(name), folder / f"{network.name}-{name}.png"
-            with writing(file):
-                draw_clip(clip, network.predict(clip), file)
+            draw_clip(clip, network.predict(clip), file)
     text = "\n".join(lines) + "\n"
-    write_file(folder / "report.json", json.dumps(document).encode())
-    write_file(folder / "report.md", text.encode())
+    write_bytes(folder / "report.json", json.dumps(document).encode())
+    write_bytes(folder / "report.md", text.encode())
     return text
 
 
@@ -163,7 +161,7 @@ def _sections(
 def _section(title: str, rows: Sequence[Scores], document: dict[str, Any]) -> list[str]:
     """Lines of a section with the tables of `rows`; their figures are added to `document`."""
     group, count = title.removeprefix(_MOTIONS), len(rows[0].clips)
-    document["groups"][group] = {"rows": [r.as_dict() for r in rows]}
+    document["groups"][group] = {"rows": [dataclasses.asdict(r) for r in rows]}
     lines = ["", f"## {title}: {count} clips, {rows[0].frames} frames", ""]
     pinned = any(r.free != r.all for r in rows)
     for vertices in VERTICES if pinned else VERTICES[:1]:

@@ -1,4 +1,4 @@
-"""Errors of methods on clips, overall and by class of motion, and vertices inside the body.
+"""Errors of methods on clips, overall and by class of motion.
 
 Low is G_LF against Ĝ_LF; high is Ĝ_LF + G_HF against Ĝ, the error of the detail alone; overall is
 G against Ĝ.  Beside the error of the detail stands the share of the detail's own RMS that it
@@ -23,9 +23,7 @@ from numpy.typing import NDArray
 from ssdr.common.errors import InputError
 from ssdr.metrics import hausdorff, sted
 
-from ..collision.body_tree import INSIDE, BodyTree, is_closed
-from ..data.clip import Clip
-from ..data.motion import CLASSES
+from ..data.clip import CLASSES, Clip
 from ..io.files import Progress, silent
 from ..paper.bones import VirtualBones
 from .methods import Method
@@ -88,9 +86,6 @@ class Scores:
         Over all vertices, and over those that are not pinned.
     per_class : dict of ClassError
         By class of motion.
-    inside, inside_free : float
-        Fraction of the vertices inside the body, over all frames; NaN if the body's mesh is not
-        closed.
     clips : tuple of Scores
         The clips that were pooled.
     """
@@ -100,13 +95,7 @@ class Scores:
     all: Parts
     free: Parts
     per_class: dict[str, ClassError]
-    inside: float
-    inside_free: float
     clips: tuple[Scores, ...] = ()
-
-    def as_dict(self) -> dict[str, Any]:
-        """Numbers and dictionaries, for JSON."""
-        return dataclasses.asdict(self)
 
 
 def evaluate(
@@ -150,36 +139,26 @@ def evaluate(
 
 def pool(name: str, clips: Sequence[Scores]) -> Scores:
     """Errors of a method pooled over one or more clips."""
-    frames = [c.frames for c in clips]
-
-    def mean(values: Sequence[float]) -> float:
-        return float(np.average(values, weights=frames))
-
-    def score(found: Sequence[Score]) -> Score:
-        rmse, *others = zip(*map(dataclasses.astuple, found), strict=True)
-        return Score(_root_mean(rmse, frames), *map(mean, others))
-
-    def parts(vertices: str) -> Parts:
-        every = [getattr(c, vertices) for c in clips]
-        low, high, overall = (score([getattr(parts, p) for parts in every]) for p in PARTS)
-        return Parts(low, high, overall, _root_mean([parts.detail for parts in every], frames))
-
-    per_class = {}
+    frames, per_class = [c.frames for c in clips], {}
     for label in sorted({k for c in clips for k in c.per_class}):
         found = [c.per_class[label] for c in clips if label in c.per_class]
-        counts = [e.frames for e in found]
-        errors = (_root_mean([getattr(e, v) for e in found], counts) for v in VERTICES)
-        per_class[label] = ClassError(sum(counts), *errors)
-    return Scores(
-        name,
-        sum(frames),
-        parts("all"),
-        parts("free"),
-        per_class,
-        mean([c.inside for c in clips]),
-        mean([c.inside_free for c in clips]),
-        tuple(clips),
-    )
+        per_class[label] = _pooled(found, [e.frames for e in found])
+    whole, free = (_pooled([getattr(c, v) for c in clips], frames) for v in VERTICES)
+    return Scores(name, sum(frames), whole, free, per_class, tuple(clips))
+
+
+def _pooled(found: Sequence[Any], frames: Sequence[int]) -> Any:
+    """Errors of one kind pooled over clips: each RMS by its square, other figures by the mean."""
+    values: dict[str, Any] = {"frames": sum(frames)}
+    for name in vars(found[0]).keys() - values:
+        some = [getattr(x, name) for x in found]
+        if dataclasses.is_dataclass(some[0]):
+            values[name] = _pooled(some, frames)
+        else:
+            power = 1 if name in ("hausdorff", "sted") else 2
+            mean = np.average(np.power(some, power), weights=frames)
+            values[name] = float(mean ** (1 / power))
+    return type(found[0])(**{name: values[name] for name in vars(found[0])})
 
 
 def chaos_floor(bones: VirtualBones, pairs: Iterable[tuple[str, str]]) -> dict[str, float]:
@@ -216,19 +195,12 @@ def chaos_floor(bones: VirtualBones, pairs: Iterable[tuple[str, str]]) -> dict[s
     return dict(zip(keys, errors.tolist(), strict=True)) | {"frames": count}
 
 
-def _root_mean(values: Sequence[float], weights: Sequence[int]) -> float:
-    return float(np.sqrt(np.average(np.square(values), weights=weights)))
-
-
 class _Scorer:
     """Comparison of predictions with the clips of a store."""
 
     def __init__(self, bones: VirtualBones) -> None:
         store = bones.store
         self.bones = bones
-        self.skin = None
-        if is_closed(store.body.faces):
-            self.skin = BodyTree(store.body)
         self.free = ~np.asarray(store.pinned, bool)
         inner = store.faces[self.free[store.faces].all(axis=1)]
         if len(inner) == 0:
@@ -254,18 +226,7 @@ class _Scorer:
             s = square[clip.classes == label]
             errors = (_rms(x) for x in (s, s[:, self.free]))
             per_class[CLASSES[int(label)]] = ClassError(len(s), *errors)
-        inside = np.full(predicted.shape[:2], np.nan)
-        if self.skin is not None:
-            inside = self.skin.signed_distance(predicted, clip.joints) < -INSIDE
-        return Scores(
-            clip.name,
-            clip.n_frames,
-            whole,
-            free,
-            per_class,
-            float(inside.mean()),
-            float(inside[:, self.free].mean()),
-        )
+        return Scores(clip.name, clip.n_frames, whole, free, per_class)
 
     def _compare(self, truth: Array, other: Array) -> tuple[Score, Score]:
         """Scores over all and over free vertices."""

@@ -20,7 +20,7 @@ def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def score_table(rows: Sequence[Scores], vertices: str = "all") -> str:
-    """Table of RMSE and Hausdorff distance in mm, STED, and the share of vertices inside the body.
+    """Table of RMSE and Hausdorff distance in mm, and STED.
 
     The column ``left`` is the error of the detail as a share of the detail's RMS.
 
@@ -38,10 +38,9 @@ def score_table(rows: Sequence[Scores], vertices: str = "all") -> str:
         cells = [
             x for s in scores for x in (f"{s.rmse:.2f}", f"{s.hausdorff:.1f}", f"{s.sted:.4f}")
         ]
-        inside = row.inside_free if vertices == "free" else row.inside
         left = f"{100 * getattr(row, vertices).left:.0f} %"
-        lines.append([row.name, *cells, left, f"{100 * inside:.2f} %"])
-    return markdown([*head, "left", "inside"], lines)
+        lines.append([row.name, *cells, left])
+    return markdown([*head, "left"], lines)
 
 
 def class_table(rows: Sequence[Scores], vertices: str) -> str:

@@ -8,7 +8,7 @@ import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,6 @@ from ..collision.body_tree import is_closed
 from ..data.clip_files import Split
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
-from ..io.files import writing
 from .rig import MovingBody, rig_of
 from .scene_files import Say, Source, read_cloth, read_rig
 
@@ -105,10 +104,9 @@ def import_clips(
     store = ClipStore.open(target) if target.exists() else None
     if store is None:
         # Before anything is read, which may take long.
-        with writing(target):
-            target.parent.mkdir(parents=True, exist_ok=True)
-            check_writable(target)
-    if store is not None:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        check_writable(target)
+    else:
         store.sweep()
         if o.fps not in (None, store.fps):
             raise InputError("fps", f"{store.fps:g}, as the store has", o.fps)
@@ -231,9 +229,7 @@ def _parts(name: str, count: int, o: ImportOptions) -> list[tuple[str, Split, sl
 
 def _check_splits(store: ClipStore, name: str, parts: list[tuple[str, Split, slice]]) -> None:
     """Raise an error if a store has this clip in other splits: it would have its frames twice."""
-    known = [part for part in (name, *(f"{name}-{s}" for s in get_args(Split))) if part in store]
-    clips = [clip for clip in map(store.clip, known) if clip.motion == name]
-    there = {clip.name: clip.split for clip in clips}
+    there = {clip.name: clip.split for clip in store.clips() if clip.motion == name}
     if there.items() - {(part, split) for part, split, _ in parts}:
         text = ", ".join(f"{part} for {split}" for part, split in there.items())
         raise InputError(

@@ -13,9 +13,8 @@ import safetensors.numpy
 from numpy.typing import NDArray
 
 from ssdr.common.errors import InputError
+from ssdr.io.atomic import write_bytes
 from ssdr.io.file_errors import check, reading
-
-from .files import write_file
 
 # Checkpoints that ship with the package.
 SHIPPED = Path(__file__).parents[1] / "models"
@@ -27,7 +26,7 @@ def save_arrays(path: Path, arrays: Mapping[str, Any], kind: str, document: Any)
     documents = json.loads(json.dumps({kind: document}))  # tuples become lists
     # A single metadata entry, because several would be written in an order that varies.
     text = json.dumps(documents | {"sha256": digest(plain, documents)}, sort_keys=True)
-    write_file(path, safetensors.numpy.save(plain, {"garmentnet": text}))
+    write_bytes(path, safetensors.numpy.save(plain, {"garmentnet": text}))
     return path
 
 

@@ -10,27 +10,71 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
+from msgspec import Meta
 from numpy.typing import NDArray
 from torch import Tensor
 
+from ssdr import Skinning
+from ssdr.common.checks import check_skin
 from ssdr.common.errors import FormatError, InputError
-from ssdr.io.file_errors import reading
+from ssdr.io.file_errors import check, reading
 
+from ..configs.config import Amount, Config
 from ..data.outfit import mesh_identity
 from ..data.parameters import SimulationParameters
+from ..data.skeleton import Skeleton
+from ..data.skin_weights import BodyBound
 from ..data.subject import Subject
+from ..io.tables import from_table
 from ..io.tensors import load_arrays, save_arrays, tensors_of
 from ..paper.ensemble import Kernel
-from .document import BOUND, MESH, CheckpointDocument, NetworkRecord, read_document
 from .features import Normaliser, transforms_in_frame
 from .network import MotionNetwork, NetworkOutput, Predictor
 
 # Tensors with fewer numbers stay in single precision, since halving them saves almost nothing.
 _MANY = 10_000
+_FORMAT, _VERSION = "garmentnet checkpoint", 5
+# Arrays of a mesh, and of the vertices bound to the body.
+_MESH = ("rest", "indices", "weights", "faces")
+_BOUND = tuple(f.name for f in dataclasses.fields(BodyBound))
+# Bytes of the dense skinning matrix beyond which a file counts as hostile: 3 million vertices and
+# 80 bones in float32.
+_MAX_SKINNING = 4 << 30
+# Settings of a training, by section, that there are no more and of which a prediction is free.
+_GONE = (("low", "symmetric"), ("train", "tensorboard"), ("data", "store"))
+
+
+@dataclasses.dataclass(frozen=True)
+class NetworkRecord:
+    """A network: its settings, the parameters it was trained on, whether it has detail."""
+
+    config: Config
+    parameters: SimulationParameters | None
+    high: bool
+    clamp: Amount
+
+
+@dataclasses.dataclass(frozen=True)
+class CheckpointDocument:
+    """The JSON document of a checkpoint.
+
+    `power` is that of the kernel; earlier versions, whose kernels have 1, do not state it.
+    """
+
+    fps: Annotated[float, Meta(gt=0, le=1e9)]
+    garment_id: str
+    body_id: str
+    joint_names: tuple[str, ...]
+    networks: Annotated[tuple[NetworkRecord, ...], Meta(min_length=1)]
+    kernel: bool = False
+    power: Literal[1, 2] = 1
+    errors: dict[str, float] = dataclasses.field(default_factory=dict)
+    format: str = _FORMAT
+    version: int = _VERSION
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -143,18 +187,15 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path | str, *, half: bool = Fa
         "skeleton.rest": subject.skeleton.rest,
         "skeleton.parents": subject.skeleton.parents,
     }
-    arrays |= {f"garment.{k}": getattr(subject.garment, k) for k in MESH}
-    arrays |= {f"body.{k}": getattr(subject.body, k) for k in MESH}
+    arrays |= {f"garment.{k}": getattr(subject.garment, k) for k in _MESH}
+    arrays |= {f"body.{k}": getattr(subject.body, k) for k in _MESH}
     if subject.bound is not None:
-        arrays |= {f"bound.{k}": getattr(subject.bound, k) for k in BOUND}
+        arrays |= {f"bound.{k}": getattr(subject.bound, k) for k in _BOUND}
     records: list[NetworkRecord] = []
     pairs = zip(checkpoint.networks, checkpoint.parameters, strict=True)
     for k, (network, trained_on) in enumerate(pairs):
-        config = dataclasses.replace(
-            network.config, data=dataclasses.replace(network.config.data, store="")
-        )
-        clamp = network.normaliser.clamp
-        records.append(NetworkRecord(config, trained_on, network.high is not None, clamp))
+        of = network.config, trained_on, network.high is not None, network.normaliser.clamp
+        records.append(NetworkRecord(*of))
         for key, v in network.state_dict().items():
             small = half and v.is_floating_point() and v.numel() >= _MANY
             arrays[f"network.{k}.{key}"] = (v.half() if small else v).cpu().numpy()
@@ -186,7 +227,7 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
     file = Path(path)
     arrays, document = load_arrays(file, "checkpoint")
     with reading(file):
-        d, subject = read_document(arrays, document)
+        d, subject = _read_document(arrays, document)
         networks = [
             _network(subject, record, tensors_of(arrays, f"network.{k}."))
             for k, record in enumerate(d.networks)
@@ -239,3 +280,79 @@ def _network(subject: Subject, record: NetworkRecord, part: dict[str, Tensor]) -
         raise FormatError(f"statistics of {mean.shape} features, not {network.features.size}")
     network.load_state_dict(part, assign=True)
     return network.eval()
+
+
+def _read_document(arrays: dict[str, Any], table: Any) -> tuple[CheckpointDocument, Subject]:
+    """JSON document of a checkpoint, and the garment and body that its networks are for.
+
+    Parameters
+    ----------
+    arrays : dict of array
+        All arrays of the file.
+    table : dict
+        The file's document.
+
+    Raises
+    ------
+    FormatError
+        If the file is no checkpoint, of another version, or contradicts itself.
+    """
+    ours = isinstance(table, dict) and table.get("format") == _FORMAT
+    check(ours, "not a checkpoint of garmentnet")
+    version = table.get("version")
+    check(version == _VERSION, f"version {version}, this reads {_VERSION}")
+    for record in table.get("networks", ()):  # settings of earlier versions
+        for section, name in _GONE:
+            record["config"][section].pop(name, None)
+    d = from_table(CheckpointDocument, table, file="document")
+    check(d.kernel or len(d.networks) == 1, f"{len(d.networks)} networks without a kernel")
+    known = all(r.parameters is not None for r in d.networks)
+    check(known or not d.kernel, "pivots without parameters")
+    skeleton = Skeleton(d.joint_names, arrays["skeleton.parents"], arrays["skeleton.rest"])
+    bones = len(arrays["network.0.low.code.centres"])
+    for key, followed in arrays.items():
+        if key.endswith(".code.followed"):
+            whole = followed.dtype.kind == "i" and followed.shape == (bones,)
+            there = whole and ((followed >= -1) & (followed < skeleton.n_joints)).all()
+            check(there, f"{key}: expected a joint's index, or -1, for each of {bones} bones")
+    subject = Subject(
+        _skinning(arrays, "garment", bones, None),
+        _skinning(arrays, "body", skeleton.n_joints, d.joint_names),
+        skeleton,
+        d.fps,
+        d.garment_id,
+        _bound(arrays, skeleton.n_joints),
+    )
+    check(subject.body_id == d.body_id, "the body is not the one that the file names")
+    return d, subject
+
+
+def _skinning(
+    arrays: dict[str, Any], name: str, bones: int, names: tuple[str, ...] | None
+) -> Skinning:
+    rest, indices = arrays[f"{name}.rest"], arrays[f"{name}.indices"]
+    if len(rest) * bones * 16 > _MAX_SKINNING:
+        raise FormatError(f"{name}: {len(rest)} vertices and {bones} bones")
+    return Skinning(
+        rest,
+        indices,
+        arrays[f"{name}.weights"],
+        np.tile(np.eye(3, 4), (1, bones, 1, 1)),
+        faces=arrays[f"{name}.faces"],
+        bone_names=names,
+    )
+
+
+def _bound(arrays: dict[str, Any], joints: int) -> BodyBound | None:
+    if "bound.index" not in arrays:
+        return None
+    bound = BodyBound(**{k: arrays[f"bound.{k}"] for k in _BOUND})
+    vertices = np.arange(len(arrays["garment.rest"]))
+    fits = (
+        len(bound.index) > 0
+        and np.array_equal(bound.index, np.intersect1d(bound.index, vertices))
+        and bound.rest.shape == bound.smooth.shape == (len(bound.index), 3)
+    )
+    check(fits, "bound: vertices that do not exist")
+    check_skin(bound.indices, bound.weights, len(bound.index), joints, "bound.")
+    return bound

@@ -12,6 +12,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from ..training.shapes import ShapeBasis
 from .gru import GRULinear
 
 
@@ -69,14 +70,7 @@ class DetailBasis(GRULinear):
 
         Components beyond the rank of the detail are 0.
         """
-        self.mean.copy_(local.mean(0))
-        flat = (local - self.mean).flatten(1).double()
-        values, vectors = torch.linalg.eigh(flat @ flat.T)
-        rank = min(len(self.basis), len(flat) - 1)
-        values, vectors = values.flip(0)[:rank], vectors.flip(1)[:, :rank]
-        there = values > 1e-12 * values[:1].clamp(min=1e-30)
-        scale = torch.where(there, values.clamp(min=1e-30).rsqrt(), torch.zeros_like(values))
-        self.basis.zero_()
-        self.basis[:rank] = ((flat.T @ vectors) * scale).T.float()
-        self.deviation.fill_(1.0)
-        self.deviation[:rank] = (values / len(flat)).sqrt().float().clamp(min=1e-7)
+        found = ShapeBasis.fit(local.cpu().numpy(), len(self.basis))
+        self.mean.copy_(torch.from_numpy(found.mean))
+        self.basis.copy_(torch.from_numpy(found.components).flatten(1))
+        self.deviation.copy_(torch.from_numpy(found.deviation).clamp(min=1e-7))

@@ -27,16 +27,18 @@ from torch import Tensor, nn
 import ssdr
 from ssdr import MeshSequence, Skinning
 from ssdr.common.errors import FormatError, InputError
+from ssdr.io.atomic import write_bytes
 from ssdr.io.file_errors import reading
 from ssdr.laplacian import LaplacianSmoother
 
 from ..configs.config import BoneOptions
+from ..data.clip_files import read_document
 from ..data.outfit import mesh_identity
 from ..data.parameters import SimulationParameters
 from ..data.skin_weights import BodyBound, find_body_bound
 from ..data.store import ClipStore
 from ..data.subject import Subject
-from ..io.files import Progress, kept, silent, write_file, writing
+from ..io.files import Progress, kept, silent
 
 # Refitting ends when a sweep lowers the error by less than this fraction: about 1 µm of 10 mm.
 _TOLERANCE = 1e-4
@@ -187,9 +189,8 @@ def virtual_bones(
     skinning_file, report_file = place / "bones.npz", place / "bones.json"
     if not (skinning_file.is_file() and report_file.is_file()):
         skinning, found = _decompose(store, names, options, progress)
-        with writing(skinning_file):
-            ssdr.save(skinning, skinning_file)
-        write_file(report_file, json.dumps(record | found, indent=1).encode())
+        ssdr.save(skinning, skinning_file)
+        write_bytes(report_file, json.dumps(record | found, indent=1).encode())
     skinning = ssdr.load_skinning(skinning_file).skinning
     if skinning.n_vertices != store.n_vertices or skinning.n_bones != options.count:
         raise FormatError(f"{skinning_file}: bones of another garment, {skinning!r}")
@@ -248,10 +249,10 @@ def _decompose(
 
 
 def _digest(store: ClipStore, names: Sequence[str]) -> str:
-    # A clip's attributes hold everything that it was made from, and measurements of the result.
+    # A clip's document holds everything that it was made from, and measurements of the result.
     h = hashlib.sha256()
     for name in names:
-        h.update((store.path / "clips" / name / "zarr.json").read_bytes())
+        h.update(read_document(store.clip(name).path))
     return h.hexdigest()[:16]
 
 

@@ -343,7 +343,7 @@ class HighFrequencyObjective(TrainingObjective):
         joints[lanes] = own
         pick, joints = torch.from_numpy(chosen).to(device), joints.to(device)
         with torch.no_grad():
-            low = self._low(z[torch.arange(len(z), device=device)[:, None], pick], joints)
+            low = self.network.mesh(z[torch.arange(len(z), device=device)[:, None], pick], joints)
         x = self.network.high_inputs(batch.inputs().to(device), z)
         mask = dropout_mask(rng, (*chosen.shape, options.hidden), options.dropout, device)
         dropped = self.module.draw_edges(rng, options.edge_dropout)
@@ -358,10 +358,6 @@ class HighFrequencyObjective(TrainingObjective):
             loss = loss + options.collision * collision_depth(mesh, body, normals).mean()
         return loss, state
 
-    def _low(self, z: Tensor, joints: Tensor) -> Tensor:
-        """Low-frequency mesh ``(N, S, V, 3)``, with bound vertices placed by the body."""
-        return self.network.mesh(z, joints)
-
     def squared_error(self, track: Track) -> Tensor:
         """Mean squared distance ``(F,)`` of the detail, metres².
 
@@ -373,7 +369,7 @@ class HighFrequencyObjective(TrainingObjective):
             goal, joints = (a[part] for a in self._read(track))
             z, joints = (a[None].to(device) for a in (track.extra[part], joints))
             x = self.network.high_inputs(track.inputs[None, part].to(device), z)
-            high, state = self.module(x, self._low(z, joints), state)
+            high, state = self.module(x, self.network.mesh(z, joints), state)
             gap = (high[0].cpu() - goal)[:, self.free]
             found.append(gap.double().square().sum(-1).mean(-1))
         return torch.cat(found)

@@ -28,7 +28,7 @@ from ..configs.config import Config
 from ..data.clip import MIRRORED, Clip, spread
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
-from ..io.files import Progress, silent, write_file
+from ..io.files import Progress, silent
 from ..networks.checkpoint import Checkpoint, load_checkpoint, load_weights, save_checkpoint
 from ..networks.features import Normaliser, PoseFeatures, PoseReader, transforms_in_frame
 from ..networks.network import MotionNetwork
@@ -241,9 +241,8 @@ def train(
 
 def _claim(folder: Path, config: Config, clips: Sequence[str]) -> None:
     # Settings that do not change the weights may differ from call to call.
-    free = ("patience", "tensorboard", "device", "threads")
+    free = ("patience", "device", "threads")
     record = json.loads(json.dumps({"config": dataclasses.asdict(config), "clips": list(clips)}))
-    record["config"]["data"].pop("store")
     for key in free:
         record["config"]["train"].pop(key)
     file = folder / "run.json"
@@ -331,7 +330,7 @@ def train_ensemble(
     pivots = select_pivots(grams, theta, o.pivots or len(sets))
     kernel = fit_kernel(left_out(grams, theta, pivots), steps=o.steps, seed=config.train.seed)
     report = {"sets": [dataclasses.asdict(p) for p in sets], "pivots": pivots}
-    write_file(folder / "ensemble.json", json.dumps(report, indent=1).encode())
+    write_bytes(folder / "ensemble.json", json.dumps(report, indent=1).encode())
     chosen = tuple(networks[k] for k in pivots)
     whole = Checkpoint(chosen, tuple(sets[k] for k in pivots), kernel)
     return save_checkpoint(whole, folder / "ensemble.safetensors")

@@ -1,4 +1,4 @@
-"""Motions from files: BVH, arrays, and clips of a store."""
+"""Motions from files: rigs, arrays, and clips of a store."""
 
 from __future__ import annotations
 
@@ -11,9 +11,7 @@ from ssdr.common.errors import FormatError, InputError
 from ssdr.io.arrays.array_files import read_arrays
 from ssdr.io.file_errors import reading
 
-from ..data.bvh import read_bvh
 from ..data.clip import Clip
-from ..data.retarget import retarget
 from ..data.skeleton import check_joints
 from ..data.store import ClipStore
 from ..data.subject import Subject
@@ -27,9 +25,8 @@ def read_motion(path: Path | str, subject: Subject) -> tuple[NDArray[np.float64]
     Parameters
     ----------
     path : path
-        ``.bvh`` or ``.bvh.gz``, retargeted by the names of its joints; ``.npz`` with an array
-        ``joints`` ``(F, J, 3, 4)``; the folder of a clip in a store; or a ``.fbx``, ``.glb`` or
-        ``.usd*`` whose rig has the joints and the bind pose of the network's.
+        ``.npz`` with an array ``joints`` ``(F, J, 3, 4)``; the file of a clip in a store; or a
+        ``.fbx``, ``.glb`` or ``.usd*`` whose rig has the joints and the bind pose of the network's.
 
     Returns
     -------
@@ -47,14 +44,11 @@ def read_motion(path: Path | str, subject: Subject) -> tuple[NDArray[np.float64]
     """
     file = Path(path)
     if not file.exists():
-        raise InputError("motion", "a .bvh, a .npz or a clip", str(file))
-    if file.name.lower().endswith((".bvh", ".bvh.gz")):
-        moved = retarget(read_bvh(file), subject.skeleton, fps=subject.fps)
-        return np.asarray(moved.joints, np.float64), None
-    if file.is_dir() and file.parent.name == "clips":
+        raise InputError("motion", "a .fbx, .glb, .usd or .npz, or a clip", str(file))
+    if file.parent.name == "clips" and file.suffix == ".npz":
         store = ClipStore.open(file.parent.parent)
         subject.check_fits(store)
-        clip = store.clip(file.name)
+        clip = store.clip(file.stem)
         return np.asarray(clip.joints, np.float64), clip
     if file.suffix.lower() in RIGS:
         try:
@@ -64,7 +58,7 @@ def read_motion(path: Path | str, subject: Subject) -> tuple[NDArray[np.float64]
             raise InputError("motion", error.expected, f"{error.got} ({file.name})") from error
     if file.suffix.lower() != ".npz":
         raise FormatError(
-            f"{file}: a motion is a .bvh, a .fbx, .glb or .usd with the rig, a .npz with joints, "
+            f"{file}: a motion is a .fbx, .glb or .usd with the rig, a .npz with joints, "
             "or a clip of a store"
         )
     joints = np.asarray(read_arrays(file, required=("joints",))["joints"], np.float64)

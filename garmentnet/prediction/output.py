@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 import ssdr
-from ssdr import MeshSequence, Skinning
+from ssdr import MeshSequence, ShapedSkinning, Skinning
 from ssdr.common.errors import InputError
 from ssdr.io.atomic import atomic_path
 from ssdr.io.formats import FORMATS
@@ -29,7 +29,8 @@ from ..drawing.dressed import (
     outfit_look,
     outfit_sheet,
 )
-from ..io.files import Progress, silent, writing
+from ..io.files import Progress, silent
+from .morph_targets import with_morph_targets
 from .prediction import Prediction
 
 _ELEVATION = 12.0  # degrees of the camera above the horizon
@@ -76,15 +77,16 @@ def save_prediction(
     truth: Clip | None = None,
     error: bool = False,
     every: int = 1,
+    shapes: int = 8,
     progress: Progress = silent,
 ) -> str:
     """Write a prediction in the format of the suffix.
 
     ``.mp4``, ``.gif`` and ``.webp`` are films and ``.png`` and ``.jpg`` sheets of pictures, with
-    the body and, where it is known, the truth beside the prediction; ``.glb``, ``.gltf`` and
-    ``.fbx`` hold the virtual bones, without the high-frequency part; ``.html`` is a page of the
-    cloth beside the truth or, where it is not known, of the virtual bones beside the cloth; all
-    other formats hold the vertices.
+    the body and, where it is known, the truth beside the prediction; ``.glb`` and ``.gltf`` hold
+    the joints and virtual bones, and morph targets for what these cannot do; ``.fbx`` holds joints
+    and virtual bones alone; ``.html`` is a page of the cloth beside the truth or, where it is not
+    known, of the virtual bones beside the cloth; all other formats hold the vertices.
 
     Parameters
     ----------
@@ -101,6 +103,9 @@ def save_prediction(
         Whether a film with the truth has the error as a third panel.
     every : int
         Step between the frames that a film shows; its speed does not change.
+    shapes : int
+        Largest number of morph targets.  They are principal components of what the skinned mesh
+        lacks, improved in turns with their amounts; the rest pose may move.
     progress : callable, optional
         Called with the fraction of a film that is drawn.
 
@@ -112,9 +117,9 @@ def save_prediction(
     Raises
     ------
     InputError
-        If the clip has other numbers of frames or vertices than the prediction, or `every` is below
-        1.
-    SsdrError
+        If the clip has other numbers of frames or vertices than the prediction, `every` is below 1
+        or `shapes` below 0.
+    OSError
         If the file cannot be written.
     """
     file = Path(path)
@@ -126,21 +131,25 @@ def save_prediction(
             raise InputError("truth", text(*expected), text(*found))
     if every < 1:
         raise InputError("every", "1 or more", every)
+    if shapes < 0:
+        raise InputError("shapes", "0 or more", shapes)
     suffix = file.suffix.lower()
-    with writing(file):
-        if suffix in _FILMS:
-            film = _film(p, truth, size, error, every)
-            write = _write_mp4 if suffix == ".mp4" else Film.write
-            write(film, file, lambda done: progress("drawing", done))
-            beside = " of truth and prediction" if truth is not None else ""
-            return f"a film{beside}, {len(film.panels.frames)} frames"
-        if suffix in _PICTURES:
-            sheet = outfit_sheet(p.body, p.cloth, p.joints, p.root, truth=truth, frames=frames)
-            write_picture(sheet, file)
-            return f"{min(frames, p.cloth.n_frames)} frames"
-        if suffix == _PAGE:
-            return _write_page(p, file, truth)
-        return _save(prediction, file)
+    if suffix in _FILMS:
+        film = _film(p, truth, size, error, every)
+        write = _write_mp4 if suffix == ".mp4" else Film.write
+        write(film, file, lambda done: progress("drawing", done))
+        beside = " of truth and prediction" if truth is not None else ""
+        return f"a film{beside}, {len(film.panels.frames)} frames"
+    if suffix in _PICTURES:
+        sheet = outfit_sheet(p.body, p.cloth, p.joints, p.root, truth=truth, frames=frames)
+        write_picture(sheet, file)
+        return f"{min(frames, p.cloth.n_frames)} frames"
+    if suffix == _PAGE:
+        return _write_page(p, file, truth)
+    if suffix in _BONES:
+        return _save_bones(p, file, shapes)
+    report = ssdr.save(p.cloth, file)
+    return ": ".join([f"{p.cloth.n_frames} frames of vertices", *report.notes])
 
 
 def _write_page(p: Prediction, file: Path, truth: Clip | None) -> str:
@@ -196,13 +205,18 @@ def _film(p: Prediction, truth: Clip | None, size: int, error: bool, every: int)
     )
 
 
-def _save(prediction: Prediction, file: Path) -> str:
-    if file.suffix.lower() in _BONES:
-        ssdr.save(rigid(prediction.skinning), file)
-        rms = 1e3 * ssdr.metrics.rmse(prediction.cloth, prediction.skinning)
-        return f"the virtual bones alone; {rms:.2f} mm of the prediction are not in it"
-    report = ssdr.save(prediction.cloth, file)
-    return ": ".join([f"{prediction.cloth.n_frames} frames of vertices", *report.notes])
+def _save_bones(p: Prediction, file: Path, shapes: int) -> str:
+    truth, model = np.asarray(p.cloth.vertices, np.float64), rigid(p.skinning)
+    saved: Skinning | ShapedSkinning = model
+    if shapes and file.suffix.lower() != ".fbx":
+        saved = with_morph_targets(model, truth, shapes)
+    report = ssdr.save(saved, file)
+    count = len(saved.shapes) if isinstance(saved, ShapedSkinning) else 0
+    return (
+        f"{model.n_bones} joints, {count} morph targets, {model.n_frames} frames, "
+        f"{report.bytes / 1e6:.1f} MB; RMSE to the prediction "
+        f"{1e3 * ssdr.metrics.distances(truth, saved).rmse:.2f} mm"
+    )
 
 
 def rigid(skinning: Skinning) -> Skinning:

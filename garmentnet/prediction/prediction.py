@@ -15,6 +15,7 @@ from ssdr.common.errors import InputError
 
 from ..collision.outward import push_of
 from ..data.parameters import SimulationParameters, warn_beyond
+from ..io.tables import from_table
 from ..networks.checkpoint import Checkpoint
 
 
@@ -26,8 +27,8 @@ class Prediction:
     ----------
     cloth, body : MeshSequence
     skinning : Skinning
-        The low-frequency part: the virtual bones with their world transforms, followed by the
-        joints of the body to which vertices are bound.
+        The low-frequency part: the body's joints with their hierarchy, which move the vertices
+        bound to them, followed by the virtual bones as children of the first joint.
     joints : (F, J, 3, 4) array
     root : (F, 3) array
         Positions of the root joint, metres.
@@ -50,18 +51,26 @@ class Prediction:
 
 
 def chosen_parameters(
-    checkpoint: Checkpoint, entered: Mapping[str, float]
+    checkpoint: Checkpoint, entered: Mapping[str, Any]
 ) -> SimulationParameters | None:
     """Parameters for :func:`predict`; None if none is entered and the checkpoint needs none.
 
     Parameters that are not entered are those of the training, or the defaults for a checkpoint that
     reads parameters.
+
+    Raises
+    ------
+    InputError
+        If one is not positive.
+    FormatError
+        If one has another name or is no number.
     """
     reads = checkpoint.reads_parameters
     if not entered and not reads:
         return None
     trained_on = None if reads else checkpoint.parameters[0]
-    return dataclasses.replace(trained_on or SimulationParameters(), **entered)
+    values = dataclasses.asdict(trained_on or SimulationParameters()) | dict(entered)
+    return from_table(SimulationParameters, values, file="parameters")
 
 
 def predict(
@@ -121,25 +130,26 @@ def predict(
         cloth, moved, farthest = pushed.vertices, pushed.moved, pushed.farthest
     body = np.asarray(ssdr.skin(rig.rest, rig.indices, rig.weights, m), np.float32)
     rest, bones, weights = subject.skin(smooth=True)
-    used = np.unique(bones[bones >= count]) - count
-    names = [f"virtual_{b:02d}" for b in range(count)]
+    tree, virtual = subject.skeleton, [f"virtual_{b:02d}" for b in range(count)]
     skinning = Skinning(
         rest,
-        np.where(bones < count, bones, count + np.searchsorted(used, bones - count)),
+        np.where(bones < count, bones + tree.n_joints, bones - count),
         weights,
-        np.concatenate([transforms, m[:, used]], axis=1),
+        np.concatenate([m, transforms], axis=1),
         faces=garment.faces,
         fps=subject.fps,
         bone_model="rigid" if checkpoint.kernel is None else "affine",
-        bone_names=(*names, *(subject.skeleton.names[j] for j in used)),
+        bone_names=(*tree.names, *virtual),
         name=name,
+        parents=np.concatenate([tree.parents, np.zeros(count, np.int32)]),
+        joint_positions=np.concatenate([tree.rest, garment.centroids()]),
     )
     return Prediction(
         cloth=MeshSequence(cloth, garment.faces, subject.fps, name=name),
         body=MeshSequence(body, rig.faces, subject.fps, name="body"),
         skinning=skinning,
         joints=m,
-        root=subject.skeleton.positions(m)[:, 0],
+        root=tree.positions(m)[:, 0],
         moved=moved,
         farthest=farthest,
     )

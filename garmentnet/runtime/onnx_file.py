@@ -17,10 +17,10 @@ import torch
 from torch import Tensor, nn
 
 from ssdr.common.errors import InputError
+from ssdr.io.atomic import write_bytes
 from ssdr.io.optional import import_optional as require
 
 from ..data.parameters import RANGES
-from ..io.files import write_file
 from ..networks.checkpoint import Checkpoint
 from ..networks.network import MotionNetwork
 
@@ -76,7 +76,7 @@ def export_onnx(checkpoint: Checkpoint, path: Path | str, *, bits: int = 32) -> 
     entry.key, entry.value = "garmentnet", json.dumps(_document(checkpoint))
     onnx.checker.check_model(model)
     file = Path(path)
-    write_file(file, model.SerializeToString())
+    write_bytes(file, model.SerializeToString())
     return file
 
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.garment.scenes.body import Body
 from benchmarks.garment.scenes.garments import Garment
-from garmentnet.data.motion import Motion
+from benchmarks.garment.scenes.motion import Motion
 from garmentnet.data.skeleton import Skeleton
 from ssdr.model.skinning import Skinning
 

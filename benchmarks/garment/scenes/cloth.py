@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from garmentnet.collision.body_tree import tree_of
-from garmentnet.data.motion import interpolate
 from garmentnet.data.parameters import SimulationParameters
 from ssdr.common.checks import LARGEST
 from ssdr.common.errors import InputError
@@ -19,6 +18,7 @@ from ssdr.common.errors import InputError
 from .body import Body
 from .garments import Garment
 from .limits import check_numbers
+from .motion import interpolate
 from .xpbd.chunks import colour, pack
 from .xpbd.contact import CLUSTER
 from .xpbd.loop import BodyArrays, ClothArrays, Step, simulate_frames

@@ -13,16 +13,16 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from garmentnet.data.bvh import read_bvh
 from garmentnet.data.clip_files import Split
-from garmentnet.data.retarget import retarget
 from garmentnet.data.store import ClipStore
-from garmentnet.io.files import Progress, silent, writing
+from garmentnet.io.files import Progress, silent
 from ssdr.common.errors import InputError
 from ssdr.common.parallel import get_threads
 
+from .bvh import read_bvh
 from .cloth import Cloth
 from .motion_sources import MotionSource
+from .retarget import retarget
 from .scene_file import DataSet, SceneDescription
 from .simulator import simulate
 
@@ -129,7 +129,7 @@ def make_data_set(
     InputError
         If the store has another garment or body, or a clip of the same name from another scene,
         or another process writes to the store.
-    SsdrError
+    OSError
         If a clip could not be written.
     """
     count = get_threads() if workers is None else workers
@@ -186,21 +186,20 @@ def _add(cloth: Cloth, scene: SceneDescription, store: ClipStore) -> None:
         seed=scene.seed,
         perturbation=scene.perturbation,
     )
-    with writing(store.path / "clips" / scene.name):
-        store.add(
-            scene.name,
-            vertices=result.vertices,
-            joints=motion.joints,
-            classes=motion.classes,
-            split=scene.motion.split,
-            motion=scene.motion.name,
-            parameters=scene.parameters.parameters,
-            seed=scene.seed,
-            quality=dataclasses.asdict(result.quality),
-            provenance=scene.provenance(),
-            perturbation=scene.perturbation,
-            step=STEP,
-        )
+    store.add(
+        scene.name,
+        vertices=result.vertices,
+        joints=motion.joints,
+        classes=motion.classes,
+        split=scene.motion.split,
+        motion=scene.motion.name,
+        parameters=scene.parameters.parameters,
+        seed=scene.seed,
+        quality=dataclasses.asdict(result.quality),
+        provenance=scene.provenance(),
+        perturbation=scene.perturbation,
+        step=STEP,
+    )
 
 
 def _is_there(store: ClipStore, scene: SceneDescription) -> bool:

@@ -13,7 +13,6 @@ from scipy.spatial import cKDTree
 
 import ssdr
 from garmentnet.data.outfit import is_mirror
-from garmentnet.data.skin_weights import strongest
 from ssdr.common.errors import InputError
 
 from .body import Body
@@ -157,4 +156,7 @@ def follow(
     weights = (dense[usable][nearest] * near[..., None]).sum(axis=1) / near.sum(axis=1)[:, None]
     if mirror is not None:
         weights = (weights + weights[mirror][:, body.skeleton.mirror()]) / 2
-    return strongest(weights, _INFLUENCES)
+    order = np.argsort(-weights, axis=1, kind="stable")[:, :_INFLUENCES]
+    largest = np.take_along_axis(weights, order, axis=1)
+    largest /= largest.sum(axis=1, keepdims=True)
+    return np.where(largest > 0, order, 0).astype(np.int32), largest

@@ -5,16 +5,16 @@ from __future__ import annotations
 import dataclasses
 from typing import get_args
 
-from garmentnet.data.bvh import read_bvh
 from garmentnet.data.clip_files import Split
-from garmentnet.data.motion import Motion
-from garmentnet.data.retarget import retarget
 from ssdr.common.checks import LARGEST
 from ssdr.common.errors import InputError
 
 from .body import Body
+from .bvh import read_bvh
 from .dance.choreography import DANCE_CLASSES, dance
 from .limits import check_numbers
+from .motion import Motion
+from .retarget import retarget
 
 SPLITS: tuple[Split, ...] = get_args(Split)
 _SEEDS_OF_A_SPLIT = 1000

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from garmentnet.collision.body_tree import INSIDE, BodyTree
-from garmentnet.data.motion import Motion
 
 from .body import Body
 from .garments import Garment
+from .motion import Motion
 
 # Distance from the skin, metres, up to which vertices outside are measured.
 _LOOK = 1e-3

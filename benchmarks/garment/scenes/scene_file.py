@@ -159,7 +159,7 @@ class DataSet:
     fps: float = 30.0
     seed: int = 0
     perturbation: float = 0.0
-    garment: Cut | MeshGarment = dataclasses.field(default_factory=Cut)
+    garment: Any = dataclasses.field(default_factory=Cut)
     body: str = ""
     solver: Solver = dataclasses.field(default_factory=Solver)
     gate: Gate = dataclasses.field(default_factory=Gate)
@@ -265,11 +265,15 @@ def load_data_set(source: str | Path) -> DataSet:
         path = _PRESETS / f"{source}.toml"
     if not path.is_file():
         raise FormatError(f"{path}: no such file, nor a preset ({', '.join(presets())})")
+    table = _table(path)
+    cut = table.pop("garment", {})
+    kind = MeshGarment if isinstance(cut, dict) and "mesh" in cut else Cut
     try:
-        read = from_table(DataSet, _table(path), file=str(path))
+        garment: Any = from_table(kind, cut, file=str(path), name="garment")
+        read = from_table(DataSet, table, file=str(path))
     except InputError as error:
         raise FormatError(str(error)) from error
-    garment, motion = read.garment, read.motion
+    motion = read.motion
     if isinstance(garment, MeshGarment):
         garment = dataclasses.replace(garment, mesh=str(path.parent / garment.mesh))
     if motion is not None and motion.file:

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
-from garmentnet.data.motion import Motion, interpolate
 from garmentnet.data.outfit import neighbours
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.data.skeleton import Skeleton
@@ -21,6 +20,7 @@ from ssdr.common.errors import InputError
 
 from .cloth import Cloth
 from .garments import Garment
+from .motion import Motion, interpolate
 from .quality import Gate, Quality, depths, judge
 
 # Version of the simulator, raised when a scene gives another clip; part of a clip's provenance.

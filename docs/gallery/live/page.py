@@ -26,7 +26,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 from garmentnet.collision.outward import push_of
 from garmentnet.data.parameters import RANGES, SimulationParameters
 from garmentnet.data.skeleton import check_joints
-from garmentnet.io.files import write_file
 from garmentnet.io.tensors import SHIPPED
 from garmentnet.networks.checkpoint import Checkpoint, load_checkpoint
 from garmentnet.networks.detail_basis import DetailBasis
@@ -34,6 +33,7 @@ from garmentnet.networks.gru import GRULinear
 from garmentnet.prediction.motion_file import read_motion
 from ssdr import Skinning
 from ssdr.common.errors import InputError
+from ssdr.io.atomic import write_bytes
 from ssdr.mesh.surface import Material, Surface
 from ssdr.model.bone_ends import limb_ends
 from ssdr.show import FABRIC, SKIN
@@ -132,7 +132,7 @@ def write_page(
         frames = sum(len(take.joints) for take in takes)
         expected = f"a network and motions that fit into {max_bytes:,} bytes"
         raise InputError("max_bytes", expected, f"{len(data):,} with {frames:,} frames")
-    write_file(Path(path), data)
+    write_bytes(Path(path), data)
     return len(data)
 
 

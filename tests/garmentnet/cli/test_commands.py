@@ -21,11 +21,6 @@ from garmentnet.paper.bones import virtual_bones
 
 RUN = CliRunner()
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}
-BVH = (
-    "HIERARCHY\nROOT Hips\n{\n OFFSET 0 0 0\n CHANNELS 6 Xposition Yposition Zposition "
-    "Zrotation Yrotation Xrotation\n End Site\n {\n  OFFSET 0 1 0\n }\n}\nMOTION\n"
-    "Frames: 2\nFrame Time: 0.0333333\n0 0 0 0 0 0\n0 0 0 0 0 0\n"
-)
 
 
 def settings(folder, *, low=16, epochs=2, high_epochs=1, device=""):
@@ -34,7 +29,7 @@ def settings(folder, *, low=16, epochs=2, high_epochs=1, device=""):
         "[bones]\nlength = 0.03\ncount = 10\ninfluences = 4\neffort = 'fast'\nframes = 160\n"
         f"[low]\nhidden = {low}\n[high]\nhidden = 8\n"
         f"[train]\nepochs = {epochs}\nhigh_epochs = {high_epochs}\nthreads = 1\n"
-        "tensorboard = false\n" + (f"device = '{device}'\n" if device else "")
+        + (f"device = '{device}'\n" if device else "")
     )
     return folder / "c.toml"
 
@@ -57,7 +52,7 @@ def test_a_clip_is_shown_beside_its_prediction(toy_run, toy_store, tmp_path):
         ("other", "set0-test-0", ()),
     ):
         path = tmp_path / f"{name}.png"
-        call("predict", checkpoint, toy_store.path / "clips" / clip, "-o", path, *options)
+        call("predict", checkpoint, toy_store.clip(clip).path, "-o", path, *options)
         with Image.open(path) as sheet:
             sizes[name] = sheet.height
     assert sizes["beside"] > 2 * sizes["alone"]
@@ -76,7 +71,7 @@ def test_train_then_evaluate_then_predict(toy_store, tmp_path, monkeypatch):
     names = [r["name"] for r in report["groups"]["test"]["rows"]]
     assert names[0] == "bones themselves"
     assert names[-3:] == ["mean shape", "body-skinned", "ridge"]
-    motion = toy_store.path / "clips" / "base-test-0"
+    motion = toy_store.clip("base-test-0").path
     out = call("predict", checkpoint, motion, "-o", tmp_path / "dress.npz")
     assert "90 frames of vertices" in out
     with np.load(tmp_path / "dress.npz") as archive:
@@ -98,7 +93,7 @@ def test_every_failure_is_one_line(toy_run, toy_store, tmp_path, capfd):
     joints[3, 1, 0, 3] = np.nan
     np.savez(tmp_path / "nan.npz", joints=joints)
     (tmp_path / "hostile.safetensors").write_bytes(pickle.dumps({"format": "garmentnet"}))
-    clip = toy_store.path / "clips" / "base-test-0"
+    clip = toy_store.clip("base-test-0").path
     out = tmp_path / "x.npz"
     cases = [
         (3, r"nan\.npz.* frame 3, joint 1", checkpoint, tmp_path / "nan.npz", "-o", out),
@@ -106,17 +101,29 @@ def test_every_failure_is_one_line(toy_run, toy_store, tmp_path, capfd):
         (2, "nothing", tmp_path / "nothing.safetensors", clip, "-o", out),
         (2, "a suffix of .*mp4", checkpoint, clip, "-o", tmp_path / "x.xyz"),
         (2, "folder that exists", checkpoint, clip, "-o", tmp_path / "no" / "x.npz"),
-        (2, "single network.*bending 0.5.*bending 2", checkpoint, clip, "--bending", 2, "-o", out),
-        (2, "bending: expected a positive", checkpoint, clip, "--bending", "nan", "-o", out),
+        (
+            2,
+            "single network.*bending 0.5.*bending 2",
+            checkpoint,
+            clip,
+            "--parameters",
+            "bending=2",
+            "-o",
+            out,
+        ),
+        (
+            2,
+            "bending: expected a positive",
+            checkpoint,
+            clip,
+            "--parameters",
+            "bending=nan",
+            "-o",
+            out,
+        ),
         (2, "--output", checkpoint, clip),
-        # The toy's joints are none that motion capture could move.
-        (2, "arm_l.* got joints root, leg_l, leg_r", checkpoint, tmp_path / "m.bvh", "-o", out),
     ]
-    (tmp_path / "m.bvh").write_text(BVH)
-    exporting = [
-        (3, "joints: expected shape", checkpoint, "-o", tmp_path / "x.glb"),
-        (2, "x.obj", checkpoint, "-o", tmp_path / "x.obj"),
-    ]
+    exporting = [(2, "x.obj", checkpoint, "-o", tmp_path / "x.obj")]
     store = ("--store", toy_store.path)
     training = [
         (2, "--store", "rooted"),
@@ -194,7 +201,7 @@ def test_limit_of_a_file_while_training(toy_store, tmp_path):
         env=ENVIRONMENT,
     )
     assert done.returncode == 1, done.stderr
-    assert re.search(r"low\.state\.safetensors: could not be written", done.stderr)
+    assert re.search(r"low\.state\.safetensors: File too large", done.stderr)
     assert [p.name for p in (tmp_path / "run").iterdir()] == ["run.json"]
 
 
@@ -213,9 +220,9 @@ def test_models_are_listed_with_what_is_wrong(toy_run, tmp_path, capfd):
     assert said(capfd, "models", tmp_path / "none")[0] == 2
 
 
-def test_a_garment_is_exported_with_its_joints(toy_run, toy_store, tmp_path):
+def test_a_garment_plays_with_its_joints(toy_run, toy_store, tmp_path):
     checkpoint, target = toy_run / "checkpoint.safetensors", tmp_path / "dress.glb"
-    clip = toy_store.path / "clips" / "base-test-0"
-    out = call("export", checkpoint, "-o", target, "--motion", clip, "--shapes", 2)
+    clip = toy_store.clip("base-test-0").path
+    out = call("predict", checkpoint, clip, "-o", target, "--shapes", 2)
     assert re.search(r"13 joints, 2 morph targets, 90 frames", out)
     assert target.read_bytes()[:4] == b"glTF"

@@ -38,7 +38,7 @@ def test_bad_configurations(tmp_path):
     for text, error, what in (
         ("[low]\nwidth = 3", FormatError, r"c\.toml.*width"),
         ("[high]\nedge_features = [8, 'x']", FormatError, "edge_features"),
-        ("[low]\nhidden = 0", InputError, "hidden"),
+        ("[low]\nhidden = 0", FormatError, "hidden"),
         ("[high]\nkind = 'basis'\ncollision = 0.1", InputError, r"high\.collision.*basis"),
     ):
         file.write_text(text)

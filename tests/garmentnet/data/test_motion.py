@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-pytest.importorskip("zarr")
+pytest.importorskip("numcodecs")
 
 from benchmarks.garment.scenes.body import default_body
+from benchmarks.garment.scenes.motion import Motion, interpolate
 from benchmarks.garment.scenes.simulator import lead_in
-from garmentnet.data.motion import Motion, interpolate
 from garmentnet.data.parameters import RANGES, SimulationParameters
 from garmentnet.data.skeleton import Skeleton, mirror_transforms
 from helpers import toy_store as toy

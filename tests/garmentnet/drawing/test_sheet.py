@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("torch")
-pytest.importorskip("zarr")
+pytest.importorskip("numcodecs")
 
 from PIL import Image
 

@@ -10,7 +10,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from garmentnet.data.motion import CLASSES
+from garmentnet.data.clip import CLASSES
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.evaluation.reporting import group_of, report
 from garmentnet.networks.checkpoint import Checkpoint, load_checkpoint, save_checkpoint

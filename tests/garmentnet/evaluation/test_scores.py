@@ -7,7 +7,6 @@ import pytest
 torch = pytest.importorskip("torch")
 
 import ssdr
-from garmentnet.collision.body_tree import BodyTree
 from garmentnet.evaluation.methods import BonesThemselves, MeanDetail, Method, Network
 from garmentnet.evaluation.scores import chaos_floor, evaluate
 from garmentnet.evaluation.tables import score_table
@@ -201,18 +200,3 @@ def test_rows_are_pooled_from_clips_and_classes(toy_bones, toy_network):
         square = np.average([e.all**2 for e in scores.per_class.values()], weights=counts)
         assert np.isclose(scores.all.overall.rmse, np.sqrt(square))
         assert scores.free == scores.all  # no vertex of the toy is pinned
-
-
-def test_vertices_inside_the_body_are_counted(toy_store, toy_bones):
-    """A cloth that is drawn toward the body's axis enters it."""
-
-    def narrow(clip):
-        low, high = toy_bones.split(clip.name)
-        axis = low.mean(axis=1, keepdims=True) * [1, 0, 1] + low * [0, 1, 0]
-        return np.float32(0.2 * low + 0.8 * axis), high
-
-    row = evaluate(toy_bones, [Split(narrow, "narrow")], [CLIP])[0]
-    clip = toy_store.clip(CLIP)
-    depth = -BodyTree(toy_store.body).signed_distance(sum(narrow(clip)), clip.joints)
-    assert row.inside == pytest.approx((depth > 5e-4).mean())
-    assert row.inside > 0.05

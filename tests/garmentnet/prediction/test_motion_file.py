@@ -20,7 +20,7 @@ def test_motion_files(toy_network, toy_store, joints, tmp_path):
     found, clip = read_motion(tmp_path / "m.npz", toy_network.subject)
     assert np.array_equal(found, joints)
     assert clip is None
-    found, clip = read_motion(toy_store.path / "clips" / "base-test-0", toy_network.subject)
+    found, clip = read_motion(toy_store.clip("base-test-0").path, toy_network.subject)
     assert (len(found), clip.name) == (90, "base-test-0")
     np.savez(tmp_path / "few.npz", joints=joints[:, :2])
     np.savez(tmp_path / "none.npz", other=joints)
@@ -32,7 +32,7 @@ def test_motion_files(toy_network, toy_store, joints, tmp_path):
         with pytest.raises(FormatError, match=name):
             read_motion(tmp_path / name, toy_network.subject)
     with pytest.raises(InputError, match="motion"):
-        read_motion(tmp_path / "nothing.bvh", toy_network.subject)
+        read_motion(tmp_path / "nothing.npz", toy_network.subject)
 
 
 def test_the_motion_of_a_rig_with_the_same_joints(toy_network, joints, tmp_path):

@@ -53,7 +53,6 @@ def sleeve(tmp_path_factory):
             *changes,
             "bones.effort=fast",
             "features.joints=[]",
-            "train.tensorboard=false",
             "low.relative_to=joints",
         ],
     )

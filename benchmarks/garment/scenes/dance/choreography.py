@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from garmentnet.data.motion import CLASSES, Motion
+from garmentnet.data.clip import CLASSES
 from garmentnet.data.skeleton import Skeleton
 from ssdr.common.errors import InputError
 
+from ..motion import Motion
 from .moves import MOVES, TEMPI, Controls, Float, smooth
 from .puppet import CHANNELS, RATE, pose_joints
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-pytest.importorskip("zarr")
+pytest.importorskip("numcodecs")
 
 from benchmarks.garment.make_body import make_body
 from benchmarks.garment.scenes.body import default_body, load_body, save_body

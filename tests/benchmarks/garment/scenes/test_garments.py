@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("zarr")
+pytest.importorskip("numcodecs")
 
 import ssdr
 from benchmarks.garment.scenes.body import Body, default_body

@@ -12,9 +12,9 @@ from benchmarks.garment.scenes.body import default_body
 from benchmarks.garment.scenes.cloth import Cloth, Solver
 from benchmarks.garment.scenes.cut import Cut, cut_garment
 from benchmarks.garment.scenes.dance.choreography import dance
+from benchmarks.garment.scenes.motion import Motion
 from benchmarks.garment.scenes.quality import Gate, depths, judge
 from benchmarks.garment.scenes.simulator import perturbation_field, simulate
-from garmentnet.data.motion import Motion
 from garmentnet.data.parameters import SimulationParameters
 from helpers.cloth_scenes import still
 from ssdr.model.skinning import skin

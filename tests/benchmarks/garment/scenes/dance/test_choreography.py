@@ -7,11 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-pytest.importorskip("zarr")
+pytest.importorskip("numcodecs")
 
 from benchmarks.garment.scenes.body import default_body
 from benchmarks.garment.scenes.dance.choreography import DANCE_CLASSES, dance
-from garmentnet.data.motion import CLASSES, Motion
+from benchmarks.garment.scenes.motion import Motion
+from garmentnet.data.clip import CLASSES
 
 TREE = default_body().skeleton
 FEET = [TREE.index("foot_l"), TREE.index("foot_r")]

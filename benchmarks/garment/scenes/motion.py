@@ -1,8 +1,4 @@
-"""Motion of a body: poses over time, from a generator or from motion capture (BVH).
-
-Nothing here needs a simulator: the same code poses the body for training data and for
-prediction.
-"""
+"""Poses of a body over time, from the generator of dances or from motion capture (BVH)."""
 
 from __future__ import annotations
 
@@ -13,16 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
+from garmentnet.data.clip import CLASSES
+from garmentnet.data.skeleton import Skeleton, check_joints
 from ssdr.common.errors import InputError
-
-from .skeleton import Skeleton, check_joints
-
-# Classes of motion; "recorded" is motion capture, the others are made by the generator.  New ones
-# are added at the end: stores hold indices into this list.
-CLASSES = (
-    *("stand", "walk", "sway", "spin", "kick", "squat", "jump", "stop"),
-    *("recorded", "turn", "shift"),
-)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -34,7 +23,7 @@ class Motion:
     joints : (F, J, 3, 4) float array
         World transforms from the rest pose to the pose of each frame, rigid.
     classes : (F,) int array
-        Class of motion of each frame, an index into :data:`garmentnet.data.motion.CLASSES`.
+        Class of motion of each frame, an index into :data:`garmentnet.data.clip.CLASSES`.
     fps : float
 
     Raises

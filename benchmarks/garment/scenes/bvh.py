@@ -16,10 +16,8 @@ from ssdr.common.errors import FormatError
 from ssdr.io.file_errors import check, reading
 
 Float = NDArray[np.float64]
-# Limits against hostile files, far above what a motion of a body needs.
-_MAX_BYTES = 1 << 28
-_MAX_JOINTS = 1000
-_MAX_DEPTH = 200  # levels of joints
+# Name, parent, offset and channels.
+Joint = tuple[str, int, list[float], list[str]]
 _FRAME_TIMES = (1e-4, 10.0)  # seconds, shortest and longest
 
 
@@ -47,10 +45,6 @@ class Bvh:
     root: Float
     rotations: Float
     fps: float
-
-    @property
-    def n_frames(self) -> int:
-        return len(self.root)
 
 
 def read_bvh(path: str | os.PathLike[str]) -> Bvh:
@@ -88,20 +82,23 @@ def read_bvh(path: str | os.PathLike[str]) -> Bvh:
     with reading(source):
         opener = gzip.open if source.suffix.lower() == ".gz" else open
         with opener(source, "rb") as file:
-            data = file.read(_MAX_BYTES + 1)
-        check(len(data) <= _MAX_BYTES, f"more than {_MAX_BYTES} bytes")
-        text = data.decode("utf-8-sig")
+            text = file.read().decode("utf-8-sig")
         head, separator, tail = text.partition("MOTION")
         check(separator, "no section MOTION")
-        names, parents, offsets, channels = _hierarchy(iter(head.split()))
-        words = tail.split()
-        stated = words[:1] + words[2:4] == ["Frames:", "Frame", "Time:"]
+        words = iter(head.split())
+        check([next(words, ""), next(words, "")] == ["HIERARCHY", "ROOT"], "no HIERARCHY of a ROOT")
+        joints: list[Joint] = []
+        _read_joint(words, -1, joints)
+        check(next(words, None) is None, "more than one ROOT")
+        names, parents, offsets, channels = zip(*joints, strict=True)
+        numbers = tail.split()
+        stated = numbers[:1] + numbers[2:4] == ["Frames:", "Frame", "Time:"]
         check(stated, "no 'Frames:' and 'Frame Time:' after MOTION")
-        frames, step = int(words[1]), float(words[4])
+        frames, step = int(numbers[1]), float(numbers[4])
         valid = frames >= 1 and _FRAME_TIMES[0] <= step <= _FRAME_TIMES[1]
         check(valid, f"{frames} frames of {step} s")
         width = sum(len(c) for c in channels)
-        values = np.array(words[5:], dtype=np.float64)
+        values = np.array(numbers[5:], dtype=np.float64)
         expected = f"expected {frames} frames of {width} numbers, got {len(values)} numbers"
         check(len(values) == frames * width, expected)
         check(np.isfinite(values).all(), "NaN or Inf among the channels")
@@ -122,52 +119,35 @@ def read_bvh(path: str | os.PathLike[str]) -> Bvh:
             if order:
                 turned = Rotation.from_euler(order, np.stack(angles, axis=1), degrees=True)
                 rotations[:, j] = turned.as_matrix()
-        return Bvh(names, np.array(parents, np.int32), offsets, root, rotations, 1 / step)
+        tree = names, np.array(parents, np.int32), np.array(offsets)
+        return Bvh(*tree, root, rotations, 1 / step)
 
 
-def _hierarchy(
-    words: Iterator[str],
-) -> tuple[tuple[str, ...], list[int], Float, list[list[str]]]:
-    try:
-        check(next(words) == "HIERARCHY", "does not begin with HIERARCHY")
-        names: list[str] = []
-        parents: list[int] = []
-        offsets: list[list[float]] = []
-        channels: list[list[str]] = []
-        stack: list[int] = []
-        end = False  # inside an End Site, whose offset no joint has
-        for word in words:
-            if word in ("ROOT", "JOINT"):
-                check((word == "ROOT") == (not names), "more than one ROOT, or none before a JOINT")
-                names.append(next(words))
-                parents.append(stack[-1] if stack else -1)
-                offsets.append([0.0, 0.0, 0.0])
-                channels.append([])
-                check(len(names) <= _MAX_JOINTS, f"more than {_MAX_JOINTS} joints")
-            elif word == "End":
-                next(words)
-                end = True
-            elif word == "{":
-                stack.append(-2 if end else len(names) - 1)
-                check(len(stack) <= _MAX_DEPTH, f"joints nested deeper than {_MAX_DEPTH}")
-            elif word == "}":
-                end = False
-                stack.pop()
-            elif word == "OFFSET":
-                values = [float(next(words)) for _ in range(3)]
-                check(np.isfinite(values).all(), "an OFFSET that is not finite")
-                if stack[-1] >= 0:
-                    offsets[stack[-1]] = values
-            elif word == "CHANNELS":
-                chosen = [next(words) for _ in range(int(next(words)))]
-                kinds = {f"{a}{k}" for a in "XYZ" for k in ("position", "rotation")}
-                turns = sum(c.endswith("rotation") for c in chosen)
-                valid = set(chosen) <= kinds and len(set(chosen)) == len(chosen) and turns in (0, 3)
-                check(valid, f"channels {chosen}: expected three rotations or none")
-                channels[stack[-1]] = chosen
-            else:
-                raise FormatError(f"{word!r} in the hierarchy")
-        check(names and not stack, "a hierarchy without end")
-    except (StopIteration, IndexError) as error:
-        raise FormatError("a hierarchy that is cut off") from error
-    return tuple(names), parents, np.array(offsets), channels
+def _read_joint(words: Iterator[str], parent: int, joints: list[Joint]) -> None:
+    """Add a joint, whose name comes next, and all below it."""
+    number, offset, channels = len(joints), [0.0, 0.0, 0.0], list[str]()
+    name, opening = next(words), next(words)
+    check(opening == "{", f"{opening!r} in place of '{{'")
+    joints.append((name, parent, offset, channels))
+    for word in words:
+        if word == "}":
+            return
+        if word == "JOINT":
+            _read_joint(words, number, joints)
+        elif word == "End":
+            site = [next(words) for _ in range(7)]  # with braces and an offset
+            check(site[0] == "Site" and site[-1] == "}", f"End {' '.join(site)}")
+        elif word == "OFFSET":
+            offset[:] = [float(next(words)) for _ in range(3)]
+            check(np.isfinite(offset).all(), "an OFFSET that is not finite")
+        elif word == "CHANNELS":
+            channels[:] = [next(words) for _ in range(int(next(words)))]
+            kinds = {f"{a}{k}" for a in "XYZ" for k in ("position", "rotation")}
+            turns = sum(c.endswith("rotation") for c in channels)
+            valid = set(channels) <= kinds and len(set(channels)) == len(channels)
+            check(
+                valid and turns in (0, 3), f"channels {channels}: expected three rotations or none"
+            )
+        else:
+            raise FormatError(f"{word!r} in the hierarchy")
+    raise FormatError("a hierarchy that is cut off")

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from garmentnet.data.clip import CLASSES
+from garmentnet.data.skeleton import Skeleton
 from ssdr.common.errors import InputError
 
 from .bvh import Bvh
-from .motion import CLASSES, Motion, interpolate
-from .skeleton import Skeleton
+from .motion import Motion, interpolate
 
 Float = NDArray[np.float64]
 
@@ -68,15 +69,13 @@ def retarget(bvh: Bvh, skeleton: Skeleton, *, fps: float = 30.0) -> Motion:
     InputError
         If the file has no match for a joint that is needed; the message says which.
     """
-    if not (math.isfinite(fps) and 1 <= fps <= 1000):
-        raise InputError("fps", "1 to 1000", fps)
     source = _match(bvh, skeleton)
     zero = np.zeros((len(bvh.names), 3))
     for j, parent in enumerate(bvh.parents):
         zero[j] = bvh.offsets[j] + (zero[parent] if parent >= 0 else 0)
     # By numbers, since a file may give two joints the same name.
     figure = Skeleton(tuple(map(str, range(len(zero)))), bvh.parents, zero)
-    world = figure.transforms(np.zeros((bvh.n_frames, 3)), bvh.rotations)
+    world = figure.transforms(np.zeros((len(bvh.root), 3)), bvh.rotations)
     # Files differ in which axis is up and in which direction the figure faces.
     across = zero[source["thigh_l"]] - zero[source["thigh_r"]]
     down = (zero[source["foot_l"]] + zero[source["foot_r"]]) / 2 - zero[source["pelvis"]]
@@ -136,18 +135,10 @@ def _match(bvh: Bvh, skeleton: Skeleton) -> dict[str, int]:
                 taken.add(j)
                 break
     needed = {*_NEEDED, *(n[:-1] + "r" for n in _NEEDED if n.endswith("_l"))}
-    absent = sorted(needed - set(skeleton.names))
-    if absent:
-        raise InputError(
-            "skeleton",
-            f"joints {', '.join(absent)}, to which a BVH's motion can be carried over",
-            f"joints {', '.join(skeleton.names)}",
-        )
     missing = sorted(n for n in needed if n not in matched)
     if missing:
-        raise InputError(
-            "bvh", f"joints for {', '.join(missing)}", f"joints {', '.join(bvh.names[:40])}"
-        )
+        expected = f"joints for {', '.join(missing)}, which the body needs, too"
+        raise InputError("bvh", expected, ", ".join(bvh.names[:40]))
     return matched
 
 
