@@ -10,6 +10,7 @@ from 0 to 1: gender, age, muscle, weight, height, proportions.  Needs ``anny``.
 
 from __future__ import annotations
 
+import argparse
 import sys
 from pathlib import Path
 
@@ -93,6 +94,7 @@ def make_body(**build: float) -> Body:
     rows = np.arange(len(vertices))[:, None]
     bones = model.vertex_bone_indices.numpy()
     np.add.at(dense, (rows, joint_of[bones]), model.vertex_bone_weights.double().numpy())
+    dense = np.maximum(dense, 0.0)  # anny has weights of -1e-10
     rest = np.array([heads[labels.index(row[2])] for row in table])
     parents = [names.index(row[1]) if row[1] else -1 for row in table]
     tree = Skeleton(names, np.array(parents), rest)
@@ -117,6 +119,9 @@ def _y_up(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 if __name__ == "__main__":
-    target, *build = sys.argv[1:]
-    pairs = (text.split("=", 1) for text in build)
-    save_body(make_body(**{name: float(value) for name, value in pairs}), Path(target))
+    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    options.add_argument("file", type=Path, help="what is written, .npz")
+    options.add_argument("build", nargs="*", metavar="NAME=NUMBER")
+    given = options.parse_args()
+    pairs = (text.split("=", 1) for text in given.build)
+    save_body(make_body(**{name: float(value) for name, value in pairs}), given.file)

@@ -4,6 +4,7 @@
 see :func:`benchmarks.garment.scenes.retarget.retarget`.
 """
 
+import argparse
 import sys
 from pathlib import Path
 
@@ -16,6 +17,10 @@ from benchmarks.garment.scenes.retarget import retarget
 from garmentnet.networks.checkpoint import load_checkpoint
 
 if __name__ == "__main__":
-    model, source, target = sys.argv[1:]
-    subject = load_checkpoint(model).subject
-    np.savez(target, joints=retarget(read_bvh(source), subject.skeleton, fps=subject.fps).joints)
+    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    for name in ("model", "source", "target"):
+        options.add_argument(name)
+    given = options.parse_args()
+    subject = load_checkpoint(given.model).subject
+    motion = retarget(read_bvh(given.source), subject.skeleton, fps=subject.fps)
+    np.savez(given.target, joints=motion.joints)

@@ -185,8 +185,9 @@ class ClipStore(Outfit):
             check(known == CLASSES[: len(known)], f"other classes of motion: {known}")
             MeshSequence(d["rest"][None], d["faces"])
             body = ssdr.load_skinning(target / "body.npz").skinning
+            arrays: dict[str, Any] = {name: d.get(name) for name in _ARRAYS}
             return cls(
-                **{name: d.get(name) for name in _ARRAYS},
+                **arrays,
                 body=body,
                 skeleton=Skeleton(body.names(), d["parents"], d["joint_rest"]),
                 fps=float(d["fps"]),

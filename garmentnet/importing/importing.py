@@ -104,7 +104,11 @@ def import_clips(
     store = ClipStore.open(target) if target.exists() else None
     if store is None:
         # Before anything is read, which may take long.
-        target.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            found = f"{target.parent} ({error.strerror})"
+            raise InputError("path", "a store in a folder that can be made", found) from error
         check_writable(target)
     else:
         store.sweep()

@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -51,7 +51,7 @@ class Kernel(nn.Module):
     1.0
     """
 
-    def __init__(self, inputs: int = 3, *, power: int = 2) -> None:
+    def __init__(self, inputs: int = 3, *, power: Literal[1, 2] = 2) -> None:
         super().__init__()
         self.power = power
         self.g = nn.Sequential(

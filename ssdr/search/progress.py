@@ -38,7 +38,7 @@ class Record:
     Examples
     --------
     >>> dancer = ssdr.samples.load("dancer_small")
-    >>> result = ssdr.decompose(dancer, bones=3, effort="fast")
+    >>> result = ssdr.decompose(dancer, bones=4, effort="fast")
     >>> last = result.history[-1]
     >>> last.iteration >= 1, np.allclose(last.rmse, result.rmse)
     (True, True)
@@ -77,7 +77,7 @@ class Progress:
     >>> fractions = []
     >>> result = ssdr.decompose(
     ...     dancer,
-    ...     bones=3,
+    ...     bones=4,
     ...     effort="fast",
     ...     callback=lambda progress: fractions.append(progress.fraction),
     ... )

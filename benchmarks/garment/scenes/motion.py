@@ -83,8 +83,8 @@ def interpolate(
     count = len(joints)
     at = np.clip(np.asarray(at, dtype=np.float64), 0, count - 1)
     root, local = skeleton.pose(joints)
-    if count == 1:
-        return np.repeat(joints, len(at), axis=0)
+    if count == 1 or not len(at):
+        return np.repeat(joints[:1], len(at), axis=0)
     frames = np.arange(count)
     place = np.stack([np.interp(at, frames, root[:, c]) for c in range(3)], axis=1)
     turned = np.empty((len(at), skeleton.n_joints, 3, 3))

@@ -69,7 +69,7 @@ def scores(name, errors, frames=100):
     def one(label, clips, rmse):
         part = Score(rmse, 2 * rmse, 2 * rmse)
         parts = Parts(part, part, part, 1.0)
-        return Scores(label, frames, parts, parts, {}, 0.0, 0.0, clips)
+        return Scores(label, frames, parts, parts, {}, clips)
 
     clips = tuple(one(f"clip-{k}", (), e) for k, e in enumerate(errors))
     return one(name, clips, float(np.sqrt(np.mean(np.square(errors)))))

@@ -83,7 +83,7 @@ def test_the_high_module_is_judged_by_its_own_error(toy_store, toy_bones, toy_ne
     (track,) = tracks
     high, _ = network.high(
         network.high_inputs(track.inputs[None], task.tracks[0].extra[None]),
-        task._low(task.tracks[0].extra[None], track.joints()[None]),
+        network.mesh(task.tracks[0].extra[None], track.joints()[None]),
     )
     gap = (high[0] - track.detail())[:, network.free]
     assert abs(before - float(gap.square().sum(-1).mean().sqrt())) < 1e-6

@@ -35,7 +35,7 @@ def test_normal_equations_against_a_dense_solver(rng, scaled):
     for k, face in enumerate(model.faces):
         for c, i in enumerate(face):
             design, right = turns[:, i].reshape(-1, 3), targets[:, k, c].reshape(-1)
-            pull = np.sqrt(0.08 * (design**2).sum())
+            pull = np.sqrt(0.06 * (design**2).sum())
             design = np.concatenate([design, pull * np.eye(3)])
             right = np.concatenate([right, pull * own[k, c]])
             n = np.linalg.lstsq(design, right, rcond=None)[0]
