@@ -165,7 +165,7 @@ def toy_config():
 @pytest.fixture(scope="session")
 def toy_store(tmp_path_factory):
     pytest.importorskip("torch")
-    pytest.importorskip("numcodecs")
+    pytest.importorskip("msgspec")
     from garmentnet.data.parameters import SimulationParameters as P
     from helpers import toy_store as toy
 

@@ -9,7 +9,7 @@ import pkgutil
 import pytest
 
 pytest.importorskip("torch")
-pytest.importorskip("numcodecs")
+pytest.importorskip("msgspec")
 
 import garmentnet
 

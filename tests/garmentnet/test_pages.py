@@ -12,7 +12,7 @@ import pytest
 from docs import snippets
 
 pytest.importorskip("torch")
-pytest.importorskip("numcodecs")
+pytest.importorskip("msgspec")
 
 import trimesh
 

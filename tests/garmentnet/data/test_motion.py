@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-pytest.importorskip("numcodecs")
+pytest.importorskip("msgspec")
 
 from benchmarks.garment.scenes.body import default_body
 from benchmarks.garment.scenes.motion import Motion, interpolate

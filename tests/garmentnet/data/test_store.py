@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("numcodecs")
+pytest.importorskip("msgspec")
 
 import ssdr
 from garmentnet.data.clip import MIRRORED, Clip

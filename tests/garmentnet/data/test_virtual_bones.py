@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("torch")
-pytest.importorskip("numcodecs")
+pytest.importorskip("msgspec")
 
 from garmentnet.configs.config import BoneOptions
 from garmentnet.data.clip_files import read_document, write_clip

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("numcodecs")
+pytest.importorskip("msgspec")
 pytest.importorskip("torch")
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("torch")
-pytest.importorskip("numcodecs")
+pytest.importorskip("msgspec")
 
 from PIL import Image
 

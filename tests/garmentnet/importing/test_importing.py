@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 pytest.importorskip("torch")
-pytest.importorskip("numcodecs")
+pytest.importorskip("msgspec")
 pytest.importorskip("pxr")
 
 from typer.testing import CliRunner

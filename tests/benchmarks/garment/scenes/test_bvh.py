@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-pytest.importorskip("numcodecs")
+pytest.importorskip("msgspec")
 pytest.importorskip("filelock")
 
 from benchmarks.garment.scenes.body import default_body

@@ -12,7 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
-pytest.importorskip("numcodecs")
+pytest.importorskip("msgspec")
 
 from benchmarks.garment.scenes.body import default_body
 from benchmarks.garment.scenes.cloth import Cloth, Solver

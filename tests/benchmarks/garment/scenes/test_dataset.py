@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("numcodecs")
+pytest.importorskip("msgspec")
 pytest.importorskip("filelock")
 
 from benchmarks.garment.scenes.dataset import make_data_set

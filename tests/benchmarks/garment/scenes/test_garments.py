@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("numcodecs")
+pytest.importorskip("msgspec")
 
 import ssdr
 from benchmarks.garment.scenes.body import Body, default_body

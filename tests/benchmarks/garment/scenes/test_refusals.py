@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("numcodecs")
+pytest.importorskip("msgspec")
 
 from benchmarks.garment.scenes.body import default_body
 from benchmarks.garment.scenes.cloth import Solver

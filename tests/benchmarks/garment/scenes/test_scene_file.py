@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("numcodecs")
+pytest.importorskip("msgspec")
 pytest.importorskip("filelock")
 
 from benchmarks.garment.scenes.cut import Cut
