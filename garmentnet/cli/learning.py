@@ -171,7 +171,7 @@ def export(
     output: Annotated[Path, typer.Option("--output", "-o", help="dress.onnx")],
     bits: Annotated[int, typer.Option(help="Of stored weights, 32 or 16.")] = 32,
 ) -> None:
-    """Write a garment for engines as an .onnx that predicts; predict writes a .glb that plays."""
+    """Write a network as .onnx, which engines run; `garmentnet predict` writes a .glb to play."""
     from ..networks.checkpoint import load_checkpoint
     from ..runtime.onnx_file import export_onnx
 

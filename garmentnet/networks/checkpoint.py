@@ -50,7 +50,7 @@ _GONE = (("low", "symmetric"), ("train", "tensorboard"), ("data", "store"))
 
 @dataclasses.dataclass(frozen=True)
 class NetworkRecord:
-    """A network: its settings, the parameters it was trained on, whether it has detail."""
+    """Settings of a network, the parameters of the clips it learned, and whether it has detail."""
 
     config: Config
     parameters: SimulationParameters | None

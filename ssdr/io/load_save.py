@@ -236,8 +236,9 @@ def list_left_out(
 def _listed(name: str, path: Any, folder: Any) -> tuple[str, ...]:
     """What a function of a file's format lists; nothing if the format has no such function."""
     source, format_ = _to_read(path)
+    listed = format_.function(name)
     with trusting(folder):
-        return tuple((format_.function(name) or (lambda _: ()))(source))
+        return () if listed is None else tuple(listed(source))
 
 
 def _to_read(

@@ -51,7 +51,10 @@ _ROUGH, _ACCURATE = (12, 1e-4), (20, 1e-4)
 
 
 class _Groups(NamedTuple):
-    """Arguments of :func:`answer_bones`, and `importance`, which :func:`effect_on_bones` reads."""
+    """Vertices in groups that the same bones move, as kernels take them.
+
+    :func:`answer_bones` takes all but the last field, :func:`effect_on_bones` all but `gradient`.
+    """
 
     start: NDArray[np.intp]  # (G + 1,) first vertex of each group
     bones: NDArray[np.intp]  # (G, K) bones of each group, ascending, padded with B
