@@ -35,7 +35,7 @@ BASELINES = (
         parts=("low", "high"),
         network=FrameMLP,
         features="rooted",
-        changes=("features.velocities=false", "features.root_motion=false"),
+        changes=tuple(f"features.{n}=false" for n in ("velocities", "root_motion", "joint_motion")),
     ),
     # After the coarse garment of Zhang, Wang, Ceylan & Mitra 2021, "Dynamic Neural Garments": an
     # MLP that reads the last frames of the body's motion, without skinning.

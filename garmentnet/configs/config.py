@@ -60,6 +60,7 @@ class FeatureOptions:
     translation: bool = True
     velocities: bool = False
     root_motion: bool = False
+    joint_motion: bool = False
     floor: Amount = 0.001
     clamp: Amount = 0.0
     frame: Literal["world", "root", "heading"] = "root"

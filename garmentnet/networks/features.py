@@ -29,8 +29,9 @@ _TINY = 1e-30  # against a division by 0
 class PoseFeatures:
     """Features of a pose, and the moving frame in which the network predicts.
 
-    A state is one row: the root's position in the first frame (3); then of the frame before, the
-    root's position (3), velocity (3) and rotation (9), and the features of the rotations.
+    A state is one row: the root's position in the first frame (3); then of the frame before,
+    position and velocity (3 each) of the root, or of all joints whose motion is read, the root's
+    rotation (9), and the features of the rotations.
 
     Parameters
     ----------
@@ -57,17 +58,20 @@ class PoseFeatures:
         self.read = skeleton.read(options.joints)
         self._above = skeleton.parents[self.read[1:]].tolist()
         self._code = len(self.read) * (3 if options.rotation == "vector" else 6)
+        # Joints whose motion is read, the root first.
+        self.tracked = self.read if options.joint_motion else self.read[:1]
 
     @property
     def size(self) -> int:
         """Number of features."""
         o = self.options
-        return self._code * (1 + o.velocities) + 3 * o.translation + 12 * o.root_motion
+        size = self._code * (1 + o.velocities) + 3 * o.translation + 12 * o.root_motion
+        return size + 15 * (len(self.tracked) - 1)
 
     @property
     def state_size(self) -> int:
         """Numbers of a state."""
-        return 18 + self._code
+        return 12 + 6 * len(self.tracked) + self._code
 
     def __call__(self, joints: Any, state: Array | None = None) -> tuple[Array, Array, Array]:
         """Features of consecutive frames.
@@ -101,8 +105,10 @@ class PoseFeatures:
     ) -> tuple[Tensor, Tensor, Tensor]:
         """As a call, for tensors of rigid joints; where the mask `begins` holds, from rest."""
         o, turns, count = self.options, m[..., :3], len(m)
-        root = turns[:, 0]
-        place = root @ torch.as_tensor(self.skeleton.rest[0], dtype=m.dtype) + m[:, 0, :, 3]
+        root, tracked = turns[:, 0], turns[:, self.tracked]
+        heads = torch.as_tensor(self.skeleton.rest[self.tracked], dtype=m.dtype)[..., None]
+        places = (tracked @ heads)[..., 0] + m[:, self.tracked, :, 3]
+        place = places[:, 0]
         heading, upright = _heading(root), torch.eye(3, dtype=m.dtype).expand(count, 3, 3)
         base = heading if o.heading_free else upright
         above = torch.cat([base[:, None], turns[:, self._above]], dim=1)
@@ -111,23 +117,33 @@ class PoseFeatures:
         code = (columns if o.rotation == "sixd" else rotation_vector(local)).flatten(1)
         flat = root.flatten(1)
         # A motion that starts has been at rest in its first pose.
-        own = torch.cat([place, place, torch.zeros_like(place), flat, code], dim=1)
+        own = torch.cat([place, places.flatten(1), 0 * places.flatten(1), flat, code], dim=1)
         before = own[0] if state is None else state
         if begins is not None:
             before = torch.where(begins, own[0], before)
         past = torch.cat([before[None], own[:-1]])
-        velocity = (place - past[:, 3:6]) * self.fps
-        slower = torch.cat([before[None, 6:9], velocity[:-1]])
+        width = 3 * len(self.tracked)
+        _, was, _, turned, coded = past.split([3, width, width, 9, self._code], dim=1)
+        velocity = (places - was.reshape(places.shape)) * self.fps
+        slower = before[3 + width : 3 + 2 * width].reshape(1, *places.shape[1:])
+        change = (velocity - torch.cat([slower, velocity[:-1]])) * self.fps
         start = before[None, :3].expand(count, 3)
-        states = torch.cat([start, place, velocity, flat, code], dim=1)
+        last = places.flatten(1), velocity.flatten(1)
+        states = torch.cat([start, *last, flat, code], dim=1)
         parts = [place - start] * o.translation + [code]
         if o.velocities:
-            parts.append((code - past[:, 18:]) * self.fps)
+            parts.append((code - coded) * self.fps)
         if o.root_motion:
-            spin = root @ past[:, 9:18].reshape(-1, 3, 3).transpose(-1, -2)
-            moves = velocity, (velocity - slower) * self.fps, rotation_vector(spin) * self.fps
-            seen = [(v[:, None] @ heading)[:, 0] for v in moves]
+            spin = root @ turned.reshape(-1, 3, 3).transpose(-1, -2)
+            turning = rotation_vector(spin) * self.fps
+            roots = velocity[:, 0], change[:, 0], turning
+            seen = [(v[:, None] @ heading)[:, 0] for v in roots]
             parts += [*seen, seen[2] ** 2]
+        if o.joint_motion:
+            moves = places - place[:, None], velocity, change
+            parts += [(v[:, 1:] @ heading).flatten(1) for v in moves]
+            columns = (heading.transpose(-1, -2)[:, None] @ tracked[:, 1:])[..., :2]
+            parts.append(columns.transpose(-1, -2).flatten(1))
         turn = {"world": upright, "root": root, "heading": heading}[o.frame]
         origin = torch.zeros_like(place) if o.frame == "world" else place
         frame = torch.cat([turn, origin[..., None]], dim=-1)

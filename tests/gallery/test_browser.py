@@ -68,6 +68,7 @@ def settle(browser):
         {"bound": False, "detail": False},
         {"condition": True, "high": {"source": "body"}},
         {"condition": True, "features": {"rotation": "vector", "translation": True}},
+        {"features": {"joint_motion": False}},  # as of the dress that ships
         {"features": {"heading_free": False, "frame": "root", "root_motion": False}},
         {"features": {"frame": "world", "joints": ("shin_l", "spine"), "clamp": 0.0}},
         {"low": {"relative_to": "joints"}},

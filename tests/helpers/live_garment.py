@@ -26,6 +26,7 @@ CHANGES = (
     {"bound": False, "condition": True},
     {"detail": False, "features": {"frame": "world", "translation": True}},
     {"high": {"source": "body"}, "condition": True, "features": {"joints": ("shin_l",)}},
+    {"features": {"joint_motion": False}},  # as of the dress that ships
     {"features": {"heading_free": False, "frame": "root", "root_motion": False}},
     {"features": {"frame": "world", "joints": ("shin_l", "spine"), "clamp": 0.0}},
     {"features": {"rotation": "vector", "translation": True, "velocities": False}},

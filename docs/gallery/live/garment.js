@@ -62,24 +62,30 @@ class Garment {
   features(before, m) {
     const { fps } = this;
     const head = heading(m), turn = [0, 1, 2, 4, 5, 6, 8, 9, 10].map((k) => m[k]);
-    const place = moved(m, 0, doc.rig.heads[0]);
+    const places = this.tracked.map((j) => moved(m, j, doc.rig.heads[j])), place = places[0];
     const code = this.read.flatMap((j) => {
       const p = doc.rig.parents[j], own = rotationOf(m, j);
       const r = p >= 0 ? across(rotationOf(m, p), own) : this.headingFree ? across(head, own) : own;
       return this.sixd ? [0, 1].flatMap((c) => [r[c], r[3 + c], r[6 + c]]) : rotationVector(r);
     });
     const zero = [0, 0, 0];
-    const velocity = before ? plus(place, before.place, -1).map((v) => v * fps) : zero;
-    const pose = { first: before?.first || place, place, velocity, rotation: turn, code };
+    const rates = (now, then) => now.map((p, k) => (before ? plus(p, then[k], -1).map((v) => v * fps) : zero));
+    const velocities = rates(places, before?.places), changes = rates(velocities, before?.velocities);
+    const pose = { first: before?.first || place, place, places, velocities, rotation: turn, code };
     const out = this.translation ? plus(place, pose.first, -1) : [];
     out.push(...code);
     if (this.velocities) out.push(...code.map((v, k) => (before ? (v - before.code[k]) * fps : 0)));
     if (this.rootMotion) {
-      const change = before ? plus(velocity, before.velocity, -1).map((v) => v * fps) : zero;
       const transposed = (r) => [r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]];
       const since = before ? rotationVector(across(transposed(turn), transposed(before.rotation))) : zero;
-      const [v, c, w] = [velocity, change, since.map((x) => x * fps)].map((x) => turnedBack(head, x));
+      const [v, c, w] = [velocities[0], changes[0], since.map((x) => x * fps)].map((x) => turnedBack(head, x));
       out.push(...v, ...c, ...w, ...w.map((x) => x * x));
+    }
+    const seen = [places.map((p) => plus(p, place, -1)), velocities, changes];
+    for (const every of seen) out.push(...every.slice(1).flatMap((v) => turnedBack(head, v)));
+    for (const j of this.tracked.slice(1)) {
+      const r = across(head, rotationOf(m, j));
+      out.push(r[0], r[3], r[6], r[1], r[4], r[7]);
     }
     return [pose, out];
   }

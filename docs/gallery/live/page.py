@@ -329,6 +329,7 @@ def _network(
     return {
         "fps": s.fps,
         "read": n.features.read,
+        "tracked": n.features.tracked,
         "sixd": o.rotation == "sixd",
         "headingFree": o.heading_free,
         "translation": o.translation,

@@ -45,7 +45,8 @@ def naive(skeleton, options, joints):
     rows, frames, past = [], [], None
     for m in joints:
         world = [Rotation.from_matrix(x[:, :3]) for x in m]
-        root, place = world[0], m[0, :, :3] @ skeleton.rest[0] + m[0, :, 3]
+        places = skeleton.positions(m[None])[0]
+        root, place = world[0], places[0]
         _, y, _, w = root.as_quat()
         heading = Rotation.from_quat([0, y, 0, w])  # the twist of swing and twist
         local = [
@@ -56,15 +57,19 @@ def naive(skeleton, options, joints):
             pose = np.concatenate([r.as_rotvec() for r in local])
         else:
             pose = np.concatenate([r.as_matrix()[:, :2].T.ravel() for r in local])
-        first, *before = past or (place, place, np.zeros(3), root, pose)
-        speed = (place - before[0]) * toy.FPS
+        first, *before = past or (place, places, 0 * places, root, pose)
+        speeds = (places - before[0]) * toy.FPS
+        changes = (speeds - before[1]) * toy.FPS
         turn = (root * before[2].inv()).as_rotvec() * toy.FPS
         row = [place - first] if options.translation else []
         row += [pose, (pose - before[3]) * toy.FPS] if options.velocities else [pose]
         if options.root_motion:
-            moves = [heading.inv().apply(v) for v in (speed, (speed - before[1]) * toy.FPS, turn)]
+            moves = [heading.inv().apply(v) for v in (speeds[0], changes[0], turn)]
             row += [*moves, moves[2] ** 2]
-        past = first, place, speed, root, pose
+        if options.joint_motion:
+            row += [heading.inv().apply(x[1:]).ravel() for x in (places - place, speeds, changes)]
+            row += [(heading.inv() * r).as_matrix()[:, :2].T.ravel() for r in world[1:]]
+        past = first, places, speeds, root, pose
         rows.append(np.concatenate(row))
         of = {"root": root, "heading": heading, "world": Rotation.identity()}[options.frame]
         at = 0 * place if options.frame == "world" else place
@@ -73,7 +78,13 @@ def naive(skeleton, options, joints):
 
 
 @pytest.mark.parametrize(
-    "options", [FAITHFUL, ROOTED, dataclasses.replace(ROOTED, frame="world", translation=True)]
+    "options",
+    [
+        FAITHFUL,
+        ROOTED,
+        dataclasses.replace(ROOTED, joint_motion=False),
+        dataclasses.replace(ROOTED, frame="world", translation=True),
+    ],
 )
 def test_features_are_those_of_a_naive_twin(moved, options):
     skeleton, joints, _ = moved
@@ -158,7 +169,13 @@ def test_only_some_joints_are_read(moved):
     n = skeleton.n_joints
     assert np.array_equal(x[:, :12], y[:, :12])
     assert np.array_equal(x[:, 12:24], y[:, 6 * n : 6 * n + 12])
-    assert np.array_equal(x[:, 24:], y[:, 12 * n :])
+    assert np.array_equal(x[:, 24:36], y[:, 12 * n :][:, :12])
+    # Position, velocity, acceleration and rotation, each of all joints but the root.
+    others, leg = n - 1, features.read[1] - 1
+    own, every = x[:, 36:], y[:, 12 * n + 12 :]
+    for k in range(3):
+        assert np.array_equal(own[:, 3 * k :][:, :3], every[:, 3 * (others * k + leg) :][:, :3])
+    assert np.array_equal(own[:, 9:], every[:, 9 * others + 6 * leg :][:, :6])
 
 
 def test_joints_that_do_not_exist(moved):
