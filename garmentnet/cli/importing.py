@@ -76,7 +76,10 @@ def import_clips(
         validation=validation or (),
     )
     pairs = list(zip(cloths, rigs, strict=True))
-    typer.echo(str(import_clips(pairs, output, options, rest=rest, say=say).path))
+    store = import_clips(pairs, output, options, rest=rest, say=say)
+    if refused := store.refused():
+        say(refused)
+    typer.echo(str(store.path))
 
 
 def _files(option: str, words: list[str]) -> list[Path]:

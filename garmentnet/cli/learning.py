@@ -61,6 +61,8 @@ def train(
 
     chosen = override(load_config(config), settings or ())
     clips = ClipStore.open(store)
+    if refused := clips.refused():
+        typer.echo(refused, err=True)
     stem = Path(config).stem + ("-ensemble" if ensemble else "") + f"-seed{chosen.train.seed}"
     folder = output or output_folder() / "runs" / stem
     begun = load_checkpoint(start) if start else None
@@ -92,11 +94,13 @@ def evaluate(
     from ..data.store import ClipStore
     from ..evaluation.reporting import report
 
-    folder = output or output_folder() / "evaluation"
+    folder, source = output or output_folder() / "evaluation", ClipStore.open(store)
+    if refused := source.refused():
+        typer.echo(refused, err=True)
     with progress_bar() as show:
         text = report(
             checkpoints,
-            ClipStore.open(store),
+            source,
             folder,
             baselines=baselines,
             pictures=pictures,

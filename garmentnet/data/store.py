@@ -269,6 +269,15 @@ class ClipStore(Outfit):
                 named.append((original, twin.name))
         return tuple(named)
 
+    def refused(self) -> str:
+        """A line with the clips that the quality gate refused, each with the reason; or nothing."""
+        every = list(self.clips(accepted=None, perturbed=None))
+        found = [f"{c.name} ({c.quality.get('reason')})" for c in every if not c.accepted]
+        text = (
+            f"{len(found)} of {len(every)} clips are refused and left out: {', '.join(found[:8])}"
+        )
+        return (text + ", ..." * (len(found) > 8)) if found else ""
+
     def __contains__(self, name: object) -> bool:
         known = isinstance(name, str) and _NAME.match(name)
         return bool(known) and self._file(str(name)).is_file()

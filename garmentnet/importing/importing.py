@@ -16,12 +16,16 @@ from numpy.typing import NDArray
 from ssdr import MeshSequence
 from ssdr.common.errors import InputError
 from ssdr.io.atomic import check_writable
+from ssdr.laplacian import LaplacianSmoother
 from ssdr.model.transforms import rest_diagonal
 
 from ..collision.body_tree import is_closed
+from ..configs.config import BoneOptions
 from ..data.clip_files import Split
 from ..data.parameters import SimulationParameters
+from ..data.skin_weights import find_body_bound
 from ..data.store import ClipStore
+from .quality import judge
 from .rig import MovingBody, rig_of
 from .scene_files import Say, Source, read_cloth, read_rig
 
@@ -115,6 +119,7 @@ def import_clips(
         if o.fps not in (None, store.fps):
             raise InputError("fps", f"{store.fps:g}, as the store has", o.fps)
     moved: dict[bytes, str] = {}
+    pinned: NDArray[np.bool_] | None = None
     for (cloth_file, rig_file), name in zip(pairs, names, strict=True):
         files = Path(cloth_file), Path(rig_file)
         try:
@@ -133,7 +138,9 @@ def import_clips(
             say(f"{name}: warning: its rig moves as that of {other} does")
         if store is None:
             store = _create(target, cloth, rig, o, rest, say)
-        _add(store, name, vertices, rig.joints, o, files, say)
+        if pinned is None and store.names():
+            pinned = _pinned(store)
+        _add(store, name, vertices, rig.joints, pinned, o, files, say)
     assert store is not None  # there is one pair at least
     return store
 
@@ -231,6 +238,13 @@ def _parts(name: str, count: int, o: ImportOptions) -> list[tuple[str, Split, sl
     return [(f"{name}-train" if cut else name, "train", slice(0, ends[-1])), *last]
 
 
+def _pinned(store: ClipStore) -> NDArray[np.bool_]:
+    """Vertices ``(V,)`` that the body carries in the clips of a store."""
+    smoother = LaplacianSmoother(store.rest, store.faces, BoneOptions().length)
+    found = find_body_bound(store, store.names(), smoother)
+    return np.isin(np.arange(store.n_vertices), () if found is None else found.index)
+
+
 def _check_splits(store: ClipStore, name: str, parts: list[tuple[str, Split, slice]]) -> None:
     """Raise an error if a store has this clip in other splits: it would have its frames twice."""
     there = {clip.name: clip.split for clip in store.clips() if clip.motion == name}
@@ -248,6 +262,7 @@ def _add(
     name: str,
     vertices: NDArray[np.float32],
     joints: NDArray[np.float64],
+    pinned: NDArray[np.bool_] | None,
     o: ImportOptions,
     files: tuple[Path, Path],
     say: Say,
@@ -264,6 +279,7 @@ def _add(
             if (there.provenance, there.parameters) != (provenance, parameters):
                 raise InputError("path", f"a store whose clip {part} is of {files[0]}", store.path)
             continue
+        quality = judge(store, m, v, pinned=pinned)
         store.add(
             part,
             vertices=v,
@@ -272,6 +288,7 @@ def _add(
             motion=name,
             parameters=parameters,
             provenance=provenance,
+            quality=quality,
         )
     text = ", ".join(f"{f.stop - f.start} {split}" for _, split, f in parts)
     say(f"{name}: {vertices.shape[1]} vertices, {joints.shape[1]} joints; frames: {text}")

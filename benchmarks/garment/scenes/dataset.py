@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import concurrent.futures
 import contextlib
-import dataclasses
 import json
 import os
 from collections.abc import Sequence
@@ -15,6 +14,7 @@ from filelock import FileLock, Timeout
 
 from garmentnet.data.clip_files import Split
 from garmentnet.data.store import ClipStore
+from garmentnet.importing.quality import LIMITS
 from garmentnet.io.files import Progress, silent
 from ssdr.common.errors import InputError
 from ssdr.common.parallel import get_threads
@@ -182,7 +182,7 @@ def _add(cloth: Cloth, scene: SceneDescription, store: ClipStore) -> None:
         cloth,
         motion,
         scene.parameters.parameters,
-        gate=data_set.gate,
+        limits=LIMITS | data_set.gate,
         seed=scene.seed,
         perturbation=scene.perturbation,
     )
@@ -195,7 +195,7 @@ def _add(cloth: Cloth, scene: SceneDescription, store: ClipStore) -> None:
         motion=scene.motion.name,
         parameters=scene.parameters.parameters,
         seed=scene.seed,
-        quality=dataclasses.asdict(result.quality),
+        quality=result.quality,
         provenance=scene.provenance(),
         perturbation=scene.perturbation,
         step=STEP,

@@ -14,8 +14,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from garmentnet.data.parameters import SimulationParameters
+from garmentnet.importing.quality import LIMITS
 from garmentnet.io.tables import from_table, read_toml
-from ssdr.common.errors import FormatError, InputError
+from ssdr.common.errors import FormatError, InputError, is_real
 
 from .body import Body, default_body, load_body
 from .cloth import Solver
@@ -23,7 +24,6 @@ from .cut import Cut, cut_garment
 from .garments import Garment, garment_from_mesh
 from .limits import check_numbers
 from .motion_sources import SPLITS, Dances, DancesOfSplits, MotionSource
-from .quality import Gate
 from .simulator import VERSION
 
 _PRESETS = Path(__file__).with_name("presets")
@@ -132,7 +132,8 @@ class DataSet:
     body : str
         Path of a body file; empty: the one that ships.
     solver : Solver
-    gate : Gate
+    gate : dict
+        Other limits of a clip's quality, by name.
     base : SimulationParameters
         Parameters with which every motion is simulated.
     motions : DancesOfSplits, optional
@@ -162,7 +163,7 @@ class DataSet:
     garment: Any = dataclasses.field(default_factory=Cut)
     body: str = ""
     solver: Solver = dataclasses.field(default_factory=Solver)
-    gate: Gate = dataclasses.field(default_factory=Gate)
+    gate: dict[str, Any] = dataclasses.field(default_factory=dict)
     base: SimulationParameters = dataclasses.field(default_factory=SimulationParameters)
     motions: DancesOfSplits | None = None
     motion: MotionSource | None = None
@@ -171,6 +172,9 @@ class DataSet:
 
     def __post_init__(self) -> None:
         check_numbers(self, fps=(1, 120), perturbation=(0, 0.1))
+        for name, most in self.gate.items():
+            if name not in LIMITS or not is_real(most):
+                raise InputError("gate", f"numbers for {', '.join(LIMITS)}", f"{name} = {most!r}")
         if (self.motions is None) == (self.motion is None):
             raise InputError("motion, motions", "one of the two", "both" if self.motion else "none")
         if "dance" in [group.name for group in self.further]:

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +18,13 @@ from scipy.spatial.transform import Rotation
 from garmentnet.data.outfit import neighbours
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.data.skeleton import Skeleton
+from garmentnet.importing.quality import LIMITS, judge
 from ssdr.common.errors import InputError
 
+from .body import Body
 from .cloth import Cloth
 from .garments import Garment
 from .motion import Motion, interpolate
-from .quality import Gate, Quality, depths, judge
 
 # Version of the simulator, raised when a scene gives another clip; part of a clip's provenance.
 VERSION = 3
@@ -37,11 +40,12 @@ class Simulated:
     ----------
     vertices : (F, V, 3) float32
         The garment in every frame of the motion.
-    quality : Quality
+    quality : dict
+        Of :func:`garmentnet.importing.quality.judge`.
     """
 
     vertices: NDArray[np.float32]
-    quality: Quality
+    quality: dict[str, Any]
 
 
 def simulate(
@@ -49,7 +53,7 @@ def simulate(
     motion: Motion,
     parameters: SimulationParameters,
     *,
-    gate: Gate | None = None,
+    limits: Mapping[str, float] = LIMITS,
     seed: int = 0,
     perturbation: float = 0.0,
 ) -> Simulated:
@@ -62,7 +66,8 @@ def simulate(
     cloth : Cloth
     motion : Motion
     parameters : SimulationParameters
-    gate : Gate, optional
+    limits : mapping, optional
+        Of the clip's quality, by name.
     seed : int
         Seed of the perturbation.
     perturbation : float
@@ -89,8 +94,21 @@ def simulate(
     joints = joints.astype(np.float32).astype(np.float64)
     moved = perturbation_field(garment, perturbation, seed) if perturbation > 0 else None
     vertices = cloth.simulate(joints, motion.fps, parameters, first=len(before), moved=moved)
-    depth = depths(body, motion, vertices)
-    return Simulated(vertices, judge(garment, motion, vertices, depth, gate))
+    outfit = outfit_of(body, garment, motion.fps)
+    return Simulated(vertices, judge(outfit, motion.joints, vertices, limits=limits))
+
+
+def outfit_of(body: Body, garment: Garment, fps: float) -> Outfit:
+    """Garment and body as clips share them."""
+    return Outfit(
+        rest=garment.rest,
+        faces=garment.faces,
+        body=body.skinning,
+        skeleton=body.skeleton,
+        fps=fps,
+        pinned=garment.pinned,
+        mirror_vertices=garment.mirror,
+    )
 
 
 def lead_in(

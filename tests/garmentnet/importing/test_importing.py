@@ -424,3 +424,18 @@ def test_the_command_takes_patterns_and_one_rig_for_all(files, tmp_path):
         (["--rig", "x.glb", "--rig", "y.glb"], "as cloths"),
     ):
         assert text in str(call(app, [*words, *bad]).exception)
+
+
+def test_cloth_that_lost_its_pins_is_refused(pair, tmp_path):
+    """The upper ring stays 30 cm above its place; in the clip before, the hips carried it."""
+    loose = cloth()
+    v = np.array(loose.vertices)
+    v[:, :10] += np.float32([0.0, 0.3, 0.0])
+    sources = [pair(), pair("loose", dataclasses.replace(loose, vertices=v))]
+    store = import_clips(sources, tmp_path / "a.clips")
+    assert not [n for n in store.names() if n.startswith("loose")]
+    assert "pins_off" in store.clip("loose-train").quality["reason"]
+    assert store.refused().startswith("3 of 6 clips are refused and left out: loose-test (")
+    words = ["import", "--cloth", sources[0][0], "--rig", sources[0][1], "-o", store.path]
+    result = CliRunner().invoke(app, list(map(str, words)))
+    assert "3 of 6 clips are refused" in result.stderr

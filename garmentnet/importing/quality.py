@@ -1,0 +1,123 @@
+"""Quality of clips, and limits beyond which nothing learns from them.
+
+Cloth is refused that is caught (an edge stays long, or a vertex stays behind the body, for a
+second), that crosses the body, or that has lost its pins.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter1d
+from scipy.spatial import cKDTree
+
+from ssdr.model.lbs import skin
+
+from ..collision.body_tree import INSIDE, BodyTree, is_closed
+from ..collision.crossings import find_crossings
+from ..data.outfit import Outfit
+
+# The largest values with which a clip is accepted.
+LIMITS = {
+    "stretch_p99": 1.5,  # length of an edge over that at rest, of edges with a free end
+    "stretch_max": 4.0,
+    "stretch_held": 1.5,  # of the edge that is longest for a whole second
+    "behind": 0.5,  # metres that a vertex is farther from its skin than at rest, for a second
+    "inside_fraction": 0.02,  # of the vertices, more than half a millimetre below the skin
+    "depth_max": 0.05,  # metres below the skin
+    "speed_max": 40.0,  # metres a second
+    "crossed": 5e-3,  # metres that a triangle of the body crosses one of the cloth, for a second
+    "pins_off": 0.05,  # metres that a pinned vertex is farther from its skin than at rest
+}
+# Distance from the skin, metres, up to which vertices outside are measured.
+_LOOK = 1e-3
+_EVERY = 3  # frames from one search for crossings to the next
+_NEAREST = 4  # vertices of the body, nearest at rest, that are the skin of a vertex
+
+
+def judge(
+    outfit: Outfit,
+    joints: NDArray[np.floating],
+    vertices: NDArray[np.float32],
+    *,
+    pinned: NDArray[np.bool_] | None = None,
+    limits: Mapping[str, float] = LIMITS,
+) -> dict[str, Any]:
+    """Measurements of a clip, whether it is ``accepted``, and otherwise the ``reason``.
+
+    Without a closed mesh of the body nothing counts as inside.
+
+    Parameters
+    ----------
+    outfit : Outfit
+    joints : (F, J, 3, 4) array
+    vertices : (F, V, 3) float32
+    pinned : (V,) bool array, optional
+        Vertices that follow the body; by default those of the outfit.
+    limits : mapping, optional
+        Largest values by name.
+    """
+    bad = ~np.isfinite(vertices).all(axis=(1, 2))
+    if bad.any():
+        return {"accepted": False, "reason": f"NaN from frame {bad.argmax()} on"}
+    body, m = outfit.body, np.asarray(joints, np.float64)
+    held = outfit.pinned if pinned is None else pinned
+    pairs = np.sort(outfit.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    edges = np.unique(pairs, axis=0)
+    edges = edges[~held[edges].all(axis=1)]
+    stretch = _lengths(vertices, edges) / _lengths(outfit.rest[None], edges)[0]
+    second = min(len(vertices), round(outfit.fps))
+    p50, p99 = np.percentile(stretch, [50, 99])
+    away = _away(outfit, m, vertices)
+    depth, crossed = np.zeros(vertices.shape[:2]), 0.0
+    if is_closed(body.faces):
+        depth = -BodyTree(body).signed_distance(vertices, m, limit=_LOOK)
+    if len(body.faces):
+        some = vertices[::_EVERY], m[::_EVERY]
+        found = find_crossings(body, outfit.faces, *some, pinned=held).depth[:, None]
+        crossed = _held(found, min(len(found), math.ceil(second / _EVERY)))
+    inside = (depth > INSIDE).mean(axis=1)
+    step = np.linalg.norm(np.diff(vertices, axis=0), axis=2)
+    measured = {
+        "stretch_p50": p50,
+        "stretch_p99": p99,
+        "stretch_max": stretch.max(initial=0.0),
+        "stretch_held": _held(stretch, second),
+        "behind": _held(away[:, ~held], second),
+        "inside_fraction": inside.mean(),
+        "inside_worst_frame": inside.max(),
+        "depth_max": max(0.0, depth.max()),
+        "speed_max": step.max(initial=0.0) * outfit.fps,
+        "crossed": crossed,
+        "pins_off": away[:, held].max(initial=0.0),
+    }
+    over = [f"{k} {measured[k]:.4g} > {most:g}" for k, most in limits.items() if measured[k] > most]
+    # Six digits, so that the stored numbers do not depend on the order of a sum.
+    rounded = {k: float(f"{v:.6g}") for k, v in measured.items()}
+    return {"accepted": not over, "reason": "; ".join(over), **rounded}
+
+
+def _lengths(vertices: NDArray[np.float32], edges: NDArray[np.int32]) -> NDArray[np.float32]:
+    return np.asarray(np.linalg.norm(vertices[:, edges[:, 0]] - vertices[:, edges[:, 1]], axis=2))
+
+
+def _held(values: NDArray[np.floating], frames: int) -> float:
+    """The largest value that is reached or exceeded in so many frames on end."""
+    least = minimum_filter1d(values, frames, axis=0, mode="constant", cval=-np.inf)
+    return float(least.max(initial=0.0))
+
+
+def _away(
+    outfit: Outfit, joints: NDArray[np.float64], vertices: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Distances ``(F, V)`` from the skin that is nearest at rest, less those at rest; metres."""
+    b = outfit.body
+    tree: Any = cKDTree(b.rest)
+    rest, near = tree.query(outfit.rest, k=np.arange(1, min(_NEAREST, b.n_vertices) + 1))
+    posed = skin(b.rest, b.indices, b.weights, joints)
+    gaps = [np.linalg.norm(vertices - posed[:, k], axis=2) for k in near.T]
+    return np.asarray(np.min(gaps, axis=0) - rest[:, 0], np.float32)
