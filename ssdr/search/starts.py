@@ -93,28 +93,33 @@ def normals_need_a_start(d: Descent) -> bool:
 
     If it is not, the RMSE must not be seen, while normals are more than 10° off: the waves of a
     thin, smooth sheet can be sums of few translations, and bones that translate then fit positions
-    but not light.  In that case an RMSE below 0.01 % of the diagonal counts for nothing from now
-    on.
+    but not light.
     """
     if d.planning or d.data.slack or d.data.normals is None:
         wanted = bool(d.normals) and d.constraints.bone_model == "rigid"
         return wanted and len(d.data.faces) > 0
-    model, count = d.best.model, d.data.n_frames * d.data.n_vertices
-    slack = count * (_NOT_SEEN * rest_diagonal(model.rest)) ** 2
-    if model.weighted_error(d.data) > slack or mean_normal_error(d.data, model) < _SEEN:
-        return False
-    d.data = dataclasses.replace(d.data, slack=slack)
-    d.set_best(model)
-    return True
+    model = d.best.model
+    unseen = model.weighted_error(d.data) <= _not_seen(d)
+    return unseen and mean_normal_error(d.data, model) >= _SEEN
+
+
+def _not_seen(d: Descent) -> float:
+    """Squared error of an RMSE that nobody sees."""
+    count = d.data.n_frames * d.data.n_vertices
+    return count * (_NOT_SEEN * rest_diagonal(d.best.model.rest)) ** 2
 
 
 @step("start", cost=8)
 def start_with_normals(d: Descent) -> Iterator[None]:
     """Make bones from motion and alternate a little; solve normals from now on.
 
-    More alternations would lead to bones that translate, and alternations with normals to ones
-    that only turn.
+    Without such a length from the caller, an RMSE below 0.01 % of the diagonal counts for nothing
+    from now on.  More alternations would lead to bones that translate, and alternations with
+    normals to ones that only turn.
     """
+    if not d.data.slack:
+        d.data = dataclasses.replace(d.data, slack=_not_seen(d))
+        d.set_best(d.best.model)
     data = d.data
     d.data = dataclasses.replace(data, normals=None, n2=None)
     model = _first_model(d, 1.0, None, quick=True)
