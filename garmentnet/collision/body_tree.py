@@ -11,10 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from ssdr import Skinning, skin
 from ssdr.common.errors import InputError
 from ssdr.common.parallel import chunk_bounds, run_chunks
-from ssdr.kernels.closest import tree_order
+from ssdr.kernels.closest import fit_boxes, tree_order
 
 from ..data.skeleton import check_finite
-from .crossing_kernels import fit_triangles
 from .kernels import signed_distances
 
 # Metres below the skin from which a vertex counts as inside.
@@ -48,16 +47,14 @@ class BodyTree:
     def __init__(self, body: Skinning) -> None:
         self.body = body
         self.triangles, self.depth = tree_of(body.rest, body.faces)
-        self._every = np.ones(len(self.triangles), bool)
 
     def scenes(self, joints: NDArray[np.float64]) -> Iterator[Scene]:
         """Corners, depth and boxes of the body in each of the poses ``(F, J, 3, 4)``."""
         b = self.body
         for posed in skin(b.rest, b.indices, b.weights, joints, dtype=np.float64):
             boxes = np.empty((2 ** (self.depth + 1) - 1, 6))
-            corners = np.empty((len(self.triangles), 9))
-            fit_triangles(posed, self.triangles, self._every, self.depth, corners, boxes)
-            yield corners, self.depth, boxes
+            fit_boxes(posed, self.triangles, self.depth, boxes)
+            yield posed.take(self.triangles, axis=0).reshape(-1, 9), self.depth, boxes
 
     def signed_distance(
         self, points: ArrayLike, joints: ArrayLike, *, limit: float = math.inf

@@ -1,4 +1,4 @@
-"""Triangles of two meshes that cross, by trees of boxes as of :mod:`ssdr.kernels.closest`."""
+"""Triangles of two meshes that cross, by a tree of boxes of :mod:`ssdr.kernels.closest`."""
 
 from __future__ import annotations
 
@@ -7,45 +7,6 @@ from typing import Any
 import numpy as np
 
 from ssdr.kernels.policy import inline, kernel
-
-
-@kernel
-def fit_triangles(
-    points: Any, triangles: Any, chosen: Any, depth: int, corners: Any, boxes: Any
-) -> None:
-    """Copy the corners of the chosen triangles, and fit the boxes of their tree to them.
-
-    The box of a node without any meets no other.
-
-    points     (V, 3)                   float64  in
-    triangles  (T, 3)                   int32    in the tree's order, in
-    chosen     (T,)                     bool     in
-    depth                               int      levels of the tree below the root
-    corners    (T, 9)                   float64  out
-    boxes      (2**(depth + 1) - 1, 6)  float64  lower, then upper corner of each node, out
-
-    Bounds are kept in registers, which makes it several times as fast as arrays would.
-    """
-    count, base = len(triangles), (1 << depth) - 1
-    for j in range(1 << depth):
-        ax, ay, az, bx, by, bz = np.inf, np.inf, np.inf, -np.inf, -np.inf, -np.inf
-        for t in range((count * j) >> depth, (count * (j + 1)) >> depth):
-            if not chosen[t]:
-                continue
-            for k in range(3):
-                i = triangles[t, k]
-                x, y, z = points[i, 0], points[i, 1], points[i, 2]
-                corners[t, 3 * k], corners[t, 3 * k + 1], corners[t, 3 * k + 2] = x, y, z
-                ax, ay, az = min(ax, x), min(ay, y), min(az, z)
-                bx, by, bz = max(bx, x), max(by, y), max(bz, z)
-        n = base + j
-        boxes[n, 0], boxes[n, 1], boxes[n, 2] = ax, ay, az
-        boxes[n, 3], boxes[n, 4], boxes[n, 5] = bx, by, bz
-    for node in range(base - 1, -1, -1):
-        a, b = 2 * node + 1, 2 * node + 2
-        for c in range(3):
-            boxes[node, c] = min(boxes[a, c], boxes[b, c])
-            boxes[node, 3 + c] = max(boxes[a, 3 + c], boxes[b, 3 + c])
 
 
 @inline
@@ -115,12 +76,6 @@ def box_of(a, i):
 
 
 @inline
-def _node(a, i):
-    """Box a[i] as numbers, since a view of the row costs more than comparing it."""
-    return a[i, 0], a[i, 1], a[i, 2], a[i, 3], a[i, 4], a[i, 5]
-
-
-@inline
 def beside(box, b, j):
     """Whether a box and box b[j] are apart along an axis."""
     return (
@@ -131,6 +86,31 @@ def beside(box, b, j):
         or box[2] > b[j, 5]
         or box[5] < b[j, 2]
     )
+
+
+@inline
+def after(node):
+    """The node that follows a subtree in depth-first order; −1 at the end of the tree."""
+    # A right child has an even index: the subtrees that end with it are done.
+    while node > 0 and node & 1 == 0:
+        node = (node - 1) >> 1
+    return node + 1 if node > 0 else -1
+
+
+@inline
+def meeting_leaf(node, box, boxes, base):
+    """The first leaf, from a node on in depth-first order, whose box meets `box`; −1 if none does.
+
+    `base` is the index of the first leaf.
+    """
+    while node >= 0:
+        if beside(box, boxes, node):
+            node = after(node)
+        elif node < base:
+            node = 2 * node + 1
+        else:
+            break
+    return node
 
 
 @kernel
@@ -145,66 +125,19 @@ def count_crossings(cloth: Any, corners: Any, depth: int, boxes: Any) -> tuple[i
     count, base = len(corners), (1 << depth) - 1
     pairs, deepest = 0, 0.0
     for i in range(len(cloth)):
-        box, node = box_of(cloth, i), 0
-        while True:
-            if not beside(box, boxes, node):
-                if node < base:
-                    node = 2 * node + 1
+        box = box_of(cloth, i)
+        node = meeting_leaf(0, box, boxes, base)
+        while node >= 0:
+            leaf = node - base
+            for j in range((count * leaf) >> depth, (count * (leaf + 1)) >> depth):
+                if not (straddles(cloth, i, corners, j) and straddles(corners, j, cloth, i)):
                     continue
-                leaf = node - base
-                for j in range((count * leaf) >> depth, (count * (leaf + 1)) >> depth):
-                    if not (straddles(cloth, i, corners, j) and straddles(corners, j, cloth, i)):
-                        continue
-                    most = -1.0
-                    for k in range(3):
-                        most = max(most, _depth(cloth, i, k, corners, j))
-                        most = max(most, _depth(corners, j, k, cloth, i))
-                    if most >= 0.0:
-                        pairs += 1
-                        deepest = max(deepest, most)
-            # A right child has an even index: the subtrees that end with it are done.
-            while node > 0 and node & 1 == 0:
-                node = (node - 1) >> 1
-            if node == 0:
-                break
-            node += 1
+                most = -1.0
+                for k in range(3):
+                    most = max(most, _depth(cloth, i, k, corners, j))
+                    most = max(most, _depth(corners, j, k, cloth, i))
+                if most >= 0.0:
+                    pairs += 1
+                    deepest = max(deepest, most)
+            node = meeting_leaf(after(node), box, boxes, base)
     return pairs, deepest
-
-
-@inline
-def apart(box, b, j):
-    """Whether a box and triangle b[j] are apart along an axis."""
-    return (
-        box[0] > max(b[j, 0], b[j, 3], b[j, 6])
-        or box[3] < min(b[j, 0], b[j, 3], b[j, 6])
-        or box[1] > max(b[j, 1], b[j, 4], b[j, 7])
-        or box[4] < min(b[j, 1], b[j, 4], b[j, 7])
-        or box[2] > max(b[j, 2], b[j, 5], b[j, 8])
-        or box[5] < min(b[j, 2], b[j, 5], b[j, 8])
-    )
-
-
-@inline
-def meeting_leaves(cloth_boxes, cloth_depth, boxes, depth, stack, pairs):
-    """Number of pairs of leaves whose boxes meet, which are written to `pairs`."""
-    n, top = 0, 0 if beside(_node(cloth_boxes, 0), boxes, 0) else 1
-    own, other = (1 << cloth_depth) - 1, (1 << depth) - 1
-    stack[0, 0], stack[0, 1] = 0, 0
-    while top > 0:
-        top -= 1
-        a, b = stack[top, 0], stack[top, 1]
-        if a >= own and b >= other:
-            if n < len(pairs):
-                pairs[n, 0], pairs[n, 1] = a - own, b - other
-                n += 1
-        elif b >= other or (a < own and a <= b):
-            for child in range(2 * a + 1, 2 * a + 3):
-                if not beside(_node(cloth_boxes, child), boxes, b):
-                    stack[top, 0], stack[top, 1] = child, b
-                    top += 1
-        else:
-            for child in range(2 * b + 1, 2 * b + 3):
-                if not beside(_node(cloth_boxes, a), boxes, child):
-                    stack[top, 0], stack[top, 1] = a, child
-                    top += 1
-    return n

@@ -22,7 +22,7 @@ import numpy as np
 from ssdr.kernels.closest import gap_to_box, push_children
 from ssdr.kernels.policy import inline, kernel
 
-from .crossing_kernels import normal_of
+from .crossing_kernels import after, normal_of
 
 
 @inline
@@ -111,7 +111,7 @@ def winding(px, py, pz, scene):
     corners, depth, boxes = scene
     count, base = len(corners), (1 << depth) - 1
     total, node = 0, 0
-    while True:
+    while node >= 0:
         if (
             px >= boxes[node, 0]
             and px <= boxes[node, 3]
@@ -125,12 +125,8 @@ def winding(px, py, pz, scene):
             j = node - base
             for t in range((count * j) >> depth, (count * (j + 1)) >> depth):
                 total += _side(px, py, pz, corners, t)
-        # A right child has an even index: the subtrees that end with it are done.
-        while node > 0 and node & 1 == 0:
-            node = (node - 1) >> 1
-        if node == 0:
-            return total
-        node += 1
+        node = after(node)
+    return total
 
 
 @inline

@@ -15,11 +15,11 @@ from ssdr.common.parallel import chunk_bounds, run_chunks
 
 from ..data.outfit import neighbours
 from ..data.subject import Subject
-from .body_tree import CLOSED, BodyTree, check_frames, is_closed, tree_of
+from .body_tree import CLOSED, BodyTree, check_frames, is_closed
 from .crossings import DEEP
 from .outward_kernels import push_outward
 
-# Distance from the skin, metres, which the simulated cloth of the data sets keeps, too.
+# Distance from the skin, metres.
 _MARGIN = 4e-3
 _SWEEPS = 8  # edges over which a displacement spreads
 _ROUNDS = 8  # most repetitions
@@ -73,8 +73,8 @@ class OutwardPush:
         A body whose mesh is closed, with triangles that face outwards.
     faces : (T, 3) int array
         Triangles of the garment, which face outwards, too.
-    rest : (V, 3) array
-        The garment in some pose, in which neighbouring triangles are found.
+    n_vertices : int
+        Number of vertices V of the garment.
     pinned : (V,) bool array, optional
         Vertices that stay where they are; none by default.
 
@@ -95,7 +95,7 @@ class OutwardPush:
     ... )
     >>> sheet = np.array([[[-2, 0, -0.02], [2, -2, -0.02], [2, 2, -0.02], [0, 0, -0.05]]])
     >>> faces = [[0, 1, 3], [1, 2, 3], [2, 0, 3]]
-    >>> out = OutwardPush(body, faces, sheet[0])(sheet, body.transforms)
+    >>> out = OutwardPush(body, faces, 4)(sheet, body.transforms)
     >>> bool(out.vertices[0, 3, 2] > 0)
     True
     """
@@ -104,21 +104,19 @@ class OutwardPush:
         self,
         body: Skinning,
         faces: ArrayLike,
-        rest: ArrayLike,
+        n_vertices: int,
         *,
         pinned: ArrayLike | None = None,
     ) -> None:
-        shape = np.asarray(rest, np.float64)
         if not is_closed(body.faces):
             raise InputError("body", CLOSED, "an open one")
-        self.n_vertices, self._tree = len(shape), BodyTree(body)
-        fixed = check_mask(pinned, "pinned", len(shape))
-        self.fixed = np.zeros(len(shape), bool) if fixed is None else fixed
+        self.n_vertices, self._tree = n_vertices, BodyTree(body)
+        fixed = check_mask(pinned, "pinned", n_vertices)
+        self.fixed = np.zeros(n_vertices, bool) if fixed is None else fixed
         every = np.ascontiguousarray(check_faces(faces, self.n_vertices), np.int32)
-        movable = every[~self.fixed[every].all(axis=1)]
-        if not len(movable):
+        cloth = every[~self.fixed[every].all(axis=1)]
+        if not len(cloth):
             raise InputError("pinned", "a triangle that can move", "all corners")
-        cloth, depth = tree_of(shape, movable)
         n, (starts, others) = self.n_vertices, neighbours(every, self.n_vertices)
         sources = np.repeat(np.arange(n), np.diff(starts))
         keys = np.minimum(sources, others) * n + np.maximum(sources, others)
@@ -129,7 +127,6 @@ class OutwardPush:
         firsts = np.searchsorted(every.ravel()[of_vertex], np.arange(n + 1))
         self._garment: tuple[Any, ...] = (
             cloth,
-            depth,
             edges.astype(np.int32),
             self.fixed,
             starts,
@@ -174,4 +171,4 @@ def push_of(subject: Subject) -> OutwardPush | None:
     if not is_closed(subject.body.faces):
         return None
     g = subject.garment
-    return OutwardPush(subject.body, g.faces, g.rest, pinned=subject.carried)
+    return OutwardPush(subject.body, g.faces, g.n_vertices, pinned=subject.carried)

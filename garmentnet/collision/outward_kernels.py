@@ -1,7 +1,7 @@
 """Kernels that move cloth out of a body, to the skin that faces as the cloth does.
 
-Both meshes have a tree of :mod:`ssdr.kernels.closest`.  A pose of the body is passed as one tuple,
-`scene`, as :mod:`garmentnet.collision.kernels` describes it.
+A pose of the body is passed as one tuple, `scene`, as :mod:`garmentnet.collision.kernels`
+describes it.
 """
 
 from __future__ import annotations
@@ -12,16 +12,7 @@ import numpy as np
 
 from ssdr.kernels.policy import inline, kernel
 
-from .crossing_kernels import (
-    apart,
-    beside,
-    box_of,
-    edge_meets,
-    fit_triangles,
-    meeting_leaves,
-    normal_of,
-    straddles,
-)
+from .crossing_kernels import after, box_of, edge_meets, meeting_leaf, normal_of, straddles
 from .kernels import nearest_facing, spread, winding
 
 # Cosine of the angle to the cloth's normal from which skin faces the way out.
@@ -34,7 +25,6 @@ _NEARER = 5.0
 # Rounds without fewer crossings after which what is left is taken for a part of the pose, such as
 # limbs that overlap; more would only move the cloth about.
 _PATIENCE = 4
-_PAIRS = 8192  # pairs of leaves that are looked at in a round; more than any garment had
 
 
 @inline
@@ -67,25 +57,22 @@ def _find(points, garment, scene, margin, work, hot, crossed, inside, beyond, wa
     `beyond` is the other end of an edge that crosses, −1 without one.  Triangles that are not `hot`
     are known to cross nothing.
     """
-    cloth, depth, edges, fixed, _, _, _, _, _, _ = garment
-    corners, body_depth, body_boxes = scene
-    boxes, stack, pairs, own, meets = work
-    fit_triangles(points, cloth, hot, depth, own, boxes)
-    n = meeting_leaves(boxes, depth, body_boxes, body_depth, stack, pairs)
-    found, count, other, base = 0, len(cloth), len(corners), (1 << body_depth) - 1
+    cloth, edges, fixed, _, _, _, _, _, _ = garment
+    corners, depth, boxes = scene
+    own, meets = work
+    found, other, base = 0, len(corners), (1 << depth) - 1
     meets[:], crossed[:], inside[:], beyond[:], length[:] = False, False, False, -1, 0.0
-    for w in range(n):
-        for i in range((count * pairs[w, 0]) >> depth, (count * (pairs[w, 0] + 1)) >> depth):
-            if not hot[i]:
-                continue
-            box = box_of(own, i)
-            if beside(box, body_boxes, base + pairs[w, 1]):
-                continue
-            for j in range(
-                (other * pairs[w, 1]) >> body_depth, (other * (pairs[w, 1] + 1)) >> body_depth
-            ):
-                if apart(box, corners, j):
-                    continue
+    for i in range(len(cloth)):
+        if not hot[i]:
+            continue
+        for k in range(3):
+            for c in range(3):
+                own[i, 3 * k + c] = points[cloth[i, k], c]
+        box = box_of(own, i)
+        node = meeting_leaf(0, box, boxes, base)
+        while node >= 0:
+            leaf = node - base
+            for j in range((other * leaf) >> depth, (other * (leaf + 1)) >> depth):
                 if not (straddles(own, i, corners, j) and straddles(corners, j, own, i)):
                     continue
                 for k in range(3):
@@ -109,6 +96,7 @@ def _find(points, garment, scene, margin, work, hot, crossed, inside, beyond, wa
                         x, y, z = normal_of(own, i)
                         for e in range(3):
                             _want(cloth[i, e], rise * x, rise * y, rise * z, fixed, wanted, length)
+            node = meeting_leaf(after(node), box, boxes, base)
     return found
 
 
@@ -123,8 +111,7 @@ def push_outward(
 
     points   (V, 3)  float64  in and out
     garment          tuple    of these arrays:
-        cloth       (S, 3)  int32  triangles that can move, in the order of their tree
-        depth               int    of that tree
+        cloth       (S, 3)  int32  triangles that can move
         edges       (S, 3)  int32  numbers of the edges 01, 12, 20 of these triangles
         fixed       (V,)    bool   vertices that stay
         starts      (V+1,)  int32  first neighbour of each vertex
@@ -142,17 +129,10 @@ def push_outward(
     Returns the number of crossings found in the first round.
     """
     n = len(points)
-    cloth, depth, _, fixed, starts, neighbours, numbers, firsts, of_vertex, faces = garment
-    body_depth = scene[1]
-    work = (
-        np.empty((2 ** (depth + 1) - 1, 6)),
-        np.empty((2 * (depth + body_depth) + 8, 2), np.int64),
-        np.empty((_PAIRS, 2), np.int32),
-        np.empty((len(cloth), 9)),
-        np.empty(len(cloth), np.bool_),
-    )
-    hot, meets = np.ones(len(cloth), np.bool_), work[4]
-    nodes, gaps = np.empty(2 * body_depth + 2, np.int64), np.empty(2 * body_depth + 2)
+    cloth, _, fixed, starts, neighbours, numbers, firsts, of_vertex, faces = garment
+    work = np.empty((len(cloth), 9)), np.empty(len(cloth), np.bool_)
+    hot, meets = np.ones(len(cloth), np.bool_), work[1]
+    nodes, gaps = np.empty(2 * scene[1] + 2, np.int64), np.empty(2 * scene[1] + 2)
     # An edge is a neighbour of both of its ends.
     crossed, inside = np.empty(len(numbers) // 2, np.bool_), np.empty(n, np.bool_)
     beyond, queue, ring = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)

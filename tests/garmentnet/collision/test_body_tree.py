@@ -68,7 +68,7 @@ def test_threads_and_frames_do_not_matter(rng):
     v = cloth + rng.normal(0, 0.05, (20, *cloth.shape))
     joints = np.tile(np.eye(3, 4), (20, 2, 1, 1))
     joints[:, 0, 2, 3] = np.linspace(-0.9, 0.9, 20)
-    push = OutwardPush(body, faces, cloth)
+    push = OutwardPush(body, faces, len(cloth))
     before = ssdr.get_threads()
     try:
         ssdr.set_threads(1)
@@ -86,17 +86,17 @@ BODY = rigid(V, F)
 LEVEL, FACES = square(3, 0.3)
 CLOTH = LEVEL[None]
 NAN = np.where(np.arange(9)[:, None] == 1, np.nan, CLOTH)
-PUSH = OutwardPush(BODY, FACES, LEVEL)
+PUSH = OutwardPush(BODY, FACES, len(LEVEL))
 REFUSED = [
     (lambda: PUSH(NAN, STILL), r"vertices: .*frame 0"),
     (lambda: PUSH(CLOTH, STILL * np.nan), r"joints: .*frame 0"),
     (lambda: PUSH(CLOTH[0], STILL), r"vertices: .*shape"),
     (lambda: PUSH(CLOTH, STILL[0]), r"joints: .*shape"),
     (lambda: BodyTree(rigid(V, F[1:])).signed_distance(CLOTH, STILL), r"body: .*closed"),
-    (lambda: OutwardPush(rigid(V, F[1:]), FACES, LEVEL), r"body: .*closed"),
-    (lambda: OutwardPush(BODY, FACES, LEVEL, pinned=np.zeros(4, bool)), "pinned"),
-    (lambda: OutwardPush(BODY, [[0, 1, -1]], LEVEL), "faces"),
-    (lambda: OutwardPush(BODY, FACES, LEVEL, pinned=np.ones(9, bool)), "pinned"),
+    (lambda: OutwardPush(rigid(V, F[1:]), FACES, len(LEVEL)), r"body: .*closed"),
+    (lambda: OutwardPush(BODY, FACES, len(LEVEL), pinned=np.zeros(4, bool)), "pinned"),
+    (lambda: OutwardPush(BODY, [[0, 1, -1]], len(LEVEL)), "faces"),
+    (lambda: OutwardPush(BODY, FACES, len(LEVEL), pinned=np.ones(9, bool)), "pinned"),
 ]
 
 
