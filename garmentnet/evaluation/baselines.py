@@ -16,10 +16,9 @@ from scipy.spatial import cKDTree
 import ssdr
 from ssdr import Skinning
 
-from ..configs.config import FeatureOptions
 from ..data.clip import Clip
 from ..data.store import ClipStore
-from ..networks.features import PoseFeatures, transforms_in_frame
+from ..networks.features import HEADING, PoseFeatures, transforms_in_frame
 from ..paper.bones import TorchSkinning, VirtualBones, apply_frame, remove_frame
 from ..paper.low import BoneCode
 from .methods import Method
@@ -32,10 +31,6 @@ _CLOSEST = 1e-4
 _FRAMES = 24000
 # Number of training frames, evenly spread, of which the mean is taken.
 _MEAN_FRAMES = 4000
-# Pose features of one frame, without memory.
-_STATIC = FeatureOptions(
-    rotation="sixd", heading_free=True, translation=False, floor=0.01, clamp=5.0, frame="heading"
-)
 
 # Penalties per frame that are tried, from a negligible to a dominant one.
 _PENALTIES = 10.0 ** np.arange(-6, 2)
@@ -57,7 +52,7 @@ class MeanShape(Method):
     name = "mean shape"
 
     def __init__(self, bones: VirtualBones, names: Sequence[str]) -> None:
-        self.features = PoseFeatures(bones.store.skeleton, _STATIC, bones.store.fps)
+        self.features = PoseFeatures(bones.store.skeleton, HEADING, bones.store.fps)
         total, high = (np.zeros((bones.store.n_vertices, 3)) for _ in range(2))
         frames = 0
         for clip, some in bones.store.sample(names, _MEAN_FRAMES):
@@ -183,7 +178,7 @@ class Ridge(Method):
     def __init__(
         self, bones: VirtualBones, names: Sequence[str], validation: Sequence[str]
     ) -> None:
-        self.features = PoseFeatures(bones.store.skeleton, _STATIC, bones.store.fps)
+        self.features = PoseFeatures(bones.store.skeleton, HEADING, bones.store.fps)
         garment = bones.skinning
         self.code = BoneCode(garment.centroids(), "sixd")
         self.lbs = TorchSkinning.of(garment)

@@ -1,23 +1,20 @@
-"""Interface of methods to evaluate; trained networks, and the fitted bones as their bounds."""
+"""Interface of methods to evaluate; networks, and their bounds: the fitted bones, and chaos."""
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 import ssdr
 
 from ..data.clip import Clip
+from ..data.store import ClipStore
 from ..networks.checkpoint import Checkpoint
 from ..networks.network import NetworkOutput
-from ..paper.bones import TorchSkinning, VirtualBones, turn, turn_back
-
-# Number of training frames, evenly spread, of which the mean detail is taken.
-_MEAN_FRAMES = 1000
+from ..paper.bones import VirtualBones
 
 Array = NDArray[np.float32]
 
@@ -93,37 +90,33 @@ class BonesThemselves(Method):
         return low, high
 
 
-class MeanDetail(BonesThemselves):
-    """The bones themselves with one constant vector for each vertex as detail.
+class Chaos(Method):
+    """The floor for every network: how far apart two simulations are that start nearly alike.
 
-    The vectors turn with the skinned surface and are means over the clips of which the bones were
-    found: what a network has of the detail that learns nothing of the motion.
+    Its RMSE is that floor, other figures are not.  Two such runs differ by √2 times their distance
+    from the mean of all runs, and no function of the motion can be expected to do better than that
+    mean.  So the prediction lies 1 / √2 of the way to the clip's repetition from a perturbed start.
 
     Parameters
     ----------
-    bones : VirtualBones
+    store : ClipStore
+        Clips, some of which have such a repetition.
+
+    Attributes
+    ----------
+    twins : dict
+        Name of the repetition, by that of the clip.
     """
 
-    name = "mean detail alone"
+    name = "chaos of the cloth"
 
-    def __init__(self, bones: VirtualBones) -> None:
-        super().__init__(bones)
-        self.lbs = TorchSkinning.of(bones.skinning)
-        total, frames = np.zeros((bones.skinning.n_vertices, 3)), 0
-        for clip, some in bones.store.sample(bones.report["clips"], _MEAN_FRAMES):
-            low, high = bones.split(clip.name, some)
-            total += turn_back(self._blend(bones.fit(low)), torch.from_numpy(high)).sum(0).numpy()
-            frames += len(some)
-        self.mean: Array = np.asarray(total / frames, np.float32)
+    def __init__(self, store: ClipStore) -> None:
+        self.store, self.twins = store, dict(store.pairs())
 
-    def split(self, clip: Clip, bones: VirtualBones) -> tuple[Array, Array]:
-        """The skinned bones and the mean detail, turned with them."""
-        low, _ = super().split(clip, bones)
-        blend = self._blend(bones.transforms(clip.name))
-        return low, np.asarray(turn(blend, torch.from_numpy(self.mean)).numpy())
-
-    def _blend(self, transforms: Array) -> Tensor:
-        return self.lbs.blend(torch.from_numpy(transforms))
+    def predict(self, clip: Clip) -> Array:
+        own = np.asarray(clip.sequence.frames(slice(None)))
+        other = self.store.clip(self.twins[clip.name]).sequence.frames(slice(None))
+        return np.asarray(own + (other - own) / math.sqrt(2), np.float32)
 
 
 def _detail(motion: NetworkOutput) -> Array:

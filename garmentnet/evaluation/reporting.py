@@ -19,13 +19,13 @@ from ..data.store import ClipStore
 from ..drawing.dressed import draw_clip
 from ..io.files import Progress, silent
 from ..networks.checkpoint import Checkpoint, load_checkpoint
-from ..paper.bones import VirtualBones, parameter_roles, virtual_bones
+from ..paper.bones import parameter_roles, virtual_bones
 from ..paper.train import choose_clips
 from .baselines import fit_baselines
 from .limbs import count_limbs, limbs_table
-from .methods import BonesThemselves, MeanDetail, Method, Network
-from .scores import PARTS, VERTICES, Scores, chaos_floor, evaluate
-from .tables import class_table, markdown, score_table
+from .methods import BonesThemselves, Chaos, Method, Network
+from .scores import VERTICES, Scores, evaluate
+from .tables import class_table, mode_table, score_table
 
 _NUMBER = re.compile(r"[-_]\d+\Z")
 RECORDED = "recorded"
@@ -80,8 +80,8 @@ def report(
     reading = [n for n in networks if n.checkpoint.reads_parameters]
     sections = _sections(store, base, bool(reading), clips)
     bones = virtual_bones(store, config.bones, progress=progress)
-    bounds = BonesThemselves(bones), MeanDetail(bones)
-    methods: list[Method] = [*bounds, *networks]
+    bound, chaos = BonesThemselves(bones), Chaos(store)
+    methods: list[Method] = [bound, *networks]
     if baselines:
         names, held = (choose_clips(store, config, s, base)[0] for s in ("train", "validation"))
         if not held:
@@ -96,15 +96,16 @@ def report(
     lines = ["RMSE and Hausdorff distance in mm"]
     for title, names in sections.items():
         # Baselines do not read parameters.
-        entered = methods if title.startswith(_MOTIONS) else [*bounds, *reading]
+        entered = methods if title.startswith(_MOTIONS) else [bound, *reading]
         rows = evaluate(bones, entered, names, progress=progress)
+        if twins := [n for n in names if n in chaos.twins]:
+            rows += evaluate(bones, [chaos], twins, progress=progress)
         lines += _section(title, rows, document)
         limbs = count_limbs(bones, networks if entered is methods else reading, names)
         if limbs:
             found = document["groups"][title.removeprefix(_MOTIONS)]
             found["limbs"] = limbs
             lines += [limbs_table(limbs), ""]
-    lines += _chaos(bones, document)
     motions = [n for title in sections if title.startswith(_MOTIONS) for n in sections[title]]
     for network in networks:
         for name in motions[:pictures]:
@@ -166,21 +167,7 @@ def _section(title: str, rows: Sequence[Scores], document: dict[str, Any]) -> li
     pinned = any(r.free != r.all for r in rows)
     for vertices in VERTICES if pinned else VERTICES[:1]:
         lines += [score_table(rows, vertices), "", class_table(rows, vertices), ""]
-    return lines
-
-
-def _chaos(bones: VirtualBones, document: dict[str, Any]) -> list[str]:
-    store = bones.store
-    pairs: dict[str, list[tuple[str, str]]] = {}
-    for pair in store.pairs():
-        pairs.setdefault(str(store.clip(pair[0]).parameters), []).append(pair)
-    # Soft cloth has a higher floor than stiff cloth, so every parameter set has its own.
-    found = {parameters: chaos_floor(bones, names) for parameters, names in pairs.items()}
-    document["chaos_floor"] = found
-    keys = [part + end for end in ("", "_free") for part in PARTS]
-    lines = [[k, *(f"{v[x]:.2f}" for x in keys), f"{v['frames']:.0f}"] for k, v in found.items()]
-    head = ["chaos floor, mm", *(k.replace("_", ", ") for k in keys), "frames"]
-    return ["", markdown(head, lines)] if lines else []
+    return [*lines, mode_table(rows), ""]
 
 
 def _base(model: Checkpoint, store: ClipStore) -> SimulationParameters:

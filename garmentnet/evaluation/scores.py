@@ -2,8 +2,8 @@
 
 Low is G_LF against Ĝ_LF; high is Ĝ_LF + G_HF against Ĝ, the error of the detail alone; overall is
 G against Ĝ.  Beside the error of the detail stands the share of the detail's own RMS that it
-is: a constant vector for each vertex (:class:`~garmentnet.evaluation.methods.MeanDetail`) leaves
-what a network can learn.
+is.  Modes of the cloth are the principal components of the training frames, seen from the root and
+its heading: the first ones are its swing, the later ones its folds.
 
 Pinned vertices follow the body exactly, which flatters every method that skins them.  So each
 figure is computed over all vertices and over the free ones, which are not pinned.  Hausdorff
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -24,10 +24,14 @@ from ssdr.common.errors import InputError
 from ssdr.metrics import hausdorff, sted
 
 from ..data.clip import CLASSES, Clip
-from ..io.files import Progress, silent
-from ..paper.bones import VirtualBones
+from ..io.files import Progress, kept, silent
+from ..networks.features import HEADING, PoseFeatures
+from ..paper.bones import VirtualBones, remove_frame
+from ..training.shapes import ShapeBasis
 from .methods import Method
 
+# Last modes of the ranges whose errors are stated, and training frames that they are found from.
+_MODES, _FRAMES = (10, 40, 192), 1000
 _MM = 1e3  # from metres to millimetres
 PARTS = ("low", "high", "overall")
 VERTICES = ("all", "free")
@@ -86,6 +90,9 @@ class Scores:
         Over all vertices, and over those that are not pinned.
     per_class : dict of ClassError
         By class of motion.
+    modes : dict of float
+        RMSE in mm over all vertices by modes of the cloth, such as "1-10"; the squares of all add
+        up to the square of the overall RMSE.
     clips : tuple of Scores
         The clips that were pooled.
     """
@@ -95,6 +102,7 @@ class Scores:
     all: Parts
     free: Parts
     per_class: dict[str, ClassError]
+    modes: dict[str, float]
     clips: tuple[Scores, ...] = ()
 
 
@@ -144,7 +152,9 @@ def pool(name: str, clips: Sequence[Scores]) -> Scores:
         found = [c.per_class[label] for c in clips if label in c.per_class]
         per_class[label] = _pooled(found, [e.frames for e in found])
     whole, free = (_pooled([getattr(c, v) for c in clips], frames) for v in VERTICES)
-    return Scores(name, sum(frames), whole, free, per_class, tuple(clips))
+    squares = {k: [c.modes[k] ** 2 for c in clips] for k in clips[0].modes}
+    modes = {k: math.sqrt(np.average(s, weights=frames)) for k, s in squares.items()}
+    return Scores(name, sum(frames), whole, free, per_class, modes, tuple(clips))
 
 
 def _pooled(found: Sequence[Any], frames: Sequence[int]) -> Any:
@@ -161,40 +171,6 @@ def _pooled(found: Sequence[Any], frames: Sequence[int]) -> Any:
     return type(found[0])(**{name: values[name] for name in vars(found[0])})
 
 
-def chaos_floor(bones: VirtualBones, pairs: Iterable[tuple[str, str]]) -> dict[str, float]:
-    """RMSE / √2, mm, between clips and the same clips from a perturbed first frame.
-
-    Two such runs differ by √2 times their distance from the mean of all runs, and no function of
-    the motion can be expected to do better than that mean.
-
-    Parameters
-    ----------
-    bones : VirtualBones
-    pairs : pairs of names
-        As of :meth:`ClipStore.pairs`.
-
-    Returns
-    -------
-    dict
-        RMSE / √2 ``low``, ``high`` and ``overall``, over free vertices ``low_free`` and so on, and
-        the number of ``frames``.
-    """
-    free, squares, count = ~np.asarray(bones.store.pinned, bool), np.zeros(6), 0
-    for first, second in pairs:
-        a, b = bones.store.clip(first), bones.store.clip(second)
-        frames = min(a.n_frames, b.n_frames)
-        gap = a.sequence.frames(slice(0, frames)) - b.sequence.frames(slice(0, frames))
-        # Smoothing is linear: the difference of the low parts is the smoothed difference.
-        low = np.asarray(bones.smoother.smooth(gap))
-        of_vertices = [(x.astype(np.float64) ** 2).sum(-1) for x in (low, gap - low, gap)]
-        parts = [x[:, part] for part in (slice(None), free) for x in of_vertices]
-        squares += [x.mean(-1).sum() for x in parts]
-        count += frames
-    keys = [part + end for end in ("", "_free") for part in PARTS]
-    errors = _MM * np.sqrt(squares / count / 2)
-    return dict(zip(keys, errors.tolist(), strict=True)) | {"frames": count}
-
-
 class _Scorer:
     """Comparison of predictions with the clips of a store."""
 
@@ -207,6 +183,17 @@ class _Scorer:
             raise InputError("store", "a garment with free triangles", "one that is pinned")
         self.corners, numbered = np.unique(inner, return_inverse=True)
         self.free_faces = numbered.reshape(-1, 3).astype(np.int32)
+        self.features = PoseFeatures(store.skeleton, HEADING, store.fps)
+        found = kept(bones.folder / "modes.npz", lambda: dataclasses.asdict(self._fit()))
+        self.modes = ShapeBasis(**found)
+
+    def _fit(self) -> ShapeBasis:
+        store = self.bones.store
+        meshes = [
+            remove_frame(self.features(clip.joints)[1][some], clip.sequence.frames(some))
+            for clip, some in store.sample(self.bones.report["clips"], _FRAMES)
+        ]
+        return ShapeBasis.fit(np.concatenate(meshes), _MODES[-1])
 
     def score(self, method: Method, clip: Clip) -> Scores:
         """Predict a clip and compare the prediction with it."""
@@ -226,7 +213,21 @@ class _Scorer:
             s = square[clip.classes == label]
             errors = (_rms(x) for x in (s, s[:, self.free]))
             per_class[CLASSES[int(label)]] = ClassError(len(s), *errors)
-        return Scores(clip.name, clip.n_frames, whole, free, per_class)
+        modes = self._by_mode(clip, predicted - truth)
+        return Scores(clip.name, clip.n_frames, whole, free, per_class, modes)
+
+    def _by_mode(self, clip: Clip, gap: Array) -> dict[str, float]:
+        """RMSE in mm by ranges of modes, of differences ``(F, V, 3)`` in the world."""
+        frame = self.features(clip.joints)[1]
+        rows = (gap @ frame[:, :3, :3]).reshape(len(gap), -1)
+        numbers = rows @ self.modes.components.reshape(len(self.modes.components), -1).T
+        found = np.square(numbers).sum(axis=0) / (len(gap) * gap.shape[1])
+        rest = float(np.square(rows).sum() / (len(gap) * gap.shape[1]) - found.sum())
+        parts = np.split(found, _MODES[:-1])
+        squares = [*(float(p.sum()) for p in parts), max(0.0, rest)]
+        names = [f"{a + 1}-{b}" for a, b in zip((0, *_MODES), _MODES, strict=False)]
+        named = zip([*names, "others"], squares, strict=True)
+        return {k: _MM * math.sqrt(square) for k, square in named}
 
     def _compare(self, truth: Array, other: Array) -> tuple[Score, Score]:
         """Scores over all and over free vertices."""

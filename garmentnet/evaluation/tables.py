@@ -46,5 +46,15 @@ def score_table(rows: Sequence[Scores], vertices: str = "all") -> str:
 def class_table(rows: Sequence[Scores], vertices: str) -> str:
     """Overall RMSE by class of motion, mm."""
     kinds = list(rows[0].per_class)
-    lines = [[r.name, *(f"{getattr(r.per_class[k], vertices):.1f}" for k in kinds)] for r in rows]
+
+    def cell(row: Scores, kind: str) -> str:
+        return f"{getattr(row.per_class[kind], vertices):.1f}" if kind in row.per_class else ""
+
+    lines = [[r.name, *(cell(r, k) for k in kinds)] for r in rows]
     return markdown([f"RMSE, {vertices} vertices", *kinds], lines)
+
+
+def mode_table(rows: Sequence[Scores]) -> str:
+    """Overall RMSE by modes of the cloth, mm."""
+    lines = [[r.name, *(f"{x:.1f}" for x in r.modes.values())] for r in rows]
+    return markdown(["RMSE by mode", *rows[0].modes], lines)

@@ -29,13 +29,14 @@ def test_rows_and_clips(checkpoint, toy_store, tmp_path):
     second = shutil.copy(checkpoint, tmp_path / "second" / "checkpoint.safetensors")
     options = {"baselines": False, "pictures": 1}
     text = report([checkpoint, second], toy_store, tmp_path, **options)
-    assert "| chaos floor, mm " in text
+    assert "| chaos of the cloth " in text
+    assert "| RMSE by mode " in text
     assert (tmp_path / "report.md").read_text("utf-8") == text
     assert len(list(tmp_path.glob("*.png"))) == 2
     document = json.loads((tmp_path / "report.json").read_text())
     (group,) = document["groups"].values()
-    bones, mean, first, other = group["rows"]
-    assert mean["name"] == "mean detail alone"
+    bones, first, other, chaos = group["rows"]
+    assert chaos["name"] == "chaos of the cloth"
     assert bones["name"] == "bones themselves"
     assert [c["name"] for c in bones["clips"]] == ["base-test-0", "base-test-1"]
     assert first["all"] == other["all"]

@@ -7,9 +7,10 @@ import pytest
 torch = pytest.importorskip("torch")
 
 import ssdr
-from garmentnet.evaluation.methods import BonesThemselves, MeanDetail, Method, Network
-from garmentnet.evaluation.scores import chaos_floor, evaluate
+from garmentnet.evaluation.methods import BonesThemselves, Chaos, Method, Network
+from garmentnet.evaluation.scores import evaluate
 from garmentnet.evaluation.tables import score_table
+from garmentnet.networks.features import HEADING, PoseFeatures
 from ssdr.common.errors import InputError
 from ssdr.metrics import compare
 
@@ -85,42 +86,6 @@ def test_bones_are_a_bound(toy_bones, toy_network):
     assert bones.all.overall.rmse < 0.5 * network.all.overall.rmse
 
 
-def test_a_constant_leaves_of_the_detail_what_moves(toy_bones, toy_store):
-    """Detail c ± a, in turn, that turns with a rigid cloth: √(a² / (c² + a²)) is left."""
-    n = toy_store.n_vertices
-    rng = np.random.default_rng(0)
-    constant, wave = rng.normal(size=(2, n, 3)) * 1e-3
-    skinning = toy_bones.skinning
-
-    class Rigid(type(toy_bones)):
-        def transforms(self, name):
-            root = toy_store.clip(name).joints[:, :1]
-            return np.repeat(root, skinning.n_bones, axis=1).astype(np.float32)
-
-        def fit(self, low):
-            return self.moved
-
-        def split(self, name, frames=slice(None)):
-            moved = self.transforms(name)[frames]
-            object.__setattr__(self, "moved", moved)
-            sign = (-1.0) ** np.arange(toy_store.clip(name).n_frames)[frames]
-            local = constant + sign[:, None, None] * wave
-            high = np.einsum("fij,fvj->fvi", moved[:, 0, :, :3], local)
-            s = skinning
-            low = ssdr.skin(s.rest, s.indices, s.weights, moved)
-            return low.astype(np.float32), high.astype(np.float32)
-
-    rigid = Rigid(**{f.name: getattr(toy_bones, f.name) for f in dataclasses.fields(toy_bones)})
-    (row,) = evaluate(rigid, [MeanDetail(rigid)], [CLIP, "base-test-1"])
-    a, c = np.square(wave).sum(), np.square(constant).sum()
-    assert row.all.detail == pytest.approx(1e3 * np.sqrt((a + c) / n), rel=1e-3)
-    assert row.all.left == pytest.approx(np.sqrt(a / (a + c)), rel=1e-3)
-    assert f" {100 * row.all.left:.0f} % " in score_table([row])
-    nothing = Split(lambda clip: (rigid.split(clip.name)[0], np.zeros((90, n, 3), np.float32)))
-    (row,) = evaluate(rigid, [nothing], [CLIP])
-    assert row.all.left == pytest.approx(1)
-
-
 def test_a_plain_method_is_split_like_the_data(toy_bones):
     method = Plain(lambda c: c.sequence.frames(slice(None)))
     (row,) = evaluate(toy_bones, [method], [CLIP])
@@ -128,22 +93,40 @@ def test_a_plain_method_is_split_like_the_data(toy_bones):
     assert row.all.high.rmse < 1e-3
 
 
-def test_chaos_floor_of_known_noise(toy_bones):
+def test_chaos_of_known_noise(toy_bones):
+    store = toy_bones.store
+    (row,) = evaluate(toy_bones, [Chaos(store)], [CLIP])
+    a, b = (
+        store.clip(x).sequence.frames(slice(None)).astype(float) for x in (CLIP, f"{CLIP}-again")
+    )
+    moves = np.delete((b - a) / np.sqrt(2), toy_bones.bound.index, axis=1)  # the body places others
+    square = (moves**2).sum() / a[..., 0].size
+    assert row.all.overall.rmse == pytest.approx(1e3 * np.sqrt(square), rel=0.01)
     # 1 mm along each axis: the pair differs by √3 mm, each from the mean by that over √2.
-    floor = chaos_floor(toy_bones, toy_bones.store.pairs())
-    assert np.isclose(floor["overall"], np.sqrt(3 / 2), rtol=0.05)
-    assert floor["low"] < floor["overall"]
-    a, b = (toy_bones.split(n)[1].astype(float) for n in (CLIP, f"{CLIP}-again"))
-    expected = 1e3 * np.sqrt(((a - b) ** 2).sum(-1).mean() / 2)
-    assert floor["high"] == pytest.approx(expected, rel=1e-3)
-    assert floor["overall_free"] == floor["overall"]
-    assert floor["frames"] == 90
-    free = slice(toy_bones.store.n_vertices // 2, None)
-    half = with_pinned(toy_bones, np.arange(toy_bones.store.n_vertices) < free.start)
-    a, b = (toy_bones.store.clip(x).sequence.frames(slice(None)) for x in (CLIP, f"{CLIP}-again"))
-    expected = 1e3 * np.sqrt(((a - b)[:, free].astype(float) ** 2).sum(-1).mean() / 2)
-    found = chaos_floor(half, toy_bones.store.pairs())["overall_free"]
-    assert np.isclose(found, expected, rtol=1e-5)
+    assert np.sqrt((moves**2).sum(-1).mean()) == pytest.approx(1e-3 * np.sqrt(3 / 2), rel=0.05)
+
+
+def test_modes_are_principal_components_seen_from_the_heading(toy_bones):
+    rng = np.random.default_rng(0)
+    noise = rng.normal(size=(90, toy_bones.store.n_vertices, 3)).astype(np.float32) * 1e-3
+    off = Split(lambda clip: (toy_bones.split(clip.name)[0] + noise, toy_bones.split(clip.name)[1]))
+    (row,) = evaluate(toy_bones, [off], [CLIP])
+    assert list(row.modes) == ["1-10", "11-40", "41-192", "others"]
+    total = np.sqrt(np.square(list(row.modes.values())).sum())
+    assert total == pytest.approx(row.all.overall.rmse, rel=1e-5)
+    # The naive way, with all training frames at once.
+    features = PoseFeatures(toy_bones.store.skeleton, HEADING, toy_bones.store.fps)
+    frames = []
+    for name in toy_bones.report["clips"]:
+        clip = toy_bones.store.clip(name)
+        turn, place = np.split(features(clip.joints)[1], [3], axis=2)
+        frames.append((clip.sequence.frames(slice(None)) - place[..., 0][:, None]) @ turn)
+    rows = np.concatenate(frames).reshape(-1, noise[0].size)
+    modes = np.linalg.svd(rows - rows.mean(axis=0), full_matrices=False)[2][:10]
+    turn = features(toy_bones.store.clip(CLIP).joints)[1][..., :3]
+    numbers = (noise @ turn).reshape(90, -1) @ modes.T
+    naive = 1e3 * np.sqrt((numbers**2).sum() / noise[..., 0].size)
+    assert row.modes["1-10"] == pytest.approx(naive, rel=1e-3)
 
 
 def with_pinned(bones, pinned):
