@@ -23,12 +23,12 @@ from benchmarks.garment.scenes.cut import cut_garment
 from benchmarks.garment.scenes.dance.choreography import dance
 from benchmarks.garment.scenes.garments import Garment
 from benchmarks.garment.scenes.scene_file import load_data_set
-from benchmarks.garment.scenes.simulator import outfit_of
+from benchmarks.garment.scenes.simulator import outfit_of, pins_of
 from benchmarks.garment.scenes.simulator import simulate as simulated
 from garmentnet.evaluation.tables import markdown
 from garmentnet.importing.quality import judge
-from garmentnet.io.files import write_file
 from ssdr import skin
+from ssdr.io.atomic import write_bytes
 
 GARMENTS = ("dress", "a_line", "skirt", "t_shirt")
 SPOILT = ("caught", "limb", "pressed", "unpinned", "late")
@@ -77,7 +77,8 @@ def measured(number: int) -> dict[str, object]:
     v = simulated(Cloth(BODY, worn, SOLVER), motion, load_data_set(name).base).vertices
     if kind in ("caught", "pressed", "late"):
         v = spoil(kind, v, motion.joints, garment, rng)
-    found = judge(outfit_of(BODY, garment, motion.fps), motion.joints, v)
+    outfit = outfit_of(BODY, garment, motion.fps)
+    found = judge(outfit, motion.joints, v, bound=pins_of(garment))
     return {"kind": kind, "garment": name, **found}
 
 
@@ -89,7 +90,7 @@ def main() -> None:
     for number in range(CLIPS):
         file = folder / f"{number:03d}.json"
         if not file.is_file():
-            write_file(file, json.dumps(measured(number), indent=1).encode())
+            write_bytes(file, json.dumps(measured(number), indent=1).encode())
         rows.append(json.loads(file.read_text("utf-8")))
     table = []
     for kind in ("sound", *SPOILT):

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 import ssdr
 from ssdr.laplacian import LaplacianSmoother
@@ -75,14 +75,25 @@ def find_body_bound(
     smoother : LaplacianSmoother
         Smoother on the store's rest pose.
     """
-    vertices, joints, close = [], [], _CLOSE
+    vertices, joints, step = [], [], 0.0
     for clip, here in store.sample(names, _FRAMES):
-        # Rounding moves a vertex by at most half the diagonal of a cube of side `step`.
-        close = max(close, _CLOSE + math.sqrt(3) / 2 * clip.step)
+        step = max(step, clip.step)
         vertices.append(clip.sequence.frames(here))
         joints.append(clip.joints[here])
-    truth, moved = np.concatenate(vertices), np.concatenate(joints).astype(np.float64)
-    rest = np.array(store.rest, np.float64)
+    return body_bound(store.rest, np.concatenate(vertices), np.concatenate(joints), smoother, step)
+
+
+def body_bound(
+    rest: ArrayLike,
+    vertices: ArrayLike,
+    joints: ArrayLike,
+    smoother: LaplacianSmoother,
+    step: float = 0.0,
+) -> BodyBound | None:
+    """As :func:`find_body_bound`, in frames ``(F, V, 3)`` rounded to multiples of `step`."""
+    truth, moved = np.asarray(vertices), np.asarray(joints, np.float64)
+    # Rounding moves a vertex by at most half the diagonal of a cube of side `step`.
+    rest, close = np.array(rest, np.float64), _CLOSE + math.sqrt(3) / 2 * step
     influences = min(_INFLUENCES, moved.shape[1])
     fit = ssdr.fit_weights(truth, rest, moved, influences=influences).skinning
     gap = np.linalg.norm(ssdr.skin(rest, fit.indices, fit.weights, moved) - truth, axis=2)

@@ -21,15 +21,18 @@ from ssdr.model.transforms import rest_diagonal
 
 from ..collision.body_tree import is_closed
 from ..configs.config import BoneOptions
+from ..data.clip import spread
 from ..data.clip_files import Split
 from ..data.parameters import SimulationParameters
-from ..data.skin_weights import find_body_bound
+from ..data.skin_weights import BodyBound, body_bound, find_body_bound
 from ..data.store import ClipStore
 from .quality import judge
 from .rig import MovingBody, rig_of
 from .scene_files import Say, Source, read_cloth, read_rig
 
+_SMALL = 0.12  # size of a garment, relative to the body's, below which its unit is doubted
 _SHORTEST = 20  # fewest frames of a clip that is cut
+_PIN_FRAMES, _MOST_PINS = 240, 0.6  # frames in which pins are looked for; their largest share
 _BIND_POSE = 2e-3  # radians, mean over joints, up to which a pose is the bind pose
 PathLike = str | os.PathLike[str]
 
@@ -118,8 +121,6 @@ def import_clips(
         store.sweep()
         if o.fps not in (None, store.fps):
             raise InputError("fps", f"{store.fps:g}, as the store has", o.fps)
-    moved: dict[bytes, str] = {}
-    pinned: NDArray[np.bool_] | None = None
     for (cloth_file, rig_file), name in zip(pairs, names, strict=True):
         files = Path(cloth_file), Path(rig_file)
         try:
@@ -128,19 +129,12 @@ def import_clips(
                 _check_mesh("cloth", cloth, store.faces, len(store.rest))
                 rig = rig.matched(store.skeleton, store.body)
             vertices = np.asarray(cloth.vertices, np.float32)
-            warning = rig.check_cloth(vertices, o.cloth, o.rig)
+            rig.check_cloth(vertices)
         except InputError as error:
             raise InputError(error.argument, error.expected, f"{error.got} ({name})") from error
-        if warning:
-            say(f"{name}: {warning}")
-        other = moved.setdefault(hashlib.sha256(rig.joints.tobytes()).digest(), name)
-        if other != name:
-            say(f"{name}: warning: its rig moves as that of {other} does")
         if store is None:
             store = _create(target, cloth, rig, o, rest, say)
-        if pinned is None and store.names():
-            pinned = _pinned(store)
-        _add(store, name, vertices, rig.joints, pinned, o, files, say)
+        _add(store, name, vertices, rig.joints, o, files, say)
     assert store is not None  # there is one pair at least
     return store
 
@@ -208,9 +202,10 @@ def _create(
     if rig.is_faced(rest, faces):
         faces = faces[:, ::-1]
         say("the triangles of the cloth face the body: they are turned round")
-    size = rest_diagonal(rig.skeleton.rest)
-    if not 0.2 < size < 20:
-        say(f"warning: the skeleton is {size:.3g} m large; --rig-scale makes metres of its unit")
+    large, size = rest_diagonal(rest), rest_diagonal(rig.body.rest)
+    likely = large > _SMALL * size and 0.2 < size < 20
+    text = f"the garment is {large:.3g} m large, the body {size:.3g} m"
+    say(text if likely else f"warning: {text}; --cloth-scale and --rig-scale make metres")
     if rig.is_lying():
         up = "y" if o.rig.up == "z" else "z"
         say(f"warning: the skeleton is longest along z; if it should stand, --rig-up {up}")
@@ -238,16 +233,25 @@ def _parts(name: str, count: int, o: ImportOptions) -> list[tuple[str, Split, sl
     return [(f"{name}-train" if cut else name, "train", slice(0, ends[-1])), *last]
 
 
-def _pinned(store: ClipStore) -> NDArray[np.bool_]:
-    """Vertices ``(V,)`` that the body carries in the clips of a store."""
-    smoother = LaplacianSmoother(store.rest, store.faces, BoneOptions().length)
-    found = find_body_bound(store, store.names(), smoother)
-    return np.isin(np.arange(store.n_vertices), () if found is None else found.index)
+def _pins(
+    store: ClipStore, vertices: NDArray[np.float32], joints: NDArray[np.float64]
+) -> BodyBound | None:
+    """Vertices that the body carries in a store's clips, or without any in this one."""
+    names, length = store.names(), BoneOptions().length
+    smoother = LaplacianSmoother(store.rest, store.faces, length)
+    if names:
+        found = find_body_bound(store, names, smoother)
+    else:
+        (some,) = spread([len(vertices)], _PIN_FRAMES)
+        found = body_bound(store.rest, vertices[some], joints[some], smoother)
+    # If nearly all follow the body, it has hardly moved.
+    few = found is not None and len(found.index) < _MOST_PINS * store.n_vertices
+    return found if few else None
 
 
 def _check_splits(store: ClipStore, name: str, parts: list[tuple[str, Split, slice]]) -> None:
     """Raise an error if a store has this clip in other splits: it would have its frames twice."""
-    there = {clip.name: clip.split for clip in store.clips() if clip.motion == name}
+    there = {clip.name: clip.split for clip in store.clips(accepted=None) if clip.motion == name}
     if there.items() - {(part, split) for part, split, _ in parts}:
         text = ", ".join(f"{part} for {split}" for part, split in there.items())
         raise InputError(
@@ -262,7 +266,6 @@ def _add(
     name: str,
     vertices: NDArray[np.float32],
     joints: NDArray[np.float64],
-    pinned: NDArray[np.bool_] | None,
     o: ImportOptions,
     files: tuple[Path, Path],
     say: Say,
@@ -271,6 +274,7 @@ def _add(
     made = {"cloth": files[0].name, "rig": files[1].name, "parameter_set": "imported"}
     parts = _parts(name, len(vertices), o)
     _check_splits(store, name, parts)
+    quality: dict[str, Any] | None = None
     for part, split, frames in parts:
         v, m = vertices[frames], joints[frames].astype(np.float32)
         provenance = made | {"sha256": hashlib.sha256(v.tobytes() + m.tobytes()).hexdigest()}
@@ -279,7 +283,8 @@ def _add(
             if (there.provenance, there.parameters) != (provenance, parameters):
                 raise InputError("path", f"a store whose clip {part} is of {files[0]}", store.path)
             continue
-        quality = judge(store, m, v, pinned=pinned)
+        if quality is None:  # of the whole clip: a part may be too short to hold a second
+            quality = judge(store, joints, vertices, bound=_pins(store, vertices, joints))
         store.add(
             part,
             vertices=v,

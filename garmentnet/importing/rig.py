@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,6 @@ from ssdr.model.rigid import nearest_rotation
 from ssdr.model.transforms import parents_first, rest_diagonal
 
 from ..data.skeleton import Skeleton
-from .scene_files import Source
 
 # Largest difference of an entry from the nearest rotation's that counts as rounding.
 _ROUNDING = 0.02
@@ -24,11 +22,6 @@ _SAME_PLACE = 2e-3
 _LOOKED_AT = 8  # number of frames in which the cloth must be at the body
 _FAR = 0.25  # largest median distance from the body, relative to the larger size of the two
 _SMALLEST, _LARGEST = 0.05, 5.0  # bounds of a cloth's size, relative to the body's
-# Factors of lengths that are tried, and the weight of a size other than the body's.
-_FACTORS = (1, 0.1, 10, 0.01, 100, 0.001, 1000)
-_OF_SIZE = 0.1
-_BETTER = 0.6  # share of the misfit below which another unit or axis is proposed
-_HUGE = 20.0  # size from which a skeleton's unit cannot be the metre
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -62,68 +55,28 @@ class MovingBody:
         away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
         return float((np.cross(b - a, c - a) * away).sum()) < 0
 
-    def check_cloth(
-        self, vertices: NDArray[np.float32], cloth_source: Source, rig_source: Source
-    ) -> str | None:
-        """A warning if another unit or axis fits a cloth ``(F, V, 3)`` much better, else None.
-
-        Parameters
-        ----------
-        vertices : (F, V, 3) array
-        cloth_source, rig_source : Source
-            Units and axes with which both were read; those in messages replace them.
+    def check_cloth(self, vertices: NDArray[np.float32]) -> None:
+        """Raise an error unless a cloth ``(F, V, 3)`` is at the body and of a size to wear.
 
         Raises
         ------
         InputError
-            If the cloth is far away or of another size; the message says which unit or axis would
-            fit best.
+            If the cloth is far away or of another size.
         """
         body, size = self.body, rest_diagonal(self.body.rest)
         chosen = np.unique(np.linspace(0, len(self.joints) - 1, _LOOKED_AT).astype(int))
-        cloth = vertices[chosen].astype(np.float64)
         posed = skin(body.rest, body.indices, body.weights, self.joints[chosen])
-        trees = [cKDTree(v) for v in posed]
-
-        def measure(v: NDArray[np.float64]) -> tuple[float, float, float]:
-            """Distance from the body, size, and how badly both fit."""
-            far = np.median([tree.query(x)[0] for tree, x in zip(trees, v, strict=True)])
-            large = rest_diagonal(v[0])
-            misfit = math.inf
-            if far < _FAR * max(size, large) and _SMALLEST * size < large < _LARGEST * size:
-                # A garment far too small lies close to the body, too.
-                misfit = far / max(size, large) + _OF_SIZE * abs(math.log(large / size))
-            return float(far), large, misfit
-
-        far, large, own = measure(cloth)
-        # A quarter turn of the cloth about x, or back, is one of the rig in the other direction.
-        turned = cloth[..., [0, 2, 1]]
-        to_y = "rig-up y" if rig_source.up == "z" else "cloth-up z"
-        to_z = "cloth-up y" if cloth_source.up == "z" and not self.is_lying() else "rig-up z"
-        ways = (("", cloth), (to_y, turned * (1, 1, -1)), (to_z, turned * (1, -1, 1)))
-        which, source = ("rig", rig_source) if size > _HUGE else ("cloth", cloth_source)
-        found = []
-        for axis, v in ways:
-            for factor in _FACTORS:
-                misfit = measure(factor * v)[2]
-                if misfit < math.inf and (axis or factor != 1):
-                    by = 1 / factor if which == "rig" else factor
-                    scale = f"{which}-scale {by * source.scale:g}" if factor != 1 else ""
-                    found.append((misfit, " and ".join(filter(None, (axis, scale)))))
-        best, hint = min(found, default=(math.inf, ""))
-        if own == math.inf:
+        pairs = zip(posed, vertices[chosen], strict=True)
+        far = float(np.median([cKDTree(skinned).query(v)[0] for skinned, v in pairs]))
+        large = rest_diagonal(vertices[chosen[0]])
+        near = far < _FAR * max(size, large)
+        if not (near and _SMALLEST * size < large < _LARGEST * size):
             raise InputError(
                 "cloth",
                 f"a garment on the body, which is {size:.3g} m large, in its unit, axes and place",
-                f"one {large:.3g} m large, {far:.3g} m away from it"
-                f"{f'; {hint} would fit' if hint else ''}",
+                f"one {large:.3g} m large, {far:.3g} m away from it; "
+                "scale (--cloth-scale, --rig-scale) and axes (--cloth-up, --rig-up) can be given",
             )
-        if best < _BETTER * own:
-            return (
-                f"warning: the cloth is {large:.3g} m large, the body {size:.3g} m; "
-                f"{hint} would fit better"
-            )
-        return None
 
     def matched(self, skeleton: Skeleton, body: Skinning) -> MovingBody:
         """Rig with this motion for a skeleton with the same joints in any order, and its body.

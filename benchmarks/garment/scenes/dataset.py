@@ -154,11 +154,9 @@ def make_data_set(
     with _lock(store):
         store.sweep()
         todo = [s for s in scenes if not _is_there(store, s)]
-        # The base parameters come first, and of their clips those that training needs to begin.
-        order = ("validation", "train", "test").index
-        todo.sort(
-            key=lambda s: (s.parameters.name != "base", bool(s.repeat_of), order(s.motion.split))
-        )
+        # Validation and testing come first, so that a part of a data set can be trained on.
+        order = ("validation", "test", "train").index
+        todo.sort(key=lambda s: (order(s.motion.split), s.parameters.name != "base"))
         total, frames = sum(s.motion.frames + lead for s in todo), 0
         cloth = Cloth(body, garment, data_set.solver)
         try:

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
-from garmentnet.data.outfit import neighbours
+from garmentnet.data.outfit import Outfit, neighbours
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.data.skeleton import Skeleton
+from garmentnet.data.skin_weights import BodyBound
 from garmentnet.importing.quality import LIMITS, judge
 from ssdr.common.errors import InputError
 
@@ -94,8 +95,16 @@ def simulate(
     joints = joints.astype(np.float32).astype(np.float64)
     moved = perturbation_field(garment, perturbation, seed) if perturbation > 0 else None
     vertices = cloth.simulate(joints, motion.fps, parameters, first=len(before), moved=moved)
-    outfit = outfit_of(body, garment, motion.fps)
-    return Simulated(vertices, judge(outfit, motion.joints, vertices, limits=limits))
+    outfit, bound = outfit_of(body, garment, motion.fps), pins_of(garment)
+    quality = judge(outfit, motion.joints, vertices, bound=bound, limits=limits)
+    return Simulated(vertices, quality)
+
+
+def pins_of(garment: Garment) -> BodyBound:
+    """Pinned vertices of a garment, and how the body carries them."""
+    index = np.flatnonzero(garment.pinned).astype(np.int32)
+    rest = garment.rest[index].astype(np.float64)
+    return BodyBound(index, rest, rest, garment.indices[index], garment.weights[index])
 
 
 def outfit_of(body: Body, garment: Garment, fps: float) -> Outfit:

@@ -51,7 +51,7 @@ def test_a_scene(tmp_path: Path) -> None:
     assert scene.provenance()["motion"]["classes"] == ("spin", "stop")
 
 
-FRAMES = {"large": 1_000_000, "live": 1_000_000, "small": 7_800, "tiny": 1_000}
+FRAMES = {"large": 1_000_000, "live": 180_000, "small": 7_800, "tiny": 1_000}
 GARMENTS = ("dress", "soft_dress", "gown", "a_line", "t_shirt", "trousers", "skirt")
 
 

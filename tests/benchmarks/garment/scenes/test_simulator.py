@@ -13,7 +13,7 @@ from benchmarks.garment.scenes.cloth import Cloth, Solver
 from benchmarks.garment.scenes.cut import Cut, cut_garment
 from benchmarks.garment.scenes.dance.choreography import dance
 from benchmarks.garment.scenes.motion import Motion
-from benchmarks.garment.scenes.simulator import outfit_of, perturbation_field, simulate
+from benchmarks.garment.scenes.simulator import outfit_of, perturbation_field, pins_of, simulate
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.importing.quality import LIMITS, judge
 from helpers.cloth_scenes import still
@@ -67,7 +67,7 @@ def test_cloth_hangs_and_comes_to_rest() -> None:
     q = made.quality
     assert q["accepted"], q["reason"]
     assert q["inside_fraction"] == 0
-    assert 0.98 < q["stretch_p50"] < 1.02
+    assert q["stretch_p99"] < 1.1
     # Gravity pulls the flared skirt together.
     hem = DRESS.rest[:, 1] < DRESS.rest[:, 1].min() + 1e-4
     spread = np.linalg.norm(made.vertices[-1, hem][:, [0, 2]], axis=1).mean()
@@ -104,7 +104,7 @@ def test_the_gate_says_why(spin: Motion) -> None:
     free = np.flatnonzero(~DRESS.pinned)
 
     def reasons(v: np.ndarray, **limits: float) -> set[str]:
-        found = judge(outfit, spin.joints, v, limits=LIMITS | limits)
+        found = judge(outfit, spin.joints, v, bound=pins_of(DRESS), limits=LIMITS | limits)
         assert found["accepted"] == (not found["reason"])
         return {part.split()[0] for part in found["reason"].split("; ") if part}
 
