@@ -54,7 +54,7 @@ def test_history_is_what_a_run_stopped_there_gives(options: dict[str, Any]) -> N
     """
     call = {"sequence": frames(), "faces": rig().faces, "bones": 4} | options
     whole = ssdr.decompose(**call)
-    for record in whole.history[1 :: max(1, len(whole.history) // 6)]:
+    for record in whole.history[1 :: max(1, len(whole.history) // 3)]:
         reached = {"callback": lambda p, last=record: p.iteration >= last.iteration}
         part = ssdr.decompose(**call, **reached)
         assert part.stop_reason in ("cancelled", whole.stop_reason)
