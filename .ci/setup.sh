@@ -86,8 +86,8 @@ editable=()
 wanted=${EXTRAS:-}
 for extra in ${wanted//,/ }; do
     case $extra in
-        garmentnet) [ ${#editable[@]} -gt 0 ] || editable=(-e "./garmentnet[film,onnx]") ;;
-        scenes) editable=(-e "./garmentnet[film,onnx]" "anny>=0.6,<0.7") ;;
+        garmentnet) [ ${#editable[@]} -gt 0 ] || editable=(-e "./garmentnet[onnx]") ;;
+        scenes) editable=(-e "./garmentnet[onnx]" "anny>=0.6,<0.7") ;;
         *) extras+=,$extra ;;
     esac
 done

@@ -10,8 +10,8 @@ SIGGRAPH 2022.
 ``garmentnet.networks``    what the paper leaves open: features, GRU, detail by
                            components, the motion network, checkpoints (equation 3)
 ``garmentnet.training``    batches, the loop, targets
-``garmentnet.data``        clips, motion, skeletons, motion capture
-``garmentnet.importing``   stores of cloth and rigs of other programs
+``garmentnet.data``        stores of clips, skeletons, simulation parameters
+``garmentnet.importing``   stores of cloth and rigs of other programs; the quality gate
 ``garmentnet.collision``   distances to the body, vertices moved out of it
 ``garmentnet.evaluation``  errors beside baselines and bounds, reports, pictures
 ``garmentnet.prediction``  a checkpoint's garment for a motion, and files of it

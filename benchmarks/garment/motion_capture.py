@@ -1,7 +1,7 @@
 """Motion capture for a network's body: ``motion_capture.py dress walk.bvh walk.npz``.
 
-``garmentnet predict`` and ``export`` take the file that is written.  Joints are matched by name;
-see :func:`benchmarks.garment.scenes.retarget.retarget`.
+``garmentnet predict`` and ``docs/gallery/live/page.py`` take the file that is written.  Joints are
+matched by name; see :func:`benchmarks.garment.scenes.retarget.retarget`.
 """
 
 import argparse

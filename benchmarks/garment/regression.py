@@ -243,7 +243,6 @@ def train_regression(
             net = _Scaled(variant.network(reader.size, config.low.hidden, basis.rank), basis)
         objective = CoefficientObjective(
             net,
-            config.train,
             bones.store.n_vertices,
             hidden=config.low.hidden,
             dropout=config.low.dropout,

@@ -16,7 +16,6 @@ from ssdr.cli.shell import run_app
 
 from .importing import import_clips
 from .learning import demo, evaluate, export, predict, train
-from .models import models
 
 app = typer.Typer(
     rich_markup_mode=None,
@@ -25,7 +24,7 @@ app = typer.Typer(
 )
 
 
-for _command in (train, evaluate, predict, export, demo, models):
+for _command in (train, evaluate, predict, export, demo):
     app.command()(_command)
 app.command("import")(import_clips)
 

@@ -118,16 +118,11 @@ def predict(
     ],
     output: Annotated[
         list[Path],
-        typer.Option("--output", "-o", help="out.{html,mp4,gif,png,glb,usda,pc2,npz}; repeatable."),
+        typer.Option("--output", "-o", help="out.{html,webp,png,glb,usda,pc2,npz}; repeatable."),
     ],
     parameters: Parameters = "",
     detail: Annotated[bool, typer.Option(help="Run the high-frequency module.")] = True,
-    truth: Annotated[
-        bool, typer.Option(help="Show a clip's own cloth beside the prediction.")
-    ] = True,
-    error: Annotated[bool, typer.Option(help="Show the error in films of a clip, too.")] = False,
     every: Annotated[int, typer.Option(help="Every n-th frame alone in films.")] = 1,
-    shapes: Annotated[int, typer.Option(help="Of a .glb: morph targets, at most.")] = 8,
     push_out: Annotated[
         bool, typer.Option(help="Move vertices that lie inside the body out of it.")
     ] = True,
@@ -145,8 +140,6 @@ def predict(
     model = load_checkpoint(checkpoint)
     chosen = chosen_parameters(model, entered_parameters(parameters))
     joints, clip = read_motion(motion, model.subject)
-    if not truth:
-        clip = None
     result = run(model, joints, chosen, detail=detail, push_out=push_out, name=motion.stem)
     shown = chosen or model.parameters[0]
     of = f" of {shown}" if shown else ""
@@ -164,16 +157,13 @@ def predict(
         )
     for path in output:
         with progress_bar() as show:
-            text = save_prediction(
-                result, path, truth=clip, error=error, every=every, shapes=shapes, progress=show
-            )
+            text = save_prediction(result, path, truth=clip, every=every, progress=show)
         typer.echo(f"{path}: {text}")
 
 
 def export(
     model: Annotated[Path, typer.Argument(metavar="MODEL", help="Checkpoint, or dress.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="dress.onnx")],
-    bits: Annotated[int, typer.Option(help="Of stored weights, 32 or 16.")] = 32,
 ) -> None:
     """Write a network as .onnx, which engines run; `garmentnet predict` writes a .glb to play."""
     from ..networks.checkpoint import load_checkpoint
@@ -181,8 +171,8 @@ def export(
 
     if output.suffix.lower() != ".onnx":
         raise InputError("--output", "a file .onnx", str(output))
-    path = export_onnx(load_checkpoint(model), output, bits=bits)
-    typer.echo(f"{path}: {path.stat().st_size / 1e6:.1f} MB, {bits}-bit weights")
+    path = export_onnx(load_checkpoint(model), output)
+    typer.echo(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
 
 
 def demo(output: Folder = None) -> None:

@@ -1,4 +1,4 @@
-"""Progress of a command on stderr, with the bar of the command ``ssdr``; tables of text."""
+"""Progress of a command on stderr, with the bar of the command ``ssdr``."""
 
 from __future__ import annotations
 
@@ -6,20 +6,13 @@ import contextlib
 import logging
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 from ssdr.cli import output
 
 from ..io.files import Progress
 
 _EVERY = 5.0  # seconds between lines
-
-
-def aligned(rows: Sequence[Sequence[str]]) -> str:
-    """A table whose columns are as wide as their longest text."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = ("  ".join(x.ljust(n) for x, n in zip(row, widths, strict=True)) for row in rows)
-    return "\n".join(line.rstrip() for line in lines)
 
 
 @contextlib.contextmanager

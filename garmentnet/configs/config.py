@@ -89,8 +89,6 @@ class HighOptions:
     local: bool = True
     global_features: Count = 10
     edge_features: tuple[Count, ...] = (8, 16)
-    mlp: tuple[Count, ...] = ()
-    activation: Literal["relu", "prelu"] = "prelu"
     batch_norm: bool = True
     dropout: Share = 0.5
     edge_dropout: Share = 0.8
@@ -114,7 +112,6 @@ class TrainOptions:
     validate_every: Count = 2
     patience: Count = 10
     threads: Number = 0
-    precision: Literal["single", "bfloat16", "auto"] = "auto"
     device: str = "auto"
 
 
@@ -199,8 +196,8 @@ def override(config: Config, changes: Sequence[str]) -> Config:
 
     Examples
     --------
-    >>> override(Config(), ["train.seed=3", "high.mlp=[16, 16]"]).high.mlp
-    (16, 16)
+    >>> override(Config(), ["train.seed=3", "high.edge_features=[8, 8]"]).high.edge_features
+    (8, 8)
     """
     table = dataclasses.asdict(config)
     for change in changes:

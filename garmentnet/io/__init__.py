@@ -1,1 +1,1 @@
-"""Files written complete or not at all, TOML tables read into dataclasses, optional packages."""
+"""Files written complete or not at all, TOML tables read into dataclasses."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 import torch
@@ -37,15 +37,13 @@ from .network import MotionNetwork, NetworkOutput, Predictor
 
 # Tensors with fewer numbers stay in single precision, since halving them saves almost nothing.
 _MANY = 10_000
-_FORMAT, _VERSION = "garmentnet checkpoint", 5
+_FORMAT, _VERSION = "garmentnet checkpoint", 6
 # Arrays of a mesh, and of the vertices bound to the body.
 _MESH = ("rest", "indices", "weights", "faces")
 _BOUND = tuple(f.name for f in dataclasses.fields(BodyBound))
 # Bytes of the dense skinning matrix beyond which a file counts as hostile: 3 million vertices and
 # 80 bones in float32.
 _MAX_SKINNING = 4 << 30
-# Settings of a training, by section, that there are no more and of which a prediction is free.
-_GONE = (("low", "symmetric"), ("train", "tensorboard"), ("data", "store"))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,10 +58,7 @@ class NetworkRecord:
 
 @dataclasses.dataclass(frozen=True)
 class CheckpointDocument:
-    """The JSON document of a checkpoint.
-
-    `power` is that of the kernel; earlier versions, whose kernels have 1, do not state it.
-    """
+    """The JSON document of a checkpoint."""
 
     fps: Annotated[float, Meta(gt=0, le=1e9)]
     garment_id: str
@@ -71,7 +66,6 @@ class CheckpointDocument:
     joint_names: tuple[str, ...]
     networks: Annotated[tuple[NetworkRecord, ...], Meta(min_length=1)]
     kernel: bool = False
-    power: Literal[1, 2] = 1
     errors: dict[str, float] = dataclasses.field(default_factory=dict)
     format: str = _FORMAT
     version: int = _VERSION
@@ -90,8 +84,7 @@ class Checkpoint(Predictor):
     kernel : Kernel or None
         Kernel that mixes the networks of an ensemble.
     errors : mapping of str to float
-        RMSE in metres by module and split, such as "low, validation"; ``garmentnet models`` shows
-        them.
+        RMSE in metres by module and split, such as "low, validation".
 
     Raises
     ------
@@ -210,7 +203,6 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path | str, *, half: bool = Fa
         joint_names=subject.skeleton.names,
         networks=tuple(records),
         kernel=kernel is not None,
-        power=1 if kernel is None else kernel.power,
         errors=dict(checkpoint.errors),
     )
     return save_arrays(Path(path), arrays, "checkpoint", dataclasses.asdict(document))
@@ -235,7 +227,7 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
         kernel = None
         if d.kernel:
             with torch.device("meta"):
-                kernel = Kernel(power=d.power)
+                kernel = Kernel()
             kernel.load_state_dict(tensors_of(arrays, "kernel."), assign=True)
         parameters = tuple(record.parameters for record in d.networks)
         return Checkpoint(tuple(networks), parameters, kernel, d.errors)
@@ -243,6 +235,9 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
 
 def load_weights(network: MotionNetwork, start: Checkpoint, part: str) -> None:
     """Copy weights and statistics from a checkpoint into a module of a network.
+
+    The network may read the motion of joints that `start` does not read; the weights of these
+    inputs begin at 0.
 
     Parameters
     ----------
@@ -259,12 +254,22 @@ def load_weights(network: MotionNetwork, start: Checkpoint, part: str) -> None:
     source = start.networks[0]
     if not np.array_equal(source.subject.garment.rest, network.subject.garment.rest):
         raise InputError("start", "a checkpoint with the same virtual bones", "others")
-    module, source_module = getattr(network, part), getattr(source, part)
+    options, known = network.config.features, source.config.features
+    if options != dataclasses.replace(known, joint_motion=options.joint_motion):
+        raise InputError("start", f"a network of the same configuration, {options}", known)
+    state, old = getattr(source, part).state_dict(), source.normaliser
+    count, first = len(old.mean), "gru.weight_ih_l0"
+    more = network.normaliser.mean[count:], network.normaliser.deviation[count:]
     try:
-        module.load_state_dict(source_module.state_dict())
+        if part == "low" or network.config.high.source == "body":
+            none = state[first].new_zeros(len(state[first]), len(more[0]))
+            left, right = state[first].split([count, network.condition], dim=1)
+            state[first] = torch.cat([left, none, right], dim=1)
+        getattr(network, part).load_state_dict(state)
     except RuntimeError as error:
         raise InputError("start", "a network of the same configuration", str(error)) from error
-    network.normaliser = source.normaliser
+    mean, deviation = map(np.append, (old.mean, old.deviation), more)
+    network.normaliser = Normaliser(mean, deviation, old.clamp)
 
 
 def _network(subject: Subject, record: NetworkRecord, part: dict[str, Tensor]) -> MotionNetwork:
@@ -301,9 +306,6 @@ def _read_document(arrays: dict[str, Any], table: Any) -> tuple[CheckpointDocume
     check(ours, "not a checkpoint of garmentnet")
     version = table.get("version")
     check(version == _VERSION, f"version {version}, this reads {_VERSION}")
-    for record in table.get("networks", ()):  # settings of earlier versions
-        for section, name in _GONE:
-            record["config"][section].pop(name, None)
     d = from_table(CheckpointDocument, table, file="document")
     check(d.kernel or len(d.networks) == 1, f"{len(d.networks)} networks without a kernel")
     known = all(r.parameters is not None for r in d.networks)

@@ -21,6 +21,10 @@ from ..configs.config import FeatureOptions
 from ..data.skeleton import Skeleton, check_joints
 
 Array = NDArray[np.float64]
+# Features of one frame, without memory, of a body seen from its root and heading.
+HEADING = FeatureOptions(
+    rotation="sixd", heading_free=True, translation=False, floor=0.01, clamp=5.0, frame="heading"
+)
 # Length of the twist's sine and cosine, at most 2, below which the body is upside down.
 _UPSIDE_DOWN = 1e-12
 _TINY = 1e-30  # against a division by 0

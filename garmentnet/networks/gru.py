@@ -16,9 +16,8 @@ class GRU(nn.GRU):
     """A layer of ``torch.nn.GRU`` with its own backward pass for gradients on a CPU.
 
     torch adds up the gradient of the recurrent weights frame by frame, a matrix of the weights'
-    size each time.  Here one product over all frames gives it.  Under autocast to bfloat16 the
-    products are rounded; states, gates and sums stay in float32.  Weights have the names of
-    ``torch.nn.GRU``, and without gradients its own code runs.
+    size each time.  Here one product over all frames gives it.  Weights have the names
+    of ``torch.nn.GRU``, and without gradients its own code runs.
 
     Examples
     --------
@@ -36,10 +35,8 @@ class GRU(nn.GRU):
         if x.device.type != "cpu" or not torch.is_grad_enabled():
             out, state = super().forward(x, state)
             return out, state
-        half = torch.is_autocast_enabled("cpu")
         start = x.new_zeros(len(x), self.hidden_size) if state is None else state[0]
-        with torch.autocast("cpu", enabled=False):
-            y, end = _Layer.apply(x.transpose(0, 1), start, *self.all_weights[0], half)
+        y, end = _Layer.apply(x.transpose(0, 1), start, *self.all_weights[0])
         return y.transpose(0, 1), end[None]
 
 
@@ -98,34 +95,28 @@ class _Layer(torch.autograd.Function):
         w_state: Tensor,
         b_in: Tensor,
         b_state: Tensor,
-        half: bool,
     ) -> tuple[Tensor, Tensor]:
-        kind = torch.bfloat16 if half else x.dtype
-        (steps, lanes, _), size = x.shape, start.shape[1]
-        w_in, w_state, flat = w_in.to(kind), w_state.to(kind), x.flatten(0, 1).to(kind)
-        gates = nn.functional.linear(flat, w_in).to(x.dtype).add_(b_in).view(steps, lanes, -1)
+        (steps, lanes, _), size, flat = x.shape, start.shape[1], x.flatten(0, 1)
+        gates = nn.functional.linear(flat, w_in, b_in).view(steps, lanes, -1)
         h = x.new_empty(steps + 1, lanes, size)
-        rounded = h if kind == x.dtype else h.to(kind)
-        h[0], rounded[0] = start, start
+        h[0] = start
         rz, n, hidden = (x.new_empty(steps, lanes, k * size) for k in (2, 1, 1))
         for t in range(steps):
-            u = nn.functional.linear(rounded[t], w_state).to(x.dtype).add_(b_state)
+            u = nn.functional.linear(h[t], w_state, b_state)
             torch.add(u[:, : 2 * size], gates[t, :, : 2 * size], out=rz[t]).sigmoid_()
             hidden[t] = u[:, 2 * size :]
             torch.addcmul(gates[t, :, 2 * size :], rz[t, :, :size], hidden[t], out=n[t]).tanh_()
             torch.lerp(n[t], h[t], rz[t, :, size:], out=h[t + 1])
-            if half:
-                rounded[t + 1] = h[t + 1]
-        ctx.save_for_backward(flat, w_in, w_state, h, rounded, rz, n, hidden)
+        ctx.save_for_backward(flat, w_in, w_state, h, rz, n, hidden)
         return h[1:], h[-1]
 
     @staticmethod
     def backward(ctx: Any, *slopes: Tensor) -> tuple[Tensor | None, ...]:
         of_out, of_end = slopes
-        flat, w_in, w_state, h, rounded, rz, n, hidden = ctx.saved_tensors
+        flat, w_in, w_state, h, rz, n, hidden = ctx.saved_tensors
         steps, lanes, size = n.shape
         r, z = rz.split(size, dim=2)
-        of_in = n.new_empty(steps, lanes, 3 * size, dtype=w_in.dtype)
+        of_in = n.new_empty(steps, lanes, 3 * size)
         of_state = torch.empty_like(of_in)
         slope = of_end
         for t in range(steps - 1, -1, -1):
@@ -140,17 +131,10 @@ class _Layer(torch.autograd.Function):
             of_in[t, :, 2 * size :] = of_n
             of_state[t, :, : 2 * size] = of_in[t, :, : 2 * size]
             of_state[t, :, 2 * size :] = of_hidden
-            slope = (of_state[t] @ w_state).to(n.dtype).addcmul_(slope, z[t])
+            slope = (of_state[t] @ w_state).addcmul_(slope, z[t])
         rows_in, rows_state = of_in.flatten(0, 1), of_state.flatten(0, 1)
         of_x = None
         if ctx.needs_input_grad[0]:
-            of_x = (rows_in @ w_in).to(n.dtype).view(steps, lanes, -1)
-        return (
-            of_x,
-            slope,
-            (rows_in.T @ flat).to(n.dtype),
-            (rows_state.T @ rounded[:-1].flatten(0, 1)).to(n.dtype),
-            rows_in.sum(0, dtype=n.dtype),
-            rows_state.sum(0, dtype=n.dtype),
-            None,
-        )
+            of_x = (rows_in @ w_in).view(steps, lanes, -1)
+        of_weights = rows_in.T @ flat, rows_state.T @ h[:-1].flatten(0, 1)
+        return of_x, slope, *of_weights, rows_in.sum(0), rows_state.sum(0)

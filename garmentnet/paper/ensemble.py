@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -23,8 +23,6 @@ from torch import Tensor, nn
 from ssdr.common.errors import InputError
 
 Array = NDArray[np.float64]
-# Added to a squared distance whose root must have a gradient at 0.
-_SQUARE = 1e-12
 # Widths of the MLP g, as published.
 _HIDDEN, _LATENT = 16, 4
 
@@ -41,8 +39,6 @@ class Kernel(nn.Module):
     ----------
     inputs : int
         Number of simulation parameters.
-    power : {2, 1}
-        Exponent of the distance: 2, or 1 as in the published code.
 
     Examples
     --------
@@ -51,9 +47,8 @@ class Kernel(nn.Module):
     1.0
     """
 
-    def __init__(self, inputs: int = 3, *, power: Literal[1, 2] = 2) -> None:
+    def __init__(self, inputs: int = 3) -> None:
         super().__init__()
-        self.power = power
         self.g = nn.Sequential(
             nn.Linear(inputs, _HIDDEN), nn.PReLU(), nn.Linear(_HIDDEN, _LATENT)
         ).double()
@@ -62,7 +57,7 @@ class Kernel(nn.Module):
         """Weights ``(..., K)`` of pivots with parameters ``(..., K, P)`` at ``(..., P)``; sum 1."""
         gap = (self.g(pivots) - self.g(theta)[..., None, :]).square().sum(-1)
         # The normalised kernel is a softmax, which does not divide by 0 where every Ψ underflows.
-        return torch.softmax(-((gap + _SQUARE) ** (self.power / 2)), dim=-1)
+        return torch.softmax(-gap, dim=-1)
 
     def weights(self, pivots: Any, theta: Any) -> Array:
         """Result of :meth:`forward` as an array, for arrays."""

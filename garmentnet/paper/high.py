@@ -16,6 +16,7 @@ goes, `MotionNetwork.add_high`.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 import math
 from typing import Any
@@ -28,7 +29,7 @@ from ..configs.config import HighOptions
 from ..data.outfit import neighbours
 from ..networks.gru import GRU, dropout_mask
 from ..training.batches import Batch, Track
-from ..training.loop import TrainingObjective, mixed_precision
+from ..training.loop import TrainingObjective
 from ..training.losses import BodyShape, collision_depth, frame_norm
 from ..training.targets import bone_motion, detail_target
 
@@ -52,44 +53,13 @@ def neighbour_table(faces: Any, n_vertices: int) -> Tensor:
     return torch.from_numpy(table)
 
 
-class _Highest(torch.autograd.Function):
-    """Maximum over the neighbours, whose gradient goes to the first neighbour that attains it.
-
-    Written out because autograd would store two tensors for every neighbour.
-    """
-
-    @staticmethod
-    def forward(ctx: Any, x: Tensor, neighbours: Tensor) -> Tensor:
-        highest = x.index_select(0, neighbours[:, 0])
-        if not ctx.needs_input_grad[0]:
-            for k in range(1, neighbours.shape[1]):
-                torch.maximum(highest, x.index_select(0, neighbours[:, k]), out=highest)
-            return highest
-        winner = torch.zeros(highest.shape, dtype=torch.uint8, device=x.device)
-        for k in range(1, neighbours.shape[1]):
-            other = x.index_select(0, neighbours[:, k])
-            winner.masked_fill_(other > highest, k)
-            torch.maximum(highest, other, out=highest)
-        ctx.save_for_backward(winner, neighbours)
-        ctx.rows = len(x)
-        return highest
-
-    @staticmethod
-    def backward(ctx: Any, *slopes: Tensor) -> tuple[Tensor, None]:
-        winner, neighbours = ctx.saved_tensors
-        (slope,) = slopes
-        out = slope.new_zeros(ctx.rows, *slope.shape[1:])
-        for k in range(neighbours.shape[1]):
-            out.index_add_(0, neighbours[:, k], slope * (winner == k))
-        return out, None
-
-
 class EdgeConv(nn.Module):
     """x_i' = max_j act(W [x_i, x_j − x_i] + b) over the neighbours j (Wang et al. 2019).
 
-    The activation is monotone, so the maximum can be taken before it.  With W = [W_a, W_b] the
-    layer is act((W_a − W_b) x_i + b + max_j W_b x_j): matrix products for every vertex instead of
-    every edge, and a gather.
+    The activation is a PReLU with one slope per channel, kept at 0 or above, so that it is monotone
+    and the maximum can be taken before it.  With W = [W_a, W_b] the layer is
+    act((W_a − W_b) x_i + b + max_j W_b x_j): matrix products for every vertex instead of every
+    edge, and a gather.
 
     Parameters
     ----------
@@ -97,8 +67,6 @@ class EdgeConv(nn.Module):
     scale : float
         Divides x_j − x_i: the mean edge length where x are positions, so that differences are
         of the size of the positions.
-    activation : {"relu", "prelu"}
-        PReLU has one slope per channel, kept at 0 or above: below 0 it is not monotone.
 
     Examples
     --------
@@ -107,13 +75,10 @@ class EdgeConv(nn.Module):
     torch.Size([4, 2, 8])
     """
 
-    def __init__(
-        self, inputs: int, outputs: int, scale: float = 1.0, activation: str = "relu"
-    ) -> None:
+    def __init__(self, inputs: int, outputs: int, scale: float = 1.0) -> None:
         super().__init__()
-        self.linear = nn.Linear(2 * inputs, outputs)
+        self.linear, self.act = nn.Linear(2 * inputs, outputs), _PReLU(outputs)
         self.scale = scale
-        self.act = _activation(activation, outputs)
 
     def forward(self, x: Tensor, neighbours: Tensor, dropped: Tensor | None = None) -> Tensor:
         """Features ``(V, N, outputs)`` of features ``(V, N, inputs)``.
@@ -122,18 +87,17 @@ class EdgeConv(nn.Module):
         neighbours to leave out; a vertex that has no others gets 0.
         """
         w_a, w_b = self.linear.weight.chunk(2, dim=1)
-        candidates, alone = x @ (w_b / self.scale).T, None
+        candidates = x @ (w_b / self.scale).T
+        columns = (candidates[n] for n in neighbours.T)
         if dropped is not None:
-            # One row more, which never wins, stands in for neighbours that are left out.
-            lowest = candidates.new_full((1, *candidates.shape[1:]), -math.inf)
-            candidates = torch.cat([candidates, lowest])
-            neighbours = torch.where(dropped, len(x), neighbours)
+            lost = dropped.T[..., None, None]
+            columns = (c.masked_fill(d, -math.inf) for c, d in zip(columns, lost, strict=True))
+        highest = functools.reduce(torch.maximum, columns)
+        if dropped is not None:
             alone = dropped.all(dim=1)[:, None, None]
-        highest: Tensor = _Highest.apply(candidates, neighbours)
-        if alone is not None:
             highest = highest.masked_fill(alone, 0.0)
         out: Tensor = self.act(x @ (w_a - w_b / self.scale).T + self.linear.bias + highest)
-        return out if alone is None else out.masked_fill(alone, 0.0)
+        return out if dropped is None else out.masked_fill(alone, 0.0)
 
 
 class _PReLU(nn.Module):
@@ -147,15 +111,11 @@ class _PReLU(nn.Module):
         return torch.relu(x) + self.slope.clamp(min=0) * x.clamp(max=0)
 
 
-def _activation(name: str, channels: int) -> nn.Module:
-    return nn.ReLU() if name == "relu" else _PReLU(channels)
-
-
 class HighFrequency(nn.Module):
     """D_HF, the network of the detail (section 4.3).
 
-    An MLP, the same for all vertices, reads global features from a GRU on the bone motion M_v and
-    local ones from EdgeConv layers on the low-frequency mesh G_LF.
+    A linear layer, the same for all vertices, reads global features from a GRU on the bone motion
+    M_v and local ones from EdgeConv layers on the low-frequency mesh G_LF.
 
     Parameters
     ----------
@@ -200,19 +160,15 @@ class HighFrequency(nn.Module):
         self.gru = GRU(inputs, o.hidden)
         wide = len(chosen) * o.global_features
         self.spread = nn.Linear(o.hidden, wide)
-        self.spread_act = _activation(o.activation, wide)
+        self.spread_act = _PReLU(wide)
         # The momentum is that of the published code.
         self.norm = nn.BatchNorm1d(wide, momentum=1e-3) if o.batch_norm else nn.Identity()
         widths = [3, *o.edge_features] if o.local else [3]
         self.edges = nn.ModuleList(
-            EdgeConv(a, b, edge_length if k == 0 else 1.0, o.activation)
+            EdgeConv(a, b, edge_length if k == 0 else 1.0)
             for k, (a, b) in enumerate(itertools.pairwise(widths))
         )
-        sizes = [o.global_features + (widths[-1] if len(self.edges) else 0), *o.mlp]
-        layers: list[nn.Module] = []
-        for a, b in itertools.pairwise(sizes):
-            layers += [nn.Linear(a, b), _activation(o.activation, b)]
-        self.mlp = nn.Sequential(*layers, nn.Linear(sizes[-1], 3))
+        self.out = nn.Linear(o.global_features + (widths[-1] if len(self.edges) else 0), 3)
         index = torch.from_numpy(chosen.astype(np.int64))
         self.register_buffer("vertices", index, persistent=False)
         self.register_buffer("neighbours", neighbour_table(faces, n_vertices), persistent=False)
@@ -277,7 +233,7 @@ class HighFrequency(nn.Module):
             for k, layer in enumerate(self.edges):
                 y = layer(y, self.neighbours, dropped[k] if dropped else None)
             features = torch.cat([features, y[self.vertices]], dim=-1)
-        out = self.mlp(features) * self.deviation + self.mean[self.vertices][:, None]
+        out = self.out(features) * self.deviation + self.mean[self.vertices][:, None]
         if len(self.vertices) < self.n_vertices:
             everywhere = out.new_zeros(self.n_vertices, *out.shape[1:])
             out = everywhere.index_copy(0, self.vertices, out)
@@ -347,9 +303,7 @@ class HighFrequencyObjective(TrainingObjective):
         x = self.network.high_inputs(batch.inputs().to(device), z)
         mask = dropout_mask(rng, (*chosen.shape, options.hidden), options.dropout, device)
         dropped = self.module.draw_edges(rng, options.edge_dropout)
-        with mixed_precision(self.network.config.train, device):
-            high, state = self.module(x, low, state, pick, mask, dropped)
-        high = high.float()
+        high, state = self.module(x, low, state, pick, mask, dropped)
         truth = torch.stack([goal[f] for goal, _, f in known]).float().to(device)
         loss = frame_norm((high[lanes] - truth)[:, :, self.free])
         if options.collision:

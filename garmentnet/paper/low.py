@@ -29,7 +29,7 @@ from ssdr.model.rigid import sixd_from_matrix
 from ..networks.features import relative, transforms_in_frame
 from ..networks.gru import GRULinear, dropout_mask
 from ..training.batches import Batch, Track
-from ..training.loop import TrainingObjective, mixed_precision
+from ..training.loop import TrainingObjective
 from ..training.losses import EXACT
 from ..training.targets import LowTargets
 from .bones import matrix_from_euler, matrix_from_sixd
@@ -316,9 +316,8 @@ class LowFrequencyObjective(TrainingObjective):
         every = slice(int(rng.integers(min(_EVERY, longest))), None, _EVERY)
         shape = (*batch.mask[:, every].shape, config.low.hidden)
         mask = dropout_mask(rng, shape, config.low.dropout, device)
-        with mixed_precision(config.train, device):
-            z, state = self.module(x, state, mask, every)
-        chosen = z.float()[batch.mask[:, every].to(device)]
+        z, state = self.module(x, state, mask, every)
+        chosen = z[batch.mask[:, every].to(device)]
         position, bending = self._squares(chosen, batch.extra(every))
         loss = (position + EXACT).sqrt().mean()
         loss = loss + config.low.laplacian * (bending + EXACT).sqrt().mean()

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import ssdr
-from ssdr import MeshSequence, ShapedSkinning, Skinning
+from ssdr import MeshSequence, Skinning
 from ssdr.common.errors import InputError
-from ssdr.io.atomic import atomic_path
 from ssdr.io.formats import FORMATS
 from ssdr.io.optional import import_optional as require
 from ssdr.model.rigid import nearest_rotation
@@ -30,11 +27,10 @@ from ..drawing.dressed import (
     outfit_sheet,
 )
 from ..io.files import Progress, silent
-from .morph_targets import with_morph_targets
 from .prediction import Prediction
 
 _ELEVATION = 12.0  # degrees of the camera above the horizon
-_FILMS = (".mp4", ".gif", ".webp")
+_FILMS = (".gif", ".webp")
 _PICTURES = (".png", ".jpg", ".jpeg")
 _BONES = (".glb", ".gltf", ".fbx")
 _PAGE = ".html"
@@ -60,8 +56,6 @@ def check_output(path: Path | str) -> None:
         raise InputError("output", f"a suffix of {', '.join(known)}", str(file))
     if suffix.startswith(".usd"):
         require("pxr", "ssdr[usd]", f"a {suffix} file")
-    if suffix == ".mp4":
-        require("av", "garmentnet[film]", "an .mp4 file")
     if suffix == ".fbx":
         from ssdr.io.blender.finder import command
 
@@ -75,18 +69,16 @@ def save_prediction(
     size: int = 640,
     frames: int = 5,
     truth: Clip | None = None,
-    error: bool = False,
     every: int = 1,
-    shapes: int = 8,
     progress: Progress = silent,
 ) -> str:
     """Write a prediction in the format of the suffix.
 
-    ``.mp4``, ``.gif`` and ``.webp`` are films and ``.png`` and ``.jpg`` sheets of pictures, with
-    the body and, where it is known, the truth beside the prediction; ``.glb`` and ``.gltf`` hold
-    the joints and virtual bones, and morph targets for what these cannot do; ``.fbx`` holds joints
-    and virtual bones alone; ``.html`` is a page of the cloth beside the truth or, where it is not
-    known, of the virtual bones beside the cloth; all other formats hold the vertices.
+    ``.gif`` and ``.webp`` are films and ``.png`` and ``.jpg`` sheets of pictures, with
+    the body and, where it is known, the truth beside the prediction; ``.glb``, ``.gltf`` and
+    ``.fbx`` hold the joints and virtual bones, without the detail and the push-out; ``.html`` is a
+    page of the cloth beside the truth or, where it is not known, of the virtual bones beside the
+    cloth; all other formats hold the vertices.
 
     Parameters
     ----------
@@ -99,13 +91,8 @@ def save_prediction(
     truth : Clip, optional
         The simulated clip of the same motion: films show it beside the prediction, sheets with
         the error, and the RMSE over the cloth is stated.
-    error : bool
-        Whether a film with the truth has the error as a third panel.
     every : int
         Step between the frames that a film shows; its speed does not change.
-    shapes : int
-        Largest number of morph targets.  They are principal components of what the skinned mesh
-        lacks, improved in turns with their amounts; the rest pose may move.
     progress : callable, optional
         Called with the fraction of a film that is drawn.
 
@@ -117,8 +104,8 @@ def save_prediction(
     Raises
     ------
     InputError
-        If the clip has other numbers of frames or vertices than the prediction, `every` is below 1
-        or `shapes` below 0.
+        If the clip has other numbers of frames or vertices than the prediction, or `every` is
+        below 1.
     OSError
         If the file cannot be written.
     """
@@ -131,13 +118,10 @@ def save_prediction(
             raise InputError("truth", text(*expected), text(*found))
     if every < 1:
         raise InputError("every", "1 or more", every)
-    if shapes < 0:
-        raise InputError("shapes", "0 or more", shapes)
     suffix = file.suffix.lower()
     if suffix in _FILMS:
-        film = _film(p, truth, size, error, every)
-        write = _write_mp4 if suffix == ".mp4" else Film.write
-        write(film, file, lambda done: progress("drawing", done))
+        film = _film(p, truth, size, every)
+        film.write(file, lambda done: progress("drawing", done))
         beside = " of truth and prediction" if truth is not None else ""
         return f"a film{beside}, {len(film.panels.frames)} frames"
     if suffix in _PICTURES:
@@ -147,7 +131,7 @@ def save_prediction(
     if suffix == _PAGE:
         return _write_page(p, file, truth)
     if suffix in _BONES:
-        return _save_bones(p, file, shapes)
+        return _save_bones(p, file)
     report = ssdr.save(p.cloth, file)
     return ": ".join([f"{p.cloth.n_frames} frames of vertices", *report.notes])
 
@@ -166,7 +150,7 @@ def _write_page(p: Prediction, file: Path, truth: Clip | None) -> str:
     return f"a page of {shown} beside {beside}, {page.frames} frames{notes}"
 
 
-def _film(p: Prediction, truth: Clip | None, size: int, error: bool, every: int) -> Film:
+def _film(p: Prediction, truth: Clip | None, size: int, every: int) -> Film:
     """Film of a prediction, in which the camera follows the body but does not turn with it."""
 
     path = camera_track(p.root, p.cloth.fps)[:, None]
@@ -196,26 +180,20 @@ def _film(p: Prediction, truth: Clip | None, size: int, error: bool, every: int)
     return Film.of(
         scene(p.cloth.vertices),
         reference=scene(true),
-        style=["plain", "error"] if error else ["plain"],
         size=(width - width % 2, side),
-        titles=("truth", "prediction", "error")[: 3 if error else 2],
+        titles=("truth", "prediction"),
         captions=[text(t) for t in order],
         unit=MILLIMETRES,
         **options,
     )
 
 
-def _save_bones(p: Prediction, file: Path, shapes: int) -> str:
+def _save_bones(p: Prediction, file: Path) -> str:
     truth, model = np.asarray(p.cloth.vertices, np.float64), rigid(p.skinning)
-    saved: Skinning | ShapedSkinning = model
-    if shapes and file.suffix.lower() != ".fbx":
-        saved = with_morph_targets(model, truth, shapes)
-    report = ssdr.save(saved, file)
-    count = len(saved.shapes) if isinstance(saved, ShapedSkinning) else 0
+    report = ssdr.save(model, file)
     return (
-        f"{model.n_bones} joints, {count} morph targets, {model.n_frames} frames, "
-        f"{report.bytes / 1e6:.1f} MB; RMSE to the prediction "
-        f"{1e3 * ssdr.metrics.distances(truth, saved).rmse:.2f} mm"
+        f"{model.n_bones} joints, {model.n_frames} frames, {report.bytes / 1e6:.1f} MB; "
+        f"RMSE to the prediction {1e3 * ssdr.metrics.distances(truth, model).rmse:.2f} mm"
     )
 
 
@@ -234,20 +212,3 @@ def rigid(skinning: Skinning) -> Skinning:
     return dataclasses.replace(
         skinning, transforms=np.concatenate([r, place[..., None]], axis=-1), bone_model="rigid"
     )
-
-
-def _write_mp4(film: Film, path: Path, progress: Callable[[float], None]) -> None:
-    av = require("av", "garmentnet[film]", "an .mp4 file")
-    with atomic_path(path) as temporary, av.open(str(temporary), "w", format="mp4") as file:
-        codec = "libx264" if "libx264" in av.codecs_available else "mpeg4"
-        stream: Any = file.add_stream(codec, rate=Fraction(film.fps).limit_denominator(1001))
-        stream.pix_fmt = "yuv420p"
-        if codec == "libx264":
-            stream.options = {"crf": "20", "preset": "slow"}
-        for k, picture in enumerate(film.pictures(progress)):
-            if k == 0:
-                stream.width, stream.height = picture.size
-            for packet in stream.encode(av.VideoFrame.from_image(picture)):
-                file.mux(packet)
-        for packet in stream.encode():
-            file.mux(packet)

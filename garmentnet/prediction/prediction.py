@@ -33,8 +33,7 @@ class Prediction:
     root : (F, 3) array
         Positions of the root joint, metres.
     moved : float
-        Fraction of the cloth's vertices that were moved out of the body or along with those that
-        were, over all frames.
+        Fraction of the cloth's vertices that the push-out moved by more than 5 mm, over all frames.
     farthest : float
         Largest displacement of a vertex by the push-out, metres.
 

@@ -25,10 +25,9 @@ from ..networks.checkpoint import Checkpoint
 from ..networks.network import MotionNetwork
 
 _OPSET = 17  # a version of 2021, which the engines' importers know
-_FEW = 4096  # arrays with fewer numbers keep 32 bits
 
 
-def export_onnx(checkpoint: Checkpoint, path: Path | str, *, bits: int = 32) -> Path:
+def export_onnx(checkpoint: Checkpoint, path: Path | str) -> Path:
     """Write a garment as an ONNX model, complete or not at all.
 
     Inputs are ``pose`` (J, 3, 4); ``reset`` (1,), which is 1 where a motion starts and otherwise 0;
@@ -42,18 +41,14 @@ def export_onnx(checkpoint: Checkpoint, path: Path | str, *, bits: int = 32) -> 
     checkpoint : Checkpoint
         One network.
     path : path
-    bits : {32, 16}
-        Bits of a stored number; the arithmetic is float32.
 
     Raises
     ------
     InputError
-        If the checkpoint is an ensemble, or `bits` is another number.
+        If the checkpoint is an ensemble.
     MissingDependencyError
         If ``onnx`` is not installed.
     """
-    if bits not in (32, 16):
-        raise InputError("bits", "32 or 16", bits)
     if checkpoint.kernel is not None:
         raise InputError("model", "one network, such as reads the parameters", "an ensemble")
     onnx = require("onnx", "garmentnet[onnx]", "an ONNX file")
@@ -70,8 +65,6 @@ def export_onnx(checkpoint: Checkpoint, path: Path | str, *, bits: int = 32) -> 
             dynamo=False,
         )  # fmt: skip
         model = onnx.load(whole)
-    if bits == 16:
-        _halve(onnx, model)
     entry = model.metadata_props.add()
     entry.key, entry.value = "garmentnet", json.dumps(_document(checkpoint))
     onnx.checker.check_model(model)
@@ -93,19 +86,6 @@ def _document(checkpoint: Checkpoint) -> dict[str, Any]:
         "garment_id": s.garment_id,
         "body_id": s.body_id,
     }
-
-
-def _halve(onnx: Any, model: Any) -> None:
-    """Store large arrays in half precision, each followed by a cast."""
-    graph, casts = model.graph, []
-    for array in graph.initializer:
-        values = onnx.numpy_helper.to_array(array)
-        if values.dtype == np.float32 and values.size >= _FEW:
-            name, kind = array.name, onnx.TensorProto.FLOAT
-            array.CopyFrom(onnx.numpy_helper.from_array(values.astype(np.float16), f"{name}_16"))
-            casts.append(onnx.helper.make_node("Cast", [array.name], [name], to=kind))
-    for node in reversed(casts):
-        graph.node.insert(0, node)
 
 
 class Frame(nn.Module):

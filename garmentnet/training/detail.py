@@ -12,14 +12,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..configs.config import TrainOptions
 from ..data.clip import spread
 from ..networks.detail_basis import DetailBasis
 from ..networks.gru import dropout_mask
 from ..networks.network import MotionNetwork
 from ..paper.bones import turn_back
 from .batches import Batch, Track
-from .loop import TrainingObjective, mixed_precision
+from .loop import TrainingObjective
 from .losses import EXACT
 from .targets import bone_motion, detail_target
 
@@ -36,7 +35,6 @@ class CoefficientObjective(TrainingObjective):
     module : torch.nn.Module
         Called with inputs ``(N, T, D)``, a state and a dropout mask ``(N, T, H)`` or None; returns
         coefficients ``(N, T, r)`` and the state.
-    options : TrainOptions
     n_vertices : int
         Number of vertices V.
     hidden : int
@@ -50,7 +48,6 @@ class CoefficientObjective(TrainingObjective):
     def __init__(
         self,
         module: torch.nn.Module,
-        options: TrainOptions,
         n_vertices: int,
         *,
         hidden: int,
@@ -58,7 +55,7 @@ class CoefficientObjective(TrainingObjective):
         tracks: list[Track],
         validation: list[Track],
     ) -> None:
-        self.module, self.options, self.n_vertices = module, options, n_vertices
+        self.module, self.n_vertices = module, n_vertices
         self.hidden, self.dropout = hidden, dropout
         self.tracks, self.validation = tracks, validation
 
@@ -75,9 +72,8 @@ class CoefficientObjective(TrainingObjective):
         """Loss of a batch and the GRU's new state."""
         x = batch.inputs().to(self.device)
         mask = dropout_mask(rng, (*x.shape[:2], self.hidden), self.dropout, self.device)
-        with mixed_precision(self.options, self.device):
-            got, state = self.module(x, state, mask)
-        squares = self._squares(got.float()[batch.mask.to(x.device)], batch.extra().to(x.device))
+        got, state = self.module(x, state, mask)
+        squares = self._squares(got[batch.mask.to(x.device)], batch.extra().to(x.device))
         return (squares + EXACT).sqrt().mean(), state
 
     def squared_error(self, track: Track) -> Tensor:
@@ -121,7 +117,6 @@ class DetailObjective(CoefficientObjective):
             network.high.fit(torch.cat(parts))
         super().__init__(
             network.high,
-            network.config.train,
             len(network.free),
             hidden=network.config.high.hidden,
             dropout=network.config.high.dropout,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import functools
 import logging
 import math
 import time
@@ -22,8 +20,6 @@ from ..io.tensors import load_arrays, save_arrays, tensors_of
 from .batches import Batch, Track, batches
 
 _logger = logging.getLogger(__name__)
-# What makes bfloat16 products of a processor faster than those of float32, not slower.
-_INSTRUCTIONS = ("avx512_bf16", "amx_bf16")
 # Approximate number of training clips on which the error is measured.
 _TRAINED = 8
 
@@ -159,34 +155,6 @@ def fit(
     module.load_state_dict(best_weights)
     module.eval()
     return history
-
-
-def mixed_precision(
-    options: TrainOptions, device: torch.device
-) -> contextlib.AbstractContextManager[object]:
-    """A context in which the products of a module are computed as `options.precision` asks.
-
-    Losses stay outside: they are small differences of large numbers, which bfloat16 with its
-    eight bits cannot hold.
-
-    Parameters
-    ----------
-    options : TrainOptions
-        ``precision`` is "single", "bfloat16", or "auto": bfloat16 on a processor that has
-        instructions for it, otherwise single.
-    device : torch.device
-    """
-    half = options.precision == "bfloat16"
-    if options.precision == "auto" and device.type == "cpu":
-        half = _has_instructions()
-    return torch.autocast(device.type, torch.bfloat16) if half else contextlib.nullcontext()
-
-
-@functools.cache
-def _has_instructions() -> bool:
-    # Known from torch 2.6 on; an older one computes in single precision.
-    known: dict[str, Any] = getattr(torch.cpu, "get_capabilities", dict)()
-    return any(known.get(name, False) for name in _INSTRUCTIONS)
 
 
 def _copy(module: nn.Module) -> dict[str, Tensor]:

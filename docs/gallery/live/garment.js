@@ -1,4 +1,4 @@
-// The garment frame by frame, as garmentnet/runtime does it (garment.py, player.py).  Joints and bones are 12 numbers each.
+// The garment frame by frame, as garmentnet/networks does it (network.py, features.py).  Joints and bones are 12 numbers each.
 
 const TELEPORT = 15, SPIN = 40; // m/s and rad/s of the root beyond which the garment starts anew
 

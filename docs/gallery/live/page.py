@@ -2,8 +2,8 @@
 
 ``python docs/gallery/live/page.py dress MOTION... -o page.html`` writes a page that asks for
 nothing; without a motion it has the one that ships.  Motions are files as for ``garmentnet
-predict``.  The page holds networks and poses, no cloth, and computes what the network computes in
-torch, with the skinning on the graphics card.
+predict``.  The page holds networks, poses and push-out, and of a clip of a store its simulation; it
+computes what the network computes in torch, with the skinning on the graphics card.
 """
 
 from __future__ import annotations

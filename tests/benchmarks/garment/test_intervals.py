@@ -17,10 +17,9 @@ def clips(rng, n, *, hardness=0.5, scatter=0.05):
     return 0.9 * b * np.exp(scatter * rng.normal(size=n)), b
 
 
-@pytest.mark.parametrize("power", [1.0, 2.0])
-def test_scaled_errors_have_an_exact_ratio(power):
+def test_scaled_errors_have_an_exact_ratio():
     b = np.array([12.0, 40.0, 25.0, 31.0])
-    r = paired_ratio(0.8 * b, b, frames=[300, 100, 200, 300], power=power)
+    r = paired_ratio(0.8 * b, b, frames=[300, 100, 200, 300])
     assert np.allclose([r.value, r.low, r.high], 0.8, rtol=1e-12)
 
 
@@ -29,7 +28,6 @@ def test_pooling_weighs_frames():
     expected = math.sqrt((f @ a**2) / (f @ b**2))
     assert math.isclose(paired_ratio(a, b, frames=f).value, expected)
     assert math.isclose(paired_ratio(a, np.ones(len(a)), frames=f).value, math.sqrt(f @ a**2 / 400))
-    assert math.isclose(paired_ratio(a, np.ones(len(a)), frames=f, power=1).value, 1.5)
     assert paired_ratio([2.0], [4.0]) == (0.5, None, None)  # of one clip, no interval
     assert paired_ratio(a, b, rng=3) == paired_ratio(a, b, rng=np.random.default_rng(3))
 
@@ -55,21 +53,13 @@ def test_pairing_narrows_the_interval():
     assert paired.high - paired.low < 0.2 * (apart.high - apart.low)
 
 
-def test_the_interval_of_an_error_is_that_of_a_mean():
-    x = np.random.default_rng(1).normal(10, 1, size=200)
-    e = paired_ratio(x, np.ones(200), power=1)
-    assert math.isclose(e.value, x.mean())
-    half = 1.972 * x.std(ddof=1) / math.sqrt(200)
-    assert np.allclose([e.low, e.high], [x.mean() - half, x.mean() + half], atol=0.1 * half)
-
-
 def scores(name, errors, frames=100):
     """A method's scores of clips with given RMSE, all other figures twice the RMSE."""
 
     def one(label, clips, rmse):
         part = Score(rmse, 2 * rmse, 2 * rmse)
         parts = Parts(part, part, part, 1.0)
-        return Scores(label, frames, parts, parts, {}, clips)
+        return Scores(label, frames, parts, parts, {}, {}, clips)
 
     clips = tuple(one(f"clip-{k}", (), e) for k, e in enumerate(errors))
     return one(name, clips, float(np.sqrt(np.mean(np.square(errors)))))
@@ -79,8 +69,5 @@ def test_the_same_method_twice_has_the_ratio_1_on_every_draw():
     errors = [20.0, 30.0, 25.0]
     found = intervals([scores("a", errors), scores("b", errors)], "a")
     none = intervals([scores("a", errors[:2]), scores("exact", [0.0, 0.0])], "exact")
-    assert none["methods"]["a"]["all"]["high"]["rmse"] == [None, None, None]
-    assert found["methods"]["b"]["free"]["low"]["sted"] == [1.0, 1.0, 1.0]
-    value, low, high = found["methods"]["a"]["free"]["overall"]["error"]
-    assert low <= value <= high
-    assert math.isclose(value, scores("a", errors).free.overall.rmse)
+    assert none["a"]["high"] == [None, None, None]
+    assert found["b"]["low"] == [1.0, 1.0, 1.0]

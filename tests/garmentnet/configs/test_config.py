@@ -49,8 +49,8 @@ def test_bad_configurations(tmp_path):
 
 
 def test_override():
-    c = override(Config(), ["train.seed=3", "low.rotation=sixd", "high.mlp=[16, 16]"])
-    assert (c.train.seed, c.low.rotation, c.high.mlp) == (3, "sixd", (16, 16))
+    c = override(Config(), ["train.seed=3", "low.rotation=sixd", "high.edge_features=[8, 8]"])
+    assert (c.train.seed, c.low.rotation, c.high.edge_features) == (3, "sixd", (8, 8))
     for wrong in ("train.sed=3", "seed=3", "train.seed"):
         with pytest.raises(FormatError):
             override(Config(), [wrong])

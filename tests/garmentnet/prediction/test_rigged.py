@@ -1,4 +1,6 @@
-"""A prediction as a skinned model with morph targets, read back by the glTF reader."""
+"""A prediction as a skinned model, read back by the glTF reader."""
+
+import re
 
 import numpy as np
 import pytest
@@ -8,7 +10,6 @@ pytest.importorskip("torch")
 import ssdr
 from garmentnet.data.parameters import SimulationParameters as P
 from garmentnet.networks.checkpoint import Checkpoint
-from garmentnet.prediction.morph_targets import with_morph_targets
 from garmentnet.prediction.output import save_prediction
 from garmentnet.prediction.prediction import predict
 from helpers import live_garment as made
@@ -24,21 +25,11 @@ def result(checkpoint):
     return predict(checkpoint, made.motion(2.0, seed=3), push_out=False)
 
 
-def test_the_file_plays_the_prediction(result, tmp_path):
-    errors = []
-    for count in (0, 1, 3, 5, 60):  # the network has five components
-        text = save_prediction(result, tmp_path / "dress.glb", shapes=count)
-        gap = ssdr.load(tmp_path / "dress.glb").vertices - result.cloth.vertices
-        errors.append(np.sqrt((gap**2).sum(-1).mean()))
-        if count == 5:
-            assert "15 joints, 5 morph targets, 60 frames" in text
-            assert f"{1e3 * errors[-1]:.1f}"[:3] in text
-    assert errors == sorted(errors, reverse=True)
-    assert errors[3] < 0.2 * errors[0]
-    assert errors[4] < 1e-5
-    amounts = with_morph_targets(result.skinning, result.cloth.vertices, 5).shapes.amounts
-    assert amounts.min() > -1e-6
-    assert amounts.max() < 1 + 1e-6
+def test_the_file_plays_the_bones_and_says_what_they_lack(result, tmp_path):
+    text = save_prediction(result, tmp_path / "dress.glb")
+    gap = ssdr.load(tmp_path / "dress.glb").vertices - result.cloth.vertices
+    error = f"{1e3 * np.sqrt((gap**2).sum(-1).mean()):.1f}"
+    assert re.search(rf"15 joints, 60 frames, .* prediction {error}", text)
 
 
 def test_joints_are_the_bodys(result):

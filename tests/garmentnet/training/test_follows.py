@@ -61,7 +61,7 @@ def sleeve(tmp_path_factory):
 
 def test_the_error_of_training_is_that_of_the_vertices(sleeve, tmp_path):
     store, config, bones = sleeve
-    config = override(config, ["train.epochs=2", "train.high_epochs=1", "train.precision=single"])
+    config = override(config, ["train.epochs=2", "train.high_epochs=1"])
     model = load_checkpoint(train(store, config, tmp_path))
     (network,), (name,) = model.networks, store.names("validation")
     assert network.config.low.relative_to == "joints"
