@@ -27,7 +27,7 @@ from torch import Tensor, nn
 
 from ..configs.config import HighOptions
 from ..data.outfit import neighbours
-from ..networks.gru import GRU, dropout_mask
+from ..networks.gru import dropout_mask
 from ..training.batches import Batch, Track
 from ..training.loop import TrainingObjective
 from ..training.losses import BodyShape, collision_depth, frame_norm
@@ -157,7 +157,7 @@ class HighFrequency(nn.Module):
         super().__init__()
         o, self.n_vertices, self.global_features = options, n_vertices, options.global_features
         chosen = np.arange(n_vertices) if vertices is None else np.asarray(vertices)
-        self.gru = GRU(inputs, o.hidden)
+        self.gru = nn.GRU(inputs, o.hidden, batch_first=True)
         wide = len(chosen) * o.global_features
         self.spread = nn.Linear(o.hidden, wide)
         self.spread_act = _PReLU(wide)
