@@ -7,6 +7,7 @@ A figure is the median of blocks of thirty frames.
 
 from __future__ import annotations
 
+import argparse
 import sys
 import tempfile
 import time
@@ -70,4 +71,6 @@ def main(name: str) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1] if sys.argv[1:] else "dress")
+    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    options.add_argument("model", nargs="?", default="dress", help="a checkpoint")
+    main(options.parse_args().model)
