@@ -44,4 +44,3 @@ def dropout_mask(
     if not share:
         return None
     return (torch.from_numpy(rng.random(shape, np.float32) >= share) / (1 - share)).to(device)
-
