@@ -32,6 +32,7 @@ from benchmarks.garment.scenes.dataset import make_data_set, recorded_motions
 from benchmarks.garment.scenes.scene_file import load_data_set
 from garmentnet.cli.progress import progress_bar
 from garmentnet.configs.config import Config, load_config, override
+from garmentnet.data.parameters import SimulationParameters
 from garmentnet.data.store import ClipStore
 from garmentnet.evaluation.baselines import BodySkinned, MeanShape
 from garmentnet.evaluation.methods import BonesThemselves, Chaos, Method, Network
@@ -176,11 +177,10 @@ class Reproduction:
         if not file.is_file():
             bones = self.bones(store, config)
             test = self.clips(store, config)[2] if test is None else test
-            clips, key = self.store(store).clips(), "parameter_set"
-            base = next((c.parameters for c in clips if c.provenance.get(key) == "base"), None)
-            learned = choose_clips(self.store(store), config, "train", base)[0]
+            clips = bones.store
+            learned = choose_clips(clips, config, "train", _base(clips))[0]
             plain = MeanShape(bones, learned), BonesThemselves(bones)
-            made, chaos = [*(make() for make in methods), *plain], Chaos(self.store(store))
+            made, chaos = [*(make() for make in methods), *plain], Chaos(clips)
             rows = evaluate(bones, made, test, progress=self.progress)
             record = {"rows": rows, "ratios": intervals(rows, rows[0].name)}
             if twins := [n for n in test if n in chaos.twins]:
@@ -235,6 +235,12 @@ class Reproduction:
             wall += (time.perf_counter() - began) / 3600
             used += (time.process_time() - cpu) / 3600
             write_bytes(file, json.dumps(hours | {name: (wall, used)}, indent=1).encode())
+
+
+def _base(store: ClipStore) -> SimulationParameters | None:
+    """The base parameters of a data set."""
+    clips, key = store.clips(), "parameter_set"
+    return next((c.parameters for c in clips if c.provenance.get(key) == "base"), None)
 
 
 def _text(record: dict[str, Any], part: str) -> str:
@@ -401,8 +407,8 @@ def _left_out(run: Reproduction, name: str, recorded: str, test: list[str]) -> d
 def _shipped(run: Reproduction) -> str:
     """The dress that ships learns on; in half precision the result lies beside its training."""
     store, config = run.store("live"), run.config("rooted", *_SHIPPED)
-    base, file = store.parameters()[0], run.folder / "live" / "dress.safetensors"
-    test = [c.name for c in store.clips("test", base) if c.motion.startswith(_TESTED)]
+    file = run.folder / "live" / "dress.safetensors"
+    test = [c.name for c in store.clips("test", _base(store)) if c.motion.startswith(_TESTED)]
 
     def dress() -> Method:
         trained = run.network("live", "dress", config, load_checkpoint("dress"))

@@ -1,4 +1,4 @@
-"""Progress of a command on stderr, with the bar of the command ``ssdr``."""
+"""Progress of a command on stderr: the progress bar of ``ssdr`` on a terminal, else lines."""
 
 from __future__ import annotations
 

@@ -99,7 +99,9 @@ def after(node):
 
 @inline
 def meeting_leaf(node, box, boxes, base):
-    """The first leaf, from a node on in depth-first order, whose box meets `box`; −1 if none does.
+    """Index of the first leaf, at `node` or after it, whose box meets `box`; −1 if none does.
+
+    The order is depth-first.
 
     `base` is the index of the first leaf.
     """

@@ -60,7 +60,7 @@ class BodyBound:
 
 
 def find_body_bound(
-    store: ClipStore, names: Sequence[str], smoother: LaplacianSmoother
+    store: ClipStore, names: Sequence[str], smoother: LaplacianSmoother | None = None
 ) -> BodyBound | None:
     """Vertices that skinning by the body reproduces within 0.1 mm; None if there are none.
 
@@ -72,8 +72,8 @@ def find_body_bound(
     store : ClipStore
     names : sequence of str
         Training clips.
-    smoother : LaplacianSmoother
-        Smoother on the store's rest pose.
+    smoother : LaplacianSmoother, optional
+        Smoother on the store's rest pose; without it `smooth` is `rest`.
     """
     vertices, joints, step = [], [], 0.0
     for clip, here in store.sample(names, _FRAMES):
@@ -87,10 +87,13 @@ def body_bound(
     rest: ArrayLike,
     vertices: ArrayLike,
     joints: ArrayLike,
-    smoother: LaplacianSmoother,
+    smoother: LaplacianSmoother | None = None,
     step: float = 0.0,
 ) -> BodyBound | None:
-    """As :func:`find_body_bound`, in frames ``(F, V, 3)`` rounded to multiples of `step`."""
+    """Vertices bound to the body in frames ``(F, V, 3)``, or None; see :func:`find_body_bound`.
+
+    Positions are rounded to multiples of `step`, metres.
+    """
     truth, moved = np.asarray(vertices), np.asarray(joints, np.float64)
     # Rounding moves a vertex by at most half the diagonal of a cube of side `step`.
     rest, close = np.array(rest, np.float64), _CLOSE + math.sqrt(3) / 2 * step
@@ -116,7 +119,7 @@ def body_bound(
     index = np.flatnonzero(gap.max(axis=0) < close).astype(np.int32)
     if not len(index):
         return None
-    smooth = np.asarray(smoother.smooth(rest[None]))[0]
+    smooth = rest if smoother is None else np.asarray(smoother.smooth(rest[None]))[0]
     return BodyBound(
         index,
         rest[index],

@@ -1,4 +1,4 @@
-"""Interface of methods to evaluate; networks, and their bounds: the fitted bones, and chaos."""
+"""Methods to evaluate: their interface, networks, and two bounds, fitted bones and chaos."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class BonesThemselves(Method):
 
 
 class Chaos(Method):
-    """The floor for every network: how far apart two simulations are that start nearly alike.
+    """Floor of every network's error: how far two simulations drift apart that start nearly alike.
 
     Its RMSE is that floor, other figures are not.  Two such runs differ by √2 times their distance
     from the mean of all runs, and no function of the motion can be expected to do better than that

@@ -217,12 +217,13 @@ class _Scorer:
         return Scores(clip.name, clip.n_frames, whole, free, per_class, modes)
 
     def _by_mode(self, clip: Clip, gap: Array) -> dict[str, float]:
-        """RMSE in mm by ranges of modes, of differences ``(F, V, 3)`` in the world."""
+        """RMSE in mm, by range of modes, of the errors ``(F, V, 3)`` of a clip."""
         frame = self.features(clip.joints)[1]
         rows = (gap @ frame[:, :3, :3]).reshape(len(gap), -1)
         numbers = rows @ self.modes.components.reshape(len(self.modes.components), -1).T
-        found = np.square(numbers).sum(axis=0) / (len(gap) * gap.shape[1])
-        rest = float(np.square(rows).sum() / (len(gap) * gap.shape[1]) - found.sum())
+        count = len(gap) * gap.shape[1]
+        found = np.square(numbers).sum(axis=0) / count
+        rest = float(np.square(rows).sum() / count - found.sum())
         parts = np.split(found, _MODES[:-1])
         squares = [*(float(p.sum()) for p in parts), max(0.0, rest)]
         names = [f"{a + 1}-{b}" for a, b in zip((0, *_MODES), _MODES, strict=False)]

@@ -16,11 +16,9 @@ from numpy.typing import NDArray
 from ssdr import MeshSequence
 from ssdr.common.errors import InputError
 from ssdr.io.atomic import check_writable
-from ssdr.laplacian import LaplacianSmoother
 from ssdr.model.transforms import rest_diagonal
 
 from ..collision.body_tree import is_closed
-from ..configs.config import BoneOptions
 from ..data.clip import spread
 from ..data.clip_files import Split
 from ..data.parameters import SimulationParameters
@@ -237,13 +235,11 @@ def _pins(
     store: ClipStore, vertices: NDArray[np.float32], joints: NDArray[np.float64]
 ) -> BodyBound | None:
     """Vertices that the body carries in a store's clips, or without any in this one."""
-    names, length = store.names(), BoneOptions().length
-    smoother = LaplacianSmoother(store.rest, store.faces, length)
-    if names:
-        found = find_body_bound(store, names, smoother)
+    if names := store.names():
+        found = find_body_bound(store, names)
     else:
         (some,) = spread([len(vertices)], _PIN_FRAMES)
-        found = body_bound(store.rest, vertices[some], joints[some], smoother)
+        found = body_bound(store.rest, vertices[some], joints[some])
     # If nearly all follow the body, it has hardly moved.
     few = found is not None and len(found.index) < _MOST_PINS * store.n_vertices
     return found if few else None

@@ -1,4 +1,4 @@
-"""Quality of clips, and limits beyond which nothing learns from them.
+"""The quality gate: measurements of a clip, and limits beyond which it is refused.
 
 Cloth is refused that is caught (an edge stays long, or a vertex stays behind the body, for a
 second), that crosses the body, or that has lost its pins.
@@ -51,7 +51,7 @@ def judge(
     bound: BodyBound | None = None,
     limits: Mapping[str, float] = LIMITS,
 ) -> dict[str, Any]:
-    """Measurements of a clip, whether it is ``accepted``, and otherwise the ``reason``.
+    """Measurements of a clip by name, with ``accepted`` and, if it is refused, the ``reason``.
 
     Without a closed mesh of the body nothing counts as inside.
 
@@ -77,12 +77,13 @@ def judge(
     pairs = np.sort(outfit.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     edges = np.unique(pairs, axis=0)
     rest = _lengths(outfit.rest[None], edges)[0]
-    edges = edges[~held[edges].all(axis=1) & (rest > _NOTHING * rest.mean())]
+    free = ~held[edges].all(axis=1) & (rest > _NOTHING * rest.mean())
+    edges, rest = edges[free], rest[free]
     second, count = min(len(vertices), round(outfit.fps)), len(vertices) * len(edges)
     longest, lasting = 0.0, 0.0
     sample: list[NDArray[Any]] = [np.ones(1)]
-    for part in np.array_split(edges, 1 + count // _AT_ONCE):
-        stretch = _lengths(vertices, part) / _lengths(outfit.rest[None], part)
+    for part in np.array_split(np.arange(len(edges)), 1 + count // _AT_ONCE):
+        stretch = _lengths(vertices, edges[part]) / rest[part]
         longest = max(longest, stretch.max(initial=0.0))
         lasting = max(lasting, _held(stretch, second))
         sample.append(stretch.ravel()[:: 1 + count // _AT_ONCE])
@@ -125,7 +126,7 @@ def _held(values: NDArray[np.floating], frames: int) -> float:
 def _away(
     outfit: Outfit, joints: NDArray[np.float64], vertices: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Distances ``(F, V)`` from the skin that is nearest at rest, less those at rest; metres."""
+    """Distance ``(F, V)`` from the skin nearest at rest, minus that distance at rest; metres."""
     b = outfit.body
     tree: Any = cKDTree(b.rest)
     rest, near = tree.query(outfit.rest, k=np.arange(1, min(_NEAREST, b.n_vertices) + 1))

@@ -56,7 +56,7 @@ class MovingBody:
         return float((np.cross(b - a, c - a) * away).sum()) < 0
 
     def check_cloth(self, vertices: NDArray[np.float32]) -> None:
-        """Raise an error unless a cloth ``(F, V, 3)`` is at the body and of a size to wear.
+        """Check that a cloth ``(F, V, 3)`` lies on the body and has a size that it can wear.
 
         Raises
         ------

@@ -51,7 +51,7 @@ _ROUGH, _ACCURATE = (12, 1e-4), (20, 1e-4)
 
 
 class _Groups(NamedTuple):
-    """Vertices in groups that the same bones move, as kernels take them.
+    """Vertices grouped by the bones that move them, as arrays for kernels.
 
     :func:`answer_bones` takes all but the last field, :func:`effect_on_bones` all but `gradient`.
     """
