@@ -173,7 +173,8 @@ class Checkpoint(Predictor):
 def save_checkpoint(checkpoint: Checkpoint, path: Path | str, *, half: bool = False) -> Path:
     """Write a checkpoint under a temporary name; the file is renamed when it is complete.
 
-    With `half`, the weights of the networks are stored in half precision, which halves the file.
+    With `half`, the file is half as large: the weights of the networks are stored in half
+    precision, meshes and skin weights in single precision and the smallest integers.
     """
     subject, kernel = checkpoint.subject, checkpoint.kernel
     arrays: dict[str, Any] = {
@@ -184,6 +185,8 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path | str, *, half: bool = Fa
     arrays |= {f"body.{k}": getattr(subject.body, k) for k in _MESH}
     if subject.bound is not None:
         arrays |= {f"bound.{k}": getattr(subject.bound, k) for k in _BOUND}
+    if half:
+        arrays |= {k: _compact(v) for k, v in arrays.items() if not k.startswith("skeleton.")}
     records: list[NetworkRecord] = []
     pairs = zip(checkpoint.networks, checkpoint.parameters, strict=True)
     for k, (network, trained_on) in enumerate(pairs):
@@ -206,6 +209,11 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path | str, *, half: bool = Fa
         errors=dict(checkpoint.errors),
     )
     return save_arrays(Path(path), arrays, "checkpoint", dataclasses.asdict(document))
+
+
+def _compact(array: NDArray[Any]) -> NDArray[Any]:
+    floats = array.dtype.kind == "f"
+    return array.astype(np.float32 if floats else np.min_scalar_type(array.max()))
 
 
 def load_checkpoint(path: Path | str) -> Checkpoint:
@@ -348,7 +356,8 @@ def _skinning(
 def _bound(arrays: dict[str, Any], joints: int) -> BodyBound | None:
     if "bound.index" not in arrays:
         return None
-    bound = BodyBound(**{k: arrays[f"bound.{k}"] for k in _BOUND})
+    types = {"index": np.int32, "indices": np.int32}
+    bound = BodyBound(**{k: arrays[f"bound.{k}"].astype(types.get(k, np.float64)) for k in _BOUND})
     vertices = np.arange(len(arrays["garment.rest"]))
     fits = (
         len(bound.index) > 0

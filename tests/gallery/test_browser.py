@@ -4,9 +4,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-pytest.importorskip("torch")
-
-
 from docs.gallery.live.page import Take, write_page
 from garmentnet.collision.outward import push_of
 from garmentnet.data.parameters import SimulationParameters as P

@@ -5,9 +5,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-pytest.importorskip("torch")
-
-
 from docs.gallery.live.page import Take, main, write_page
 from garmentnet.data.parameters import SimulationParameters as P
 from garmentnet.networks.checkpoint import Checkpoint

@@ -8,9 +8,6 @@ import pkgutil
 
 import pytest
 
-pytest.importorskip("torch")
-pytest.importorskip("msgspec")
-
 import garmentnet
 
 # This runs the command.

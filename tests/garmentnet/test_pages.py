@@ -8,14 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-from docs import snippets
-
-pytest.importorskip("torch")
-pytest.importorskip("msgspec")
-
 import trimesh
 
+from docs import snippets
 from garmentnet.runtime.onnx_file import export_onnx
 from helpers import cloth_scenes, live_garment
 

@@ -33,7 +33,9 @@ _KNOWN = """EXT_mesh_gpu_instancing EXT_meshopt_ EXT_texture_ KHR_draco_mesh_com
 
 
 # Properties to which channels of KHR_animation_pointer point, and which ordinary channels have.
-_POINTER = re.compile(r"/(?:nodes/(\d+)/(translation|rotation|scale|weights)|meshes/(\d+)/weights)")
+_POINTER = re.compile(
+    r"/(?:nodes/([0-9]{1,9})/(translation|rotation|scale|weights)|meshes/([0-9]{1,9})/weights)"
+)
 
 
 def pointer_of(target: dict[str, Any]) -> str:
@@ -52,12 +54,13 @@ def resolve_pointers(json: dict[str, Any]) -> None:
         for channel in animation.get("channels", []):
             found = _POINTER.fullmatch(pointer_of(channel["target"]))
             node, path, mesh = found.groups() if found else (None, None, None)
-            chosen = [k for k in range(len(nodes)) if str(k) == node]
+            chosen = [int(node)] if node is not None and int(node) < len(nodes) else []
             if mesh is not None:
-                of_mesh = (k for k, one in enumerate(nodes) if str(one.get("mesh")) == mesh)
+                of_mesh = (k for k, one in enumerate(nodes) if one.get("mesh") == int(mesh))
                 chosen = [k for k in of_mesh if "weights" not in nodes[k]]
             targets = [{"node": k, "path": path or "weights"} for k in chosen]
-            channels += [{**channel, "target": one} for one in targets] if found else [channel]
+            # a pointer at nothing stays what it is: it is named as left out
+            channels += [{**channel, "target": one} for one in targets] or [channel]
         animation["channels"] = channels
 
 

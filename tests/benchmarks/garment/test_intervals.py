@@ -5,8 +5,6 @@ import math
 import numpy as np
 import pytest
 
-pytest.importorskip("torch")
-
 from benchmarks.garment.intervals import intervals, paired_ratio
 from garmentnet.evaluation.scores import Parts, Score, Scores
 

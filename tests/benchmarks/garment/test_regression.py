@@ -1,10 +1,8 @@
 """The baselines that regress offsets or positions."""
 
-# ruff: noqa: E402
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch")
+import torch
 
 import ssdr
 from benchmarks.garment.regression import FrameMLP, Unposed, WindowMLP

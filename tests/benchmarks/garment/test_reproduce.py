@@ -5,8 +5,6 @@ import json
 import numpy as np
 import pytest
 
-pytest.importorskip("torch")
-
 from benchmarks.garment import reproduce
 from benchmarks.garment.published import BASELINES
 from benchmarks.garment.reproduce import Reproduction

@@ -8,9 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-pytest.importorskip("torch")
-
 from PIL import Image
 from typer.testing import CliRunner
 
@@ -151,7 +148,7 @@ sys.exit(main(sys.argv[2:]))
 
 def test_killed_training_goes_on(toy_store, tmp_path):
     """A real process, killed in the first module and again in the second."""
-    file = settings(tmp_path, epochs=6, high_epochs=4, device="cpu")
+    file = settings(tmp_path, epochs=2, high_epochs=2, device="cpu")
     given = [str(file), "--store", str(toy_store.path)]
     call("train", *given, "-o", tmp_path / "whole")
     cut = tmp_path / "cut"

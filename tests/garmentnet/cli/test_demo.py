@@ -1,13 +1,9 @@
-# ruff: noqa: E402
 """The demo: the garment that ships."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch")
-
 from PIL import Image
 
 from garmentnet.cli import main

@@ -32,11 +32,10 @@ def naive_pairs(cloth, faces, body, triangles):
         s, t, u = np.linalg.solve(m, p - a)
         return s >= 0 and t >= 0 and s + t <= 1 and 0 <= u <= 1
 
-    count = 0
+    count, skin = 0, body[triangles]
+    low, high = skin.min(axis=1), skin.max(axis=1)
     for f in cloth[faces]:
-        for g in body[triangles]:
-            if (f.max(0) < g.min(0)).any() or (f.min(0) > g.max(0)).any():
-                continue
+        for g in skin[((low <= f.max(0)) & (high >= f.min(0))).all(axis=1)]:
             edges = [(f[k], f[k - 1], *g) for k in range(3)] + [
                 (g[k], g[k - 1], *f) for k in range(3)
             ]

@@ -1,15 +1,10 @@
 """Presets, files that cannot be read, and changes on the command line."""
 
-# ruff: noqa: E402
-
 import dataclasses
 import tomllib
 from importlib import resources
 
 import pytest
-
-torch = pytest.importorskip("torch")
-
 
 from garmentnet.configs.config import Config, load_config, override, preset_names
 from ssdr.common.errors import FormatError, InputError

@@ -11,8 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-pytest.importorskip("msgspec")
-
 from benchmarks.garment.scenes.body import default_body
 from benchmarks.garment.scenes.motion import Motion, interpolate
 from benchmarks.garment.scenes.simulator import lead_in

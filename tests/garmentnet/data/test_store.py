@@ -13,8 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("msgspec")
-
 import ssdr
 from garmentnet.data.clip import MIRRORED, Clip
 from garmentnet.data.parameters import SimulationParameters

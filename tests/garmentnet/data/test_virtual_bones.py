@@ -6,9 +6,6 @@ import shutil
 import numpy as np
 import pytest
 
-pytest.importorskip("torch")
-pytest.importorskip("msgspec")
-
 from garmentnet.configs.config import BoneOptions
 from garmentnet.data.clip_files import read_document, write_clip
 from garmentnet.data.skin_weights import find_body_bound

@@ -3,10 +3,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("msgspec")
-pytest.importorskip("torch")
-
-
 from garmentnet.drawing.dressed import (
     camera_track,
     dressed,

@@ -4,10 +4,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-
-pytest.importorskip("torch")
-pytest.importorskip("msgspec")
-
 from PIL import Image
 
 from garmentnet.drawing.dressed import draw_clip

@@ -1,12 +1,7 @@
-# ruff: noqa: E402
 import copy
 import types
 
 import numpy as np
-import pytest
-
-torch = pytest.importorskip("torch")
-
 
 import ssdr
 from garmentnet.evaluation.baselines import BodySkinned, LinearFit, MeanShape, Ridge, body_skinning

@@ -1,14 +1,11 @@
 """Reports of checkpoints."""
 
-# ruff: noqa: E402
 import json
 import shutil
 import types
 
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch")
 
 from garmentnet.data.clip import CLASSES
 from garmentnet.data.parameters import SimulationParameters

@@ -1,10 +1,7 @@
-# ruff: noqa: E402
 import dataclasses
 
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch")
 
 import ssdr
 from garmentnet.evaluation.methods import BonesThemselves, Chaos, Method, Network

@@ -1,11 +1,9 @@
 """The line with which training ends."""
 
-# ruff: noqa: E402
 import re
 
 import pytest
-
-torch = pytest.importorskip("torch")
+import torch
 
 from garmentnet.evaluation.baselines import BodySkinned, MeanShape, Ridge
 from garmentnet.evaluation.scores import evaluate

@@ -9,8 +9,6 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-pytest.importorskip("torch")
-pytest.importorskip("msgspec")
 pytest.importorskip("pxr")
 
 from typer.testing import CliRunner

@@ -8,8 +8,6 @@ from typing import Any, Literal
 
 import pytest
 
-pytest.importorskip("msgspec")
-
 from garmentnet.configs.config import Amount, Count
 from garmentnet.io.tables import from_table, read_toml
 from ssdr.common.errors import FormatError, InputError

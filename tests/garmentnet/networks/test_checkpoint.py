@@ -1,4 +1,3 @@
-# ruff: noqa: E402
 import dataclasses
 import json
 import pickle
@@ -7,10 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch")
-
-
+import torch
 from safetensors.torch import save as save_bytes
 
 from garmentnet.data.parameters import SimulationParameters
@@ -57,7 +53,7 @@ def test_round_trip(file, toy_network, toy_store, tmp_path):
 def test_half_precision(file, toy_network, toy_store, tmp_path, monkeypatch):
     monkeypatch.setattr(checkpoint, "_MANY", 1000)
     small = save_checkpoint(toy_network, tmp_path / "small.safetensors", half=True)
-    assert small.stat().st_size < 0.75 * file.stat().st_size
+    assert small.stat().st_size < 0.6 * file.stat().st_size
     joints = toy_store.clip("base-test-1").joints
     gap = load_checkpoint(small).predict(joints) - toy_network.predict(joints)
     assert 0 < np.linalg.norm(gap, axis=-1).max() < 2e-3

@@ -1,14 +1,9 @@
 """The detail basis: its algebra, its module in a network, and what it learns."""
 
-# ruff: noqa: E402
-
 import dataclasses
 
 import numpy as np
-import pytest
-
-torch = pytest.importorskip("torch")
-
+import torch
 from scipy.spatial.transform import Rotation
 
 from garmentnet.networks.detail_basis import DetailBasis

@@ -1,14 +1,11 @@
 """The kernel, and networks mixed by it."""
 
-# ruff: noqa: E402
 import copy
 import dataclasses
 
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch")
-
+import torch
 
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.networks.checkpoint import Checkpoint

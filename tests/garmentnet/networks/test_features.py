@@ -2,9 +2,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-
-pytest.importorskip("torch")
-
 from scipy.spatial.transform import Rotation
 
 from garmentnet.configs.config import FeatureOptions, load_config

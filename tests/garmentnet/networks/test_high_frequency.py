@@ -1,12 +1,7 @@
 """EdgeConv against loops, and the high-frequency module."""
 
-# ruff: noqa: E402
-
 import numpy as np
-import pytest
-
-torch = pytest.importorskip("torch")
-
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

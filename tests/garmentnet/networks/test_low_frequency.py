@@ -1,12 +1,8 @@
 """Bones as numbers and back."""
 
-# ruff: noqa: E402
-
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch")
-
+import torch
 from scipy.spatial.transform import Rotation
 
 from garmentnet.paper.low import BoneCode

@@ -1,11 +1,7 @@
-# ruff: noqa: E402
 import dataclasses
 
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch")
-
 from scipy.spatial.transform import Rotation
 
 import ssdr

@@ -1,14 +1,9 @@
 """Motions from files."""
 
-# ruff: noqa: E402
-
 import dataclasses
 
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch")
-
 
 import ssdr
 from garmentnet.prediction.motion_file import read_motion

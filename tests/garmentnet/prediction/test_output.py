@@ -1,15 +1,9 @@
 """Files of predictions."""
 
-# ruff: noqa: E402
-
 import types
 
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch")
-
-
 from PIL import Image, ImageSequence
 
 import ssdr

@@ -1,13 +1,8 @@
-# ruff: noqa: E402
-
 import dataclasses
 import warnings
 
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch")
-
 
 from garmentnet.collision.body_tree import BodyTree
 from garmentnet.data.parameters import SimulationParameters

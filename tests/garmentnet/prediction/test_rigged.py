@@ -5,8 +5,6 @@ import re
 import numpy as np
 import pytest
 
-pytest.importorskip("torch")
-
 import ssdr
 from garmentnet.data.parameters import SimulationParameters as P
 from garmentnet.networks.checkpoint import Checkpoint

@@ -1,13 +1,10 @@
 """Windows of clips side by side."""
 
-# ruff: noqa: E402
 import dataclasses
 
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch")
-
+import torch
 
 from garmentnet.training.batches import batches
 

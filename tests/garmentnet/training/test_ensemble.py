@@ -1,14 +1,10 @@
 """An ensemble from a store."""
 
-# ruff: noqa: E402
 import dataclasses
 import json
 
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch")
-
 
 from garmentnet.networks.checkpoint import load_checkpoint
 from garmentnet.paper.train import train_ensemble

@@ -1,11 +1,7 @@
 """Bones of a garment that lies close move relative to the joints of the body."""
 
-# ruff: noqa: E402
-
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch")
 
 from garmentnet.configs.config import load_config, override
 from garmentnet.data.store import ClipStore

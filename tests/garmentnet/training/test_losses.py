@@ -1,9 +1,5 @@
-# ruff: noqa: E402
 import numpy as np
-import pytest
-
-torch = pytest.importorskip("torch")
-
+import torch
 import trimesh
 
 from garmentnet.training.losses import (

@@ -1,14 +1,9 @@
 """Losses against their definition."""
 
-# ruff: noqa: E402
-
 import dataclasses
 
 import numpy as np
-import pytest
-
-torch = pytest.importorskip("torch")
-
+import torch
 
 from garmentnet.configs.config import override
 from garmentnet.paper.bones import remove_frame

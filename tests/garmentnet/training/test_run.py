@@ -1,12 +1,9 @@
-# ruff: noqa: E402
 import dataclasses
 import json
 
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch")
-
+import torch
 
 from garmentnet.configs.config import override
 from garmentnet.evaluation.baselines import MeanShape, Ridge

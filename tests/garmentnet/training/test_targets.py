@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("torch")
-
 from garmentnet.data.clip import MIRRORED
 from garmentnet.paper.bones import remove_frame
 from garmentnet.training.targets import LowTargets

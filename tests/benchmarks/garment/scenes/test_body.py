@@ -8,9 +8,6 @@ import numpy as np
 import pytest
 import trimesh
 
-pytest.importorskip("msgspec")
-pytest.importorskip("torch")  # of the script that makes the body
-
 from benchmarks.garment.make_body import make_body
 from benchmarks.garment.scenes.body import default_body, load_body, save_body
 from ssdr.common.errors import FormatError

@@ -10,9 +10,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-pytest.importorskip("msgspec")
-pytest.importorskip("filelock")
-
 from benchmarks.garment.scenes.body import default_body
 from benchmarks.garment.scenes.bvh import read_bvh
 from benchmarks.garment.scenes.dataset import find_bvh

@@ -12,8 +12,6 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
-pytest.importorskip("msgspec")
-
 from benchmarks.garment.scenes.body import default_body
 from benchmarks.garment.scenes.cloth import Cloth, Solver
 from benchmarks.garment.scenes.cut import Cut, cut_garment

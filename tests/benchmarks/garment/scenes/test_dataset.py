@@ -9,9 +9,6 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("msgspec")
-pytest.importorskip("filelock")
-
 from benchmarks.garment.scenes.dataset import make_data_set
 from benchmarks.garment.scenes.scene_file import load_data_set
 from garmentnet.data.store import ClipStore

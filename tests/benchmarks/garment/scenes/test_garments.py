@@ -8,8 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("msgspec")
-
 import ssdr
 from benchmarks.garment.scenes.body import Body, default_body
 from benchmarks.garment.scenes.cut import Cut, cut_garment

@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("msgspec")
-
 from benchmarks.garment.scenes.body import default_body
 from benchmarks.garment.scenes.cloth import Solver
 from benchmarks.garment.scenes.cut import Cut

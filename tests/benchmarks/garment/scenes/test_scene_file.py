@@ -9,9 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("msgspec")
-pytest.importorskip("filelock")
-
 from benchmarks.garment.scenes.cut import Cut
 from benchmarks.garment.scenes.dataset import recorded_motions
 from benchmarks.garment.scenes.motion_sources import SPLITS

@@ -79,12 +79,10 @@ def test_a_pointer_at_a_node_or_its_shapes_is_a_channel(tmp_path, path, pointer)
     ssdr.save(result, tmp_path / "b.gltf", template=plain)
     assert "pointer" not in (tmp_path / "b.gltf").read_text().replace("KHR_animation_pointer", "")
     assert ssdr.io.list_left_out(plain) == ()
-    document["animations"][0]["channels"][0]["target"] = {
-        "path": "pointer",
-        "extensions": {"KHR_animation_pointer": {"pointer": "/cameras/0/perspective/yfov"}},
-    }
-    plain.write_text(json.dumps(document))
-    assert ssdr.io.list_left_out(plain) == ("/cameras/0/perspective/yfov",)
+    for other in ("/cameras/0/perspective/yfov", "/nodes/99/translation"):
+        extension["KHR_animation_pointer"]["pointer"] = other
+        plain.write_text(json.dumps(document))
+        assert ssdr.io.list_left_out(plain) == (other,)
 
 
 def test_meshes_have_names_that_are_listed_and_taken(tmp_path):

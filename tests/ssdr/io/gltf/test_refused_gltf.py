@@ -54,10 +54,10 @@ def last_key(document, binary):
 
 
 def nested(document, _):
-    """2,000 nodes that hang on each other, the first of which moves over 9,600 frames."""
+    """1,000 nodes that hang on each other, the first of which moves over 9,600 frames."""
     nodes, animation = document["nodes"], document["animations"][0]
     first = len(nodes)
-    nodes += [{"children": [first + k + 1]} for k in range(2000)] + [{"mesh": 0}]
+    nodes += [{"children": [first + k + 1]} for k in range(1000)] + [{"mesh": 0}]
     document["scenes"][0]["nodes"].append(first)
     animation["channels"].append({"sampler": 0, "target": {"node": first, "path": "translation"}})
     animation["extras"]["ssdr"]["frames"] = 9600
@@ -67,9 +67,9 @@ def beside(document, binary):
     """The same nodes, each of which holds the mesh and moves for itself."""
     nested(document, binary)
     nodes, animation = document["nodes"], document["animations"][0]
-    first = len(nodes) - 2001
-    document["scenes"][0]["nodes"] += range(first + 1, first + 2001)
-    for k in range(first, first + 2001):
+    first = len(nodes) - 1001
+    document["scenes"][0]["nodes"] += range(first + 1, first + 1001)
+    for k in range(first, first + 1001):
         nodes[k] = {"mesh": 0}
         target = {"node": k, "path": "translation"}
         animation["channels"].append({"sampler": 0, "target": target})

@@ -7,8 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-pytest.importorskip("msgspec")
-
 from benchmarks.garment.scenes.body import default_body
 from benchmarks.garment.scenes.dance.choreography import DANCE_CLASSES, dance
 from benchmarks.garment.scenes.motion import Motion
