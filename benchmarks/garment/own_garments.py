@@ -5,8 +5,8 @@ and so on for four clips of each (``--clips``), and ``sleeve.obj``, the garment 
 be read by ``garmentnet import``; ``docs/garmentnet.md`` has the commands.  What is there is not
 made again.
 
-A sleeve lies close to the left arm, clips of 60 frames; its triangles face the arm, as they do in
-some files.  A cape is in centimetres with z up and hangs from the shoulders.  A skirt hangs from
+A bell sleeve hangs from the left forearm, clips of 60 frames; its triangles face the arm, as they
+do in some files.  A cape is in centimetres with z up and hangs from the shoulders.  A skirt hangs from
 the waist.
 """
 
@@ -66,30 +66,27 @@ def hung(points: Array, faces: Array, pinned: Array) -> Garment:
 
 
 def sleeve() -> Garment:
-    """A tube around the left arm, from below the shoulder to the wrist, held at both ends."""
-    joint = dict(zip(BODY.skeleton.names, BODY.skeleton.rest, strict=True))
-    corners = np.array([joint[n] for n in ("arm_l", "forearm_l", "hand_l")])
-    ways = np.cumsum([0, *np.linalg.norm(np.diff(corners, axis=0), axis=1)])
-    along = np.arange(0.15 * ways[1], 0.97 * ways[2], FINE)
-    middle = np.stack([np.interp(along, ways, corners[:, k]) for k in range(3)], axis=1)
-    axis = corners[2] - corners[0]
-    axis /= np.linalg.norm(axis)
+    """A bell around the left forearm, from below the elbow to the hand, held at its upper end."""
+    elbow, hand = (BODY.skeleton.rest[BODY.skeleton.index(n)] for n in ("forearm_l", "hand_l"))
+    length = np.linalg.norm(hand - elbow)
+    axis = (hand - elbow) / length
+    along = np.arange(0.25 * length, 0.95 * length, FINE)
+    middle = elbow + along[:, None] * axis
     side = np.cross(axis, [0, 0, 1])
     side /= np.linalg.norm(side)
     across = np.cross(side, axis)
-    # As wide as the arm there, and 12 mm.
+    # As wide as the arm there and 12 mm at its upper end, 5 cm more at the hand.
     skin = np.asarray(BODY.skinning.rest, float)
-    arm = BODY.skinning.dense_weights()[:, [BODY.skeleton.index(n) for n in ("arm_l", "forearm_l")]]
-    skin = skin[arm.sum(axis=1) > 0.7]
-    off = np.abs((skin[:, None] - middle) @ axis) < 0.03
-    gap = np.linalg.norm(skin[:, None] - middle, axis=2)
-    radius = 0.012 + np.where(off, gap, 0).max(axis=0)
+    arm = BODY.skinning.dense_weights()[:, BODY.skeleton.index("forearm_l")] > 0.7
+    off = np.abs((skin[arm, None] - middle) @ axis) < 0.03
+    gap = np.where(off, np.linalg.norm(skin[arm, None] - middle, axis=2), 0).max(axis=0)
+    radius = 0.012 + gap + np.linspace(0, 0.05, len(along))
     count = round(2 * np.pi * radius.mean() / FINE)
     turn = 2 * np.pi * np.arange(count) / count
     ring = np.cos(turn)[:, None] * across + np.sin(turn)[:, None] * side
     points = middle[:, None] + radius[:, None, None] * ring
     pinned = np.zeros(points.shape[:2], bool)
-    pinned[[0, 1, -2, -1]] = True
+    pinned[:2] = True
     return hung(points, grid(points, closed=True), pinned)
 
 
