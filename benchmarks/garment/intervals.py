@@ -18,8 +18,6 @@ from scipy.stats import t as student
 
 from garmentnet.evaluation.scores import PARTS, Scores
 
-__all__ = ["Interval", "interval_cell", "intervals", "paired_ratio"]
-
 _LEVEL = 0.95
 # An error below this many mm counts as 0, and no ratio to it is given.
 _NOTHING = 1e-6

@@ -6,8 +6,8 @@ be read by ``garmentnet import``; ``docs/garmentnet.md`` has the commands.  What
 made again.
 
 A bell sleeve hangs from the left forearm, clips of 60 frames; its triangles face the arm, as they
-do in some files.  A cape is in centimetres with z up and hangs from the shoulders.  A skirt hangs from
-the waist.
+do in some files.  A cape is in centimetres with z up and hangs from the shoulders.  A skirt hangs
+from the waist.
 """
 
 from __future__ import annotations
@@ -47,22 +47,13 @@ def grid(points: Array, *, closed: bool) -> Array:
     b, d = np.roll(a, -1, axis=1), np.roll(c, -1, axis=1)
     if not closed:
         a, b, c, d = (x[:, :-1] for x in (a, b, c, d))
-    return np.concatenate(
-        [np.stack([a, c, d], -1).reshape(-1, 3), np.stack([a, d, b], -1).reshape(-1, 3)]
-    )
+    return np.concatenate([np.stack(x, -1).reshape(-1, 3) for x in ((a, c, d), (a, d, b))])
 
 
 def hung(points: Array, faces: Array, pinned: Array) -> Garment:
-    rest = points.reshape(-1, 3)
-    indices, weights = follow(BODY, rest, None, shoulders=True)
-    return Garment(
-        rest.astype(np.float32),
-        faces.astype(np.int32),
-        pinned.ravel(),
-        indices,
-        weights.astype(np.float32),
-        None,
-    )
+    indices, weights = follow(BODY, points.reshape(-1, 3), None, shoulders=True)
+    rest, weights = (x.astype(np.float32) for x in (points.reshape(-1, 3), weights))
+    return Garment(rest, faces.astype(np.int32), pinned.ravel(), indices, weights, None)
 
 
 def sleeve() -> Garment:
@@ -123,15 +114,9 @@ def cloth(name: str, vertices: Array, faces: Array, fps: float) -> MeshSequence:
 
 
 def rig(motion: Motion) -> ssdr.Skinning:
-    tree = BODY.skeleton
-    return dataclasses.replace(
-        BODY.skinning,
-        transforms=motion.joints,
-        parents=tree.parents,
-        joint_positions=tree.rest,
-        fps=motion.fps,
-        name="body",
-    )
+    tree = {"parents": BODY.skeleton.parents, "joint_positions": BODY.skeleton.rest}
+    moved = {"transforms": motion.joints, "fps": motion.fps, "name": "body"}
+    return dataclasses.replace(BODY.skinning, **tree, **moved)
 
 
 def main() -> None:

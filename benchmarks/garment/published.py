@@ -21,8 +21,6 @@ from garmentnet.training.batches import Track
 from garmentnet.training.detail import DetailObjective
 from garmentnet.training.loop import fit
 
-__all__ = ["BASELINES", "SANTESTEBAN", "TransformerDetail", "train_chen"]
-
 # Santesteban, Otaduy & Casas 2019, "Learning-based animation of clothing for virtual try-on": a GRU
 # from the body's pose to offsets of the rest pose.  Here it reads the features of the network that
 # it is compared with.

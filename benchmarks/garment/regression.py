@@ -32,15 +32,6 @@ from garmentnet.training.detail import CoefficientObjective
 from garmentnet.training.loop import fit
 from garmentnet.training.shapes import ShapeBasis
 
-__all__ = [
-    "FrameMLP",
-    "Regression",
-    "Unposed",
-    "Variant",
-    "WindowMLP",
-    "train_regression",
-]
-
 Part = Literal["whole", "low", "high"]
 # Number of components, and of training frames from which they are found.
 _RANK, _FRAMES = 192, 1500

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from garmentnet.paper.ensemble import Kernel
 
-__all__ = ["Rule", "Ruled", "inverse_distance", "nearest"]
-
 Array = NDArray[np.float64]
 # Weights (K,) of pivots (K, P) at parameters (P,), all normalised.
 Rule = Callable[[Any, Any], Array]
