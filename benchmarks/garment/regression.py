@@ -149,17 +149,14 @@ class _Scaled(nn.Module):
         return out * self.deviation, state
 
 
+@dataclasses.dataclass(eq=False)
 class Regression(Method):
     """Prediction by a trained baseline."""
 
-    def __init__(
-        self,
-        name: str,
-        reader: PoseReader,
-        space: Unposed | None,
-        nets: dict[Part, tuple[nn.Module, ShapeBasis]],
-    ) -> None:
-        self.name, self.reader, self.space, self.nets = name, reader, space, nets
+    name: str
+    reader: PoseReader
+    space: Unposed | None
+    nets: dict[Part, tuple[nn.Module, ShapeBasis]]
 
     @torch.no_grad()
     def _parts(self, clip: Clip) -> dict[Part, Array]:

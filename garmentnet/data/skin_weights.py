@@ -60,7 +60,10 @@ class BodyBound:
 
 
 def find_body_bound(
-    store: ClipStore, names: Sequence[str], smoother: LaplacianSmoother | None = None
+    store: ClipStore,
+    names: Sequence[str],
+    smoother: LaplacianSmoother | None = None,
+    also: Sequence[tuple[ArrayLike, ArrayLike]] = (),
 ) -> BodyBound | None:
     """Vertices that skinning by the body reproduces within 0.1 mm; None if there are none.
 
@@ -74,9 +77,11 @@ def find_body_bound(
         Training clips.
     smoother : LaplacianSmoother, optional
         Smoother on the store's rest pose; without it `smooth` is `rest`.
+    also : sequence of pairs of arrays, optional
+        Vertices ``(F, V, 3)`` and joints ``(F, J, 3, 4)`` that are not in the store.
     """
-    vertices, joints, step = [], [], 0.0
-    for clip, here in store.sample(names, _FRAMES):
+    vertices, joints, step = [v for v, _ in also], [m for _, m in also], 0.0
+    for clip, here in store.sample(names, _FRAMES) if names else ():
         step = max(step, clip.step)
         vertices.append(clip.sequence.frames(here))
         joints.append(clip.joints[here])

@@ -22,7 +22,7 @@ from ..collision.body_tree import is_closed
 from ..data.clip import spread
 from ..data.clip_files import Split
 from ..data.parameters import SimulationParameters
-from ..data.skin_weights import BodyBound, body_bound, find_body_bound
+from ..data.skin_weights import BodyBound, find_body_bound
 from ..data.store import ClipStore
 from .quality import judge
 from .rig import MovingBody, rig_of
@@ -31,6 +31,7 @@ from .scene_files import Say, Source, read_cloth, read_rig
 _SMALL = 0.12  # size of a garment, relative to the body's, below which its unit is doubted
 _SHORTEST = 20  # fewest frames of a clip that is cut
 _PIN_FRAMES, _MOST_PINS = 240, 0.6  # frames in which pins are looked for; their largest share
+_LOST = 0.1  # share of the pins that need not be carried on: some may have been there by chance
 _BIND_POSE = 2e-3  # radians, mean over joints, up to which a pose is the bind pose
 PathLike = str | os.PathLike[str]
 
@@ -234,12 +235,16 @@ def _parts(name: str, count: int, o: ImportOptions) -> list[tuple[str, Split, sl
 def _pins(
     store: ClipStore, vertices: NDArray[np.float32], joints: NDArray[np.float64]
 ) -> BodyBound | None:
-    """Vertices that the body carries in a store's clips, or without any in this one."""
-    if names := store.names():
-        found = find_body_bound(store, names)
-    else:
-        (some,) = spread([len(vertices)], _PIN_FRAMES)
-        found = body_bound(store.rest, vertices[some], joints[some])
+    """Vertices that the body carries in a store's clips, or without any in this one.
+
+    Weights are those with which the body carries them in this clip, too, if it does: the motion of
+    the others may leave open between which joints they hang.
+    """
+    names, (some,) = store.names(), spread([len(vertices)], _PIN_FRAMES)
+    found = find_body_bound(store, names, also=[(vertices[some], joints[some])])
+    if names and (before := find_body_bound(store, names)) is not None:
+        kept = 0 if found is None else np.isin(before.index, found.index).mean()
+        found = found if kept > 1 - _LOST else before
     # If nearly all follow the body, it has hardly moved.
     few = found is not None and len(found.index) < _MOST_PINS * store.n_vertices
     return found if few else None

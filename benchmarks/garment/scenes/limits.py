@@ -21,9 +21,8 @@ def check_numbers(values: Any, **limits: tuple[float, float]) -> None:
         if field.type not in ("int", "float"):
             continue
         value, (low, high) = getattr(values, field.name), limits.get(field.name, (0, LARGEST))
-        if not (is_whole(value) if field.type == "int" else is_real(value)):
-            raise InputError(
-                field.name, "an integer" if field.type == "int" else "a number", repr(value)
-            )
+        good, kind = (is_whole, "an integer") if field.type == "int" else (is_real, "a number")
+        if not good(value):
+            raise InputError(field.name, kind, repr(value))
         if not low <= value <= high:
             raise InputError(field.name, f"a number from {low:g} to {high:g}", value)

@@ -435,3 +435,12 @@ def test_cloth_that_lost_its_pins_is_refused(pair, tmp_path):
     words = ["import", "--cloth", sources[0][0], "--rig", sources[0][1], "-o", store.path]
     result = CliRunner().invoke(app, list(map(str, words)))
     assert "3 of 6 clips are refused" in result.stderr
+
+
+def test_between_which_joints_pins_hang_may_show_later(pair, tmp_path):
+    """A leg carries them, which in the first clip moves with the hips."""
+    stiff, legs = motion(), [1, 0, 2]
+    stiff[:, 1] = stiff[:, 0]
+    kick = pair("kick", cloth(motion(seed=1)[:, legs]), rig(motion(seed=1)))
+    store = import_clips([pair("walk", cloth(stiff), rig(stiff)), kick], tmp_path / "a.clips")
+    assert {c.quality["reason"] for c in store.clips(accepted=None)} == {""}
