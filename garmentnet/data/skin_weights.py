@@ -63,7 +63,8 @@ def find_body_bound(
     store: ClipStore,
     names: Sequence[str],
     smoother: LaplacianSmoother | None = None,
-    also: Sequence[tuple[ArrayLike, ArrayLike]] = (),
+    *,
+    also: tuple[ArrayLike, ArrayLike] | None = None,
 ) -> BodyBound | None:
     """Vertices that skinning by the body reproduces within 0.1 mm; None if there are none.
 
@@ -77,31 +78,17 @@ def find_body_bound(
         Training clips.
     smoother : LaplacianSmoother, optional
         Smoother on the store's rest pose; without it `smooth` is `rest`.
-    also : sequence of pairs of arrays, optional
-        Vertices ``(F, V, 3)`` and joints ``(F, J, 3, 4)`` that are not in the store.
+    also : pair of arrays, optional
+        Vertices ``(F, V, 3)`` and joints ``(F, J, 3, 4)`` of a clip that is not stored.
     """
-    vertices, joints, step = [v for v, _ in also], [m for _, m in also], 0.0
+    parts, step = [also] if also else [], 0.0
     for clip, here in store.sample(names, _FRAMES) if names else ():
         step = max(step, clip.step)
-        vertices.append(clip.sequence.frames(here))
-        joints.append(clip.joints[here])
-    return body_bound(store.rest, np.concatenate(vertices), np.concatenate(joints), smoother, step)
-
-
-def body_bound(
-    rest: ArrayLike,
-    vertices: ArrayLike,
-    joints: ArrayLike,
-    smoother: LaplacianSmoother | None = None,
-    step: float = 0.0,
-) -> BodyBound | None:
-    """Vertices bound to the body in frames ``(F, V, 3)``, or None; see :func:`find_body_bound`.
-
-    Positions are rounded to multiples of `step`, metres.
-    """
-    truth, moved = np.asarray(vertices), np.asarray(joints, np.float64)
+        parts.append((clip.sequence.frames(here), clip.joints[here]))
+    truth = np.concatenate([np.asarray(v) for v, _ in parts])
+    moved = np.concatenate([np.asarray(m, np.float64) for _, m in parts])
     # Rounding moves a vertex by at most half the diagonal of a cube of side `step`.
-    rest, close = np.array(rest, np.float64), _CLOSE + math.sqrt(3) / 2 * step
+    rest, close = np.array(store.rest, np.float64), _CLOSE + math.sqrt(3) / 2 * step
     influences = min(_INFLUENCES, moved.shape[1])
     fit = ssdr.fit_weights(truth, rest, moved, influences=influences).skinning
     gap = np.linalg.norm(ssdr.skin(rest, fit.indices, fit.weights, moved) - truth, axis=2)

@@ -31,7 +31,7 @@ from .scene_files import Say, Source, read_cloth, read_rig
 _SMALL = 0.12  # size of a garment, relative to the body's, below which its unit is doubted
 _SHORTEST = 20  # fewest frames of a clip that is cut
 _PIN_FRAMES, _MOST_PINS = 240, 0.6  # frames in which pins are looked for; their largest share
-_LOST = 0.1  # share of the pins that need not be carried on: some may have been there by chance
+_LEAST_KEPT = 0.1  # share of the pins of a single clip that the next one must have
 _BIND_POSE = 2e-3  # radians, mean over joints, up to which a pose is the bind pose
 PathLike = str | os.PathLike[str]
 
@@ -101,12 +101,15 @@ def import_clips(
         If a file cannot be read.
     """
     o, target = options or ImportOptions(), Path(path)
-    names = [re.sub(r"[^A-Za-z0-9_.\-]|^[_.\-]+", "", Path(cloth).stem) for cloth, _ in pairs]
-    if not names or len(set(names)) < len(names):
-        raise InputError("cloth", "one file or more, of different names", ", ".join(names))
-    for name in (*o.test, *o.validation):
-        if name not in names:
-            raise InputError("test, validation", f"some of {', '.join(names)}", name)
+    names = [_clip_name(Path(cloth).stem) for cloth, _ in pairs]
+    if not names or not all(names) or len(set(names)) < len(names):
+        expected = "one file or more, of different names with letters a to z or digits"
+        raise InputError("cloth", expected, ", ".join(str(cloth) for cloth, _ in pairs))
+    test, validation = ([_clip_name(n) for n in some] for some in (o.test, o.validation))
+    o = dataclasses.replace(o, test=test, validation=validation)
+    for name in (*test, *validation):
+        if name not in names or (name in test and name in validation):
+            raise InputError("test, validation", f"some of {', '.join(names)}, each once", name)
     store = ClipStore.open(target) if target.exists() else None
     if store is None:
         # Before anything is read, which may take long.
@@ -123,7 +126,8 @@ def import_clips(
     for (cloth_file, rig_file), name in zip(pairs, names, strict=True):
         files = Path(cloth_file), Path(rig_file)
         try:
-            cloth, rig = _read(*files, o, o.fps if store is None else store.fps, name, say)
+            cloth, rig = _read(*files, o, o.fps if store is None else store.fps, say)
+            _parts(name, cloth.n_frames, o)
             if store is not None:
                 _check_mesh("cloth", cloth, store.faces, len(store.rest))
                 rig = rig.matched(store.skeleton, store.body)
@@ -131,17 +135,23 @@ def import_clips(
             rig.check_cloth(vertices)
         except InputError as error:
             raise InputError(error.argument, error.expected, f"{error.got} ({name})") from error
+        cut = None
+        if rest is not None:
+            cut, rest = _rest_of(Path(rest), cloth, rig, o, say), None  # read once
+            if store is not None and not np.allclose(cut, store.rest, atol=1e-5):
+                raise InputError("rest", "the garment at rest that the store has", "another")
         if store is None:
-            store = _create(target, cloth, rig, o, rest, say)
+            store = _create(target, cloth, rig, o, cut, say)
         _add(store, name, vertices, rig.joints, o, files, say)
     assert store is not None  # there is one pair at least
     return store
 
 
 def _read(
-    cloth_file: Path, rig_file: Path, o: ImportOptions, rate: float | None, name: str, say: Say
+    cloth_file: Path, rig_file: Path, o: ImportOptions, rate: float | None, say: Say
 ) -> tuple[MeshSequence, MovingBody]:
     """Cloth and rig at one rate, cut to the frames that both have."""
+    name = cloth_file.stem
     model = read_rig(rig_file, o.rig, rate, name, say)
     cloth = read_cloth(cloth_file, o.cloth, rate, say)
     if rate is None and model.fps != cloth.fps:
@@ -175,14 +185,25 @@ def _check_mesh(argument: str, mesh: MeshSequence, faces: NDArray[np.int32], cou
     )
 
 
+def _rest_of(
+    path: Path, cloth: MeshSequence, rig: MovingBody, o: ImportOptions, say: Say
+) -> NDArray[Any]:
+    """The garment as it was cut, from its file."""
+    mesh = read_cloth(path, o.cloth, None, say)
+    _check_mesh("rest", mesh, cloth.faces, cloth.n_vertices)
+    bind = np.tile(np.eye(3, 4), (1, rig.joints.shape[1], 1, 1))
+    dataclasses.replace(rig, joints=bind).check_cloth(mesh.vertices[:1], "rest")
+    return np.asarray(mesh.vertices[0])
+
+
+def _clip_name(text: str) -> str:
+    return re.sub(r"[^A-Za-z0-9_.\-]", "", text).lstrip("_.-")
+
+
 def _create(
-    path: Path, cloth: MeshSequence, rig: MovingBody, o: ImportOptions, rest_file: Any, say: Say
+    path: Path, cloth: MeshSequence, rig: MovingBody, o: ImportOptions, rest: Any, say: Say
 ) -> ClipStore:
-    if rest_file is not None:
-        mesh = read_cloth(Path(rest_file), o.cloth, None, say)
-        _check_mesh("rest", mesh, cloth.faces, cloth.n_vertices)
-        rest = np.asarray(mesh.vertices[0])
-    else:
+    if rest is None:
         root = rig.joints[:, 0]
         turn = root[:, None, :, :3].swapaxes(-1, -2) @ rig.joints[..., :3]
         cosine = (np.trace(turn, axis1=-2, axis2=-1) - 1) / 2
@@ -233,18 +254,24 @@ def _parts(name: str, count: int, o: ImportOptions) -> list[tuple[str, Split, sl
 
 
 def _pins(
-    store: ClipStore, vertices: NDArray[np.float32], joints: NDArray[np.float64]
+    store: ClipStore, name: str, vertices: NDArray[Any], joints: NDArray[Any], say: Say
 ) -> BodyBound | None:
-    """Vertices that the body carries in a store's clips, or without any in this one.
+    """Vertices that the body carries, in a store's other clips and in this one.
 
-    Weights are those with which the body carries them in this clip, too, if it does: the motion of
-    the others may leave open between which joints they hang.
+    Their weights are those of all these frames: the other clips may leave open between which joints
+    a vertex hangs.  Of what the body carried in a single clip some may have been still by chance;
+    what it carried in more must be carried in this one.
     """
-    names, (some,) = store.names(), spread([len(vertices)], _PIN_FRAMES)
-    found = find_body_bound(store, names, also=[(vertices[some], joints[some])])
+    others, (some,) = list(store.clips()), spread([len(vertices)], _PIN_FRAMES)
+    motions = {c.motion for c in others} - {name}
+    names = [c.name for c in others if c.motion in motions]
+    found = find_body_bound(store, names, also=(vertices[some], joints[some]))
     if names and (before := find_body_bound(store, names)) is not None:
         kept = 0 if found is None else np.isin(before.index, found.index).mean()
-        found = found if kept > 1 - _LOST else before
+        if kept < (_LEAST_KEPT if len(motions) == 1 else 1):
+            found = before
+        elif kept < 1:
+            say(f"{name}: {1 - kept:.0%} of the vertices that the body carried before are free")
     # If nearly all follow the body, it has hardly moved.
     few = found is not None and len(found.index) < _MOST_PINS * store.n_vertices
     return found if few else None
@@ -255,11 +282,8 @@ def _check_splits(store: ClipStore, name: str, parts: list[tuple[str, Split, sli
     there = {clip.name: clip.split for clip in store.clips(accepted=None) if clip.motion == name}
     if there.items() - {(part, split) for part, split, _ in parts}:
         text = ", ".join(f"{part} for {split}" for part, split in there.items())
-        raise InputError(
-            "test, validation",
-            f"the splits in which the store has {name} ({text})",
-            "others, for which make a new store",
-        )
+        expected = f"the splits in which the store has {name} ({text})"
+        raise InputError("test, validation", expected, "others, for which make a new store")
 
 
 def _add(
@@ -285,16 +309,10 @@ def _add(
                 raise InputError("path", f"a store whose clip {part} is of {files[0]}", store.path)
             continue
         if quality is None:  # of the whole clip: a part may be too short to hold a second
-            quality = judge(store, joints, vertices, bound=_pins(store, vertices, joints))
-        store.add(
-            part,
-            vertices=v,
-            joints=m,
-            split=split,
-            motion=name,
-            parameters=parameters,
-            provenance=provenance,
-            quality=quality,
-        )
+            bound = _pins(store, name, vertices, joints, say)
+            quality = judge(store, joints, vertices, bound=bound)
+        known: dict[str, Any] = {"parameters": parameters, "provenance": provenance}
+        known |= {"split": split, "motion": name, "quality": quality}
+        store.add(part, vertices=v, joints=m, **known)
     text = ", ".join(f"{f.stop - f.start} {split}" for _, split, f in parts)
     say(f"{name}: {vertices.shape[1]} vertices, {joints.shape[1]} joints; frames: {text}")

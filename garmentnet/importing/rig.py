@@ -55,7 +55,7 @@ class MovingBody:
         away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
         return float((np.cross(b - a, c - a) * away).sum()) < 0
 
-    def check_cloth(self, vertices: NDArray[np.float32]) -> None:
+    def check_cloth(self, vertices: NDArray[np.floating], argument: str = "cloth") -> None:
         """Check that a cloth ``(F, V, 3)`` lies on the body and has a size that it can wear.
 
         Raises
@@ -72,7 +72,7 @@ class MovingBody:
         near = far < _FAR * max(size, large)
         if not (near and _SMALLEST * size < large < _LARGEST * size):
             raise InputError(
-                "cloth",
+                argument,
                 f"a garment on the body, which is {size:.3g} m large, in its unit, axes and place",
                 f"one {large:.3g} m large, {far:.3g} m away from it; "
                 "scale (--cloth-scale, --rig-scale) and axes (--cloth-up, --rig-up) can be given",

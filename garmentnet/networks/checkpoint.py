@@ -213,7 +213,7 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path | str, *, half: bool = Fa
 
 def _compact(array: NDArray[Any]) -> NDArray[Any]:
     floats = array.dtype.kind == "f"
-    return array.astype(np.float32 if floats else np.min_scalar_type(array.max()))
+    return array.astype(np.float32 if floats else np.min_scalar_type(array.max(initial=0)))
 
 
 def load_checkpoint(path: Path | str) -> Checkpoint:

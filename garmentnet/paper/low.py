@@ -236,7 +236,7 @@ class _SkinnedNorm(nn.Module):
     def forward(self, transforms: Tensor, shape: Tensor) -> Tensor:
         """Squared norms ``(N,)`` for transforms ``(N, B, 3, 4)`` and (1, c) ``(N, 1 + r)``."""
         n = len(transforms)
-        m = transforms.permute(1, 3, 0, 2).reshape(len(self.r), 3 * n)
+        m = transforms.permute(1, 3, 0, 2).reshape(self.r.shape[1], 3 * n)
         target = (shape @ self.inner).view(n, -1, 3).transpose(0, 1)
         gap = (self.r @ m).view(-1, n, 3) - target
         return gap.square().sum((0, 2)) + (shape @ self.outer).square().sum(1)
@@ -257,11 +257,7 @@ class LowFrequencyObjective(TrainingObjective):
     """
 
     def __init__(
-        self,
-        network: Any,
-        targets: LowTargets,
-        tracks: list[Track],
-        validation: list[Track],
+        self, network: Any, targets: LowTargets, tracks: list[Track], validation: list[Track]
     ) -> None:
         self.network, self.module, self.free = network, network.low, network.free
         basis, laplacian = targets.basis, targets.laplacian

@@ -29,6 +29,7 @@ from ..data.clip import MIRRORED, Clip, spread
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
 from ..io.files import Progress, silent
+from ..io.tensors import digest
 from ..networks.checkpoint import Checkpoint, load_checkpoint, load_weights, save_checkpoint
 from ..networks.features import Normaliser, PoseFeatures, PoseReader, transforms_in_frame
 from ..networks.network import MotionNetwork
@@ -192,17 +193,13 @@ def train(
     if not held:
         _logger.warning("no clips for validation: all epochs, and the weights of the last")
     learned = with_mirrored(store, config, names)
-    _claim(folder, config, learned)
+    _claim(folder, config, learned, start)
     o = config.train
     if o.threads:
         torch.set_num_threads(o.threads)
     device = o.device if o.device != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
-    bones = virtual_bones(
-        store,
-        config.bones,
-        subject=None if start is None else start.subject,
-        progress=progress,
-    )
+    subject = None if start is None else start.subject
+    bones = virtual_bones(store, config.bones, subject=subject, progress=progress)
     # The initial weights depend on the seed alone, not on what ran before.
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(o.seed)
@@ -239,10 +236,13 @@ def train(
     return path
 
 
-def _claim(folder: Path, config: Config, clips: Sequence[str]) -> None:
+def _claim(folder: Path, config: Config, clips: Sequence[str], start: Checkpoint | None) -> None:
     # Settings that do not change the weights may differ from call to call.
     free = ("patience", "device", "threads")
-    record = json.loads(json.dumps({"config": dataclasses.asdict(config), "clips": list(clips)}))
+    state = {} if start is None else start.networks[0].state_dict()
+    begun = digest({k: v.cpu().numpy() for k, v in state.items()}, {})
+    record = {"config": dataclasses.asdict(config), "clips": list(clips), "start": begun}
+    record = json.loads(json.dumps(record))
     for key in free:
         record["config"]["train"].pop(key)
     file = folder / "run.json"
@@ -252,7 +252,7 @@ def _claim(folder: Path, config: Config, clips: Sequence[str]) -> None:
     with reading(file):
         there = json.loads(file.read_text("utf-8"))
     if there != record:
-        raise InputError("folder", "a new one, or a run of this configuration and clips", folder)
+        raise InputError("folder", "a new one, or one of this configuration, clips, start", folder)
 
 
 Array = NDArray[np.float64]
@@ -312,14 +312,9 @@ def train_ensemble(
         def show(text: str, fraction: float, name: str = name) -> None:
             progress(f"{name}, {text}", fraction)
 
-        own = dataclasses.replace(config.data, parameters=",".join(map(repr, values)))
-        path = train(
-            store,
-            dataclasses.replace(config, data=own),
-            folder / name,
-            start=start,
-            progress=show,
-        )
+        data = dataclasses.replace(config.data, parameters=",".join(map(repr, values)))
+        own = dataclasses.replace(config, data=data)
+        path = train(store, own, folder / name, start=start, progress=show)
         networks.append(load_checkpoint(path).networks[0])
 
     theta = np.stack([p.normalised() for p in sets])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -167,8 +166,9 @@ def batches(
 ) -> Iterator[Batch]:
     """Batches of one epoch, which has every frame of every track once, each track in order.
 
-    Tracks are shuffled, assigned to the lane with the fewest frames and cut into windows.  The
-    first window of a track has a random length, so that the cuts change from epoch to epoch.
+    Tracks are shuffled, assigned to the lane with the fewest frames and cut into windows.  All
+    lanes of a batch are equally long, up to the ends of clips: padding before would change the
+    GRU's state.  The length is random, so that the cuts change from epoch to epoch.
 
     Parameters
     ----------
@@ -176,23 +176,28 @@ def batches(
     lanes : int
         Number of clips in parallel.
     window : int
-        Largest number of frames of a window.
+        Largest number of frames of a window; the least is three quarters of it.
     rng : numpy.random.Generator or None
-        If None, tracks are not shuffled, and the first window of a track has full length.
+        If None, tracks are not shuffled, and all windows have full length.
     """
     order = np.arange(len(tracks)) if rng is None else rng.permutation(len(tracks))
-    queues: list[list[Window]] = [[] for _ in range(lanes)]
-    load = np.zeros(lanes, int)
+    queues: list[list[Track]] = [[] for _ in range(lanes)]
+    load, start = np.zeros(lanes, int), [0] * lanes
     for k in order:
-        track = tracks[int(k)]
         lane = int(load.argmin())
-        load[lane] += track.n_frames
-        stop = window if rng is None else int(rng.integers(window // 2 + 1, window + 1))
-        start = 0
-        while start < track.n_frames:
-            queues[lane].append(Window(track, start, min(stop, track.n_frames)))
-            start, stop = stop, stop + window
-    for windows in itertools.zip_longest(*queues, fillvalue=Window(tracks[0], 0, 0)):
+        load[lane] += tracks[k].n_frames
+        queues[lane].append(tracks[k])
+    while any(queues):
+        length = window if rng is None else int(rng.integers(window - window // 4, window + 1))
+        windows = [Window(tracks[0], 0, 0)] * lanes
+        for lane, queue in enumerate(queues):
+            if queue:
+                stop = min(start[lane] + length, queue[0].n_frames)
+                windows[lane] = Window(queue[0], start[lane], stop)
+                start[lane] = stop
+                if stop == queue[0].n_frames:
+                    queue.pop(0)
+                    start[lane] = 0
         lengths = torch.tensor([w.stop - w.start for w in windows])
         fresh = torch.tensor([w.start == 0 for w in windows])
-        yield Batch(windows, torch.arange(window) < lengths[:, None], fresh)
+        yield Batch(windows, torch.arange(length) < lengths[:, None], fresh)

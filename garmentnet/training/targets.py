@@ -7,6 +7,7 @@ their coefficients take 400 bytes a frame.
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 from typing import Any
 
 import numpy as np
@@ -38,7 +39,7 @@ class LowTargets:
     features : PoseFeatures
         Features that define the moving frame.
     names : sequence of str
-        Training clips from which the components are found if the folder has none.
+        Training clips, from which the components are found.
 
     Attributes
     ----------
@@ -51,7 +52,8 @@ class LowTargets:
 
     def __init__(self, bones: VirtualBones, features: PoseFeatures, names: list[str]) -> None:
         self.bones, self.features = bones, features
-        self._folder = f"low-{features.options.frame}"
+        key = hashlib.sha256("\n".join(names).encode()).hexdigest()[:8]
+        self._folder = f"low-{features.options.frame}-{key}"
         store, n = bones.store, bones.store.n_vertices
         self.free = bones.subject.free
         laplacian = mesh_laplacian(store.faces, n)

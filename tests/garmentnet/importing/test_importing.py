@@ -298,7 +298,8 @@ REFUSED = {
     },
     f"{FIRST}, got 51 and 80": {"new_cloth": MeshSequence(DOUBLED, cloth().faces, FPS)},
     "a time that cloth and rig have in common, got 60 frames of cloth": {"offset": 2.5},
-    "expected some of other, got walk": {"test": ("walk",)},
+    "expected some of other, each once, got walk": {"test": ("walk",)},
+    "each once, got other": {"test": ("other",), "validation": ("other",)},
     "fps: expected 30": {"fps": 24.0},
     r"other\.npz: expected 30 frames a second, got 25": {
         "new_cloth": dataclasses.replace(cloth(), fps=25.0), "cloth_as": "npz"
@@ -318,6 +319,34 @@ def test_other_skeletons_topologies_and_times_are_refused(pair, files, tmp_path)
     ssdr.save(MeshSequence(cloth().vertices[:1], cloth().faces[:-1]), tmp_path / "cut.npz")
     with pytest.raises(InputError, match="rest: expected the mesh of the first clip"):
         import_clips([files], tmp_path / "b.clips", rest=tmp_path / "cut.npz")
+    short = pair("short", cloth(motion()[:10]), rig(motion()[:10]))
+    with pytest.raises(InputError, match="cloth: expected 20 frames or more, got 10"):
+        import_clips([short], tmp_path / "b.clips")
+    assert not (tmp_path / "b.clips").exists()
+
+
+def test_a_garment_at_rest_is_on_the_body_and_that_of_the_store(pair, files, tmp_path):
+    cut = MeshSequence(cloth().vertices[:1], cloth().faces, FPS)
+    ssdr.save(cut, tmp_path / "cut.npz")
+    for factor, text in ((100, "a garment on the body"), (1.01, "that the store has")):
+        ssdr.save(dataclasses.replace(cut, vertices=cut.vertices * factor), tmp_path / "other.npz")
+        with pytest.raises(InputError, match=f"rest: expected .*{text}"):
+            import_clips([files], tmp_path / "a.clips", rest=tmp_path / "other.npz")
+        import_clips([files], tmp_path / "a.clips", rest=tmp_path / "cut.npz")
+    again = import_clips([pair("run")], tmp_path / "a.clips", rest=tmp_path / "cut.npz")
+    assert len(again.names()) == 6
+
+
+def test_files_and_their_animations_may_have_spaces_in_their_names(pair, tmp_path):
+    """The second of two animations has the name of the cloth; the clip that of both without it."""
+    clips = (ssdr.Clip("walk", 0, 60, FPS), ssdr.Clip("ä go back", 60, 120, FPS))
+    both = np.concatenate([motion(), motion()[::-1]])
+    source = pair("ä go back", cloth(motion()[::-1]), rig(both, clips=clips, fps=None))
+    store = import_clips([source], tmp_path / "a.clips", ImportOptions(test=("ä go back",)))
+    assert store.names() == ("goback",)
+    np.testing.assert_allclose(store.clip("goback").joints, motion()[::-1], atol=1e-5)
+    with pytest.raises(InputError, match="cloth: expected one file or more, of different names"):
+        import_clips([pair("ä")], tmp_path / "b.clips")
 
 
 def test_only_common_frames_are_taken(pair, tmp_path):
@@ -408,12 +437,12 @@ def test_the_command_takes_patterns_and_one_rig_for_all(files, tmp_path):
     both = np.concatenate([motion(), motion()[::-1]])
     ssdr.save(rig(both, clips=clips, fps=None), tmp_path / "both.glb")
     words = ["import", "--cloth", f"{tmp_path}/*.usda", "--rig", f"{tmp_path}/both.glb"]
-    words += ["-o", str(tmp_path / "a.clips"), "--test", "back", "--validation", "back"]
+    words += ["-o", str(tmp_path / "a.clips"), "--test", "back"]
     result = call(app, [*words, "--parameters", "bending=2,density=0.3"])
     assert result.exit_code == 0, result.output
     store = ClipStore.open(tmp_path / "a.clips")
-    assert store.names() == ("back", "walk")
-    assert store.clip("walk").parameters == SimulationParameters(2.0, 0.3)
+    assert store.names() == ("back", "walk-train", "walk-validation")
+    assert store.clip("walk-train").parameters == SimulationParameters(2.0, 0.3)
     np.testing.assert_allclose(store.clip("back").joints, motion()[::-1], atol=1e-5)
     for bad, text in (
         (["--parameters", "weight=2"], "weight"),
@@ -435,6 +464,25 @@ def test_cloth_that_lost_its_pins_is_refused(pair, tmp_path):
     words = ["import", "--cloth", sources[0][0], "--rig", sources[0][1], "-o", store.path]
     result = CliRunner().invoke(app, list(map(str, words)))
     assert "3 of 6 clips are refused" in result.stderr
+
+
+def test_some_pins_that_are_lost_are_told_from_cloth_that_was_still(pair, tmp_path):
+    """In the first clip the hips carry three rings of ten; in the third two vertices come off."""
+    first, hips = np.array(cloth().vertices), motion()[:, 0]
+    carried = first[0] @ hips[..., :3].swapaxes(1, 2) + hips[:, None, :, 3]
+    first[:, :30] = carried[:, :30]
+    loose = np.array(cloth(motion(seed=2)).vertices)
+    loose[30:, :2] += np.float32([0, 0.1, 0])
+    pairs = [
+        pair(name, MeshSequence(v, cloth().faces, FPS), rig(motion(seed=k)))
+        for k, (name, v) in enumerate(
+            [("still", first), ("walk", cloth(motion(seed=1)).vertices), ("loose", loose)]
+        )
+    ]
+    said: list[str] = []
+    store = import_clips(pairs, tmp_path / "a.clips", say=said.append)
+    assert "walk: 67% of the vertices that the body carried before are free" in said
+    assert {c.motion for c in store.clips()} == {"still", "walk"}
 
 
 def test_between_which_joints_pins_hang_may_show_later(pair, tmp_path):

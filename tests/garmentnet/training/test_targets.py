@@ -30,7 +30,7 @@ def test_rows_are_read_again(toy_bones, toy_network):
     rows = before.rows(NAME)
     files = list(toy_bones.folder.glob(f"low-*/{NAME}-*.npz"))
     changed = [file.stat().st_mtime_ns for file in files]
-    again = LowTargets(toy_bones, features, [])
+    again = LowTargets(toy_bones, features, [NAME])
     np.testing.assert_array_equal(again.rows(NAME), rows)
     assert files
     assert [file.stat().st_mtime_ns for file in files] == changed
