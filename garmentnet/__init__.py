@@ -7,7 +7,7 @@ SIGGRAPH 2022.
 ``garmentnet.paper``       the paper's four parts, each from its section: bones (4.1,
                            equation 1), low (4.2, equation 2), high (4.3), ensemble
                            (4.4, equation 4); and train
-``garmentnet.networks``    what the paper leaves open: features, GRU, detail by
+``garmentnet.networks``    what the paper's parts are made of: features, GRU, detail by
                            components, the motion network, checkpoints (equation 3)
 ``garmentnet.training``    batches, the loop, targets
 ``garmentnet.data``        stores of clips, skeletons, simulation parameters

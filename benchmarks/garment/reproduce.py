@@ -1,4 +1,4 @@
-"""The paper's tables (Pan et al. 2022, section 6) on simulated data sets.
+"""The paper's tables (Pan et al. 2022, section 5) on simulated data sets.
 
 Data sets that are missing are simulated, networks and baselines trained, and the tables printed::
 

@@ -3,8 +3,8 @@
 Detail is expressed in local frames of the skinned surface.  There, a pleat that swings round with
 the hem stays the same detail; in the moving frame of the body it does not.  Principal components of
 the detail are found once from the training frames, and a GRU that reads the motion of the bones
-predicts their weights.  It has one output per component, instead of the 10 V outputs of the paper's
-global features.
+predicts their weights.  It has one output per component, instead of the 10 V global features of
+the paper's published code.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A GRU followed by a linear layer, with which both modules begin (paper, section 5)."""
+"""A GRU followed by a linear layer: the low-frequency module, and detail by components."""
 
 from __future__ import annotations
 

@@ -146,8 +146,8 @@ def select_pivots(grams: Sequence[Array], parameters: Any, count: int) -> list[i
     """Choose K pivots as the paper does: the extremes, then the worst fitted, one at a time.
 
     The network of a set that is no pivot is compared, on that set, with the best convex mixture of
-    the pivots' predictions.  If K is smaller than the number of extremes, those extremes are chosen
-    that fit all other networks best.
+    the pivots' predictions.  If K is smaller than the number of extremes, of which the paper does
+    not speak, those extremes are chosen that fit all other networks best.
 
     Parameters
     ----------

@@ -3,14 +3,14 @@
 D_HF is :class:`HighFrequency` with its :class:`EdgeConv` layers; its loss is
 :class:`HighFrequencyObjective`:
 
-    L_HF = ‖Ĝ_HF − G_HF‖ + λ_collision mean max(−n_B·(v − v_B), 0)
+    L_HF = ‖target − G_HF‖ + λ_collision mean max(−n_B·(v − v_B), 0)
 
-on the low-frequency mesh that the trained low-frequency module predicts.  By default Ĝ_HF is here
-all that this mesh leaves of the garment (``high.target``), not the high-frequency part alone.
+on the low-frequency mesh that the trained low-frequency module predicts, with a weight of our own
+for the second term.  By default the target is all that this mesh leaves of the garment, Ĝ − G_LF,
+not the high-frequency part alone (``high.target``).
 
-Another network of the detail, by principal components, is
-:mod:`garmentnet.networks.detail_basis`; it has the place beside this one in which a further one
-goes, `MotionNetwork.add_high`.
+An alternative, :mod:`garmentnet.networks.detail_basis`, predicts coefficients of principal
+components of the detail.  `MotionNetwork.add_high` chooses between them, and is where others go.
 """
 
 from __future__ import annotations
@@ -291,24 +291,26 @@ class HighFrequencyObjective(TrainingObjective):
     ) -> tuple[Tensor, Tensor]:
         """Loss L_HF of a batch, averaged over the chosen frames, and the GRU's new state."""
         device, options = self.network.device, self.network.config.high
+        # Lanes that are finished must not count in the batch normalisation.
         lanes, frames, chosen = batch.some_frames(options.frames, rng)
-        z = batch.stack([w.track.extra[w.frames] for w in batch.windows]).to(device)
+        z = batch.stack([w.track.extra[w.frames] for w in batch.windows])[lanes].to(device)
         known = [(*self._read(t), torch.from_numpy(f)) for t, f in frames]
-        own = torch.stack([joints[f] for _, joints, f in known])
-        joints = torch.zeros(len(chosen), *own.shape[1:])
-        joints[lanes] = own
-        pick, joints = torch.from_numpy(chosen).to(device), joints.to(device)
+        joints = torch.stack([joints[f] for _, joints, f in known]).to(device)
+        pick = torch.from_numpy(chosen[lanes]).to(device)
         with torch.no_grad():
             low = self.network.mesh(z[torch.arange(len(z), device=device)[:, None], pick], joints)
-        x = self.network.high_inputs(batch.inputs().to(device), z)
-        mask = dropout_mask(rng, (*chosen.shape, options.hidden), options.dropout, device)
+        x = self.network.high_inputs(batch.inputs()[lanes].to(device), z)
+        mask = dropout_mask(rng, (*pick.shape, options.hidden), options.dropout, device)
         dropped = self.module.draw_edges(rng, options.edge_dropout)
-        high, state = self.module(x, low, state, pick, mask, dropped)
+        memory = None if state is None else state[:, lanes]
+        high, memory = self.module(x, low, memory, pick, mask, dropped)
+        state = memory.new_zeros(1, len(chosen), memory.shape[-1])
+        state[:, lanes] = memory
         truth = torch.stack([goal[f] for goal, _, f in known]).float().to(device)
-        loss = frame_norm((high[lanes] - truth)[:, :, self.free])
+        loss = frame_norm((high - truth)[:, :, self.free])
         if options.collision:
-            body, normals = self.body(joints[lanes].flatten(0, 1))
-            mesh = (low + high)[lanes][:, :, self.free].flatten(0, 1)
+            body, normals = self.body(joints.flatten(0, 1))
+            mesh = (low + high)[:, :, self.free].flatten(0, 1)
             loss = loss + options.collision * collision_depth(mesh, body, normals).mean()
         return loss, state
 

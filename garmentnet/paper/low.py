@@ -8,7 +8,8 @@ over the n vertices that the module predicts, divided by √n, and averaged over
 LBS is linear in the transforms, LBS(M_v) = A M, so both terms are norms ‖A M − G‖, each with its
 own matrix and target.  :class:`_SkinnedNorm` computes them without the vertices.
 
-Another network goes in place of :class:`LowFrequency`, with its `code` and `forward`.
+Another network goes in place of :class:`LowFrequency` where `MotionNetwork.__init__` makes it: with
+its `code`, and a `forward` with the same arguments and one tensor as state, (1, N, H).
 """
 
 from __future__ import annotations
@@ -46,11 +47,12 @@ REACH = 0.1
 class BoneCode(nn.Module):
     """Transforms of the bones as normalised numbers, and back.
 
-    A bone rotates about its centre c: v = R (p − c) + t.  With any other centre its translation
+    A bone rotates about its centre c: v = R (p − c) + t, where t is the
+    posed centre, R c + T in terms of the paper.  With any other centre its translation
     would depend on its rotation.
 
     Bones of a garment that lies close follow the body: the numbers are then those of N in M = J N,
-    with J the transform of the joint that each bone follows best: what skinning by it leaves.
+    with J the transform of the joint that each bone follows best: its motion relative to it.
 
     Parameters
     ----------
