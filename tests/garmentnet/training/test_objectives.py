@@ -93,14 +93,15 @@ def test_the_high_module_is_judged_by_its_own_error(toy_store, toy_bones, toy_ne
 
 
 @torch.no_grad()
-def test_a_lane_that_is_finished_counts_for_nothing(toy_bones, toy_network):
+def test_a_lane_that_is_finished_counts_for_nothing(toy_bones, toy_faithful):
     """Neither in the loss nor in the statistics of the batch normalisation."""
-    network = copy.deepcopy(toy_network.networks[0])
+    network = copy.deepcopy(toy_faithful.networks[0])
     tracks = load_tracks(network, toy_bones, [_NAME])
     task, found = HighFrequencyObjective(network, tracks, [], start=True), []
     network.high.train()
+    width = network.config.high.hidden
     for lanes in (1, 3):
         batch = next(batches(task.tracks, lanes, 20, None))
-        loss, state = task.loss(batch, torch.ones(1, lanes, 32), np.random.default_rng(0))
+        loss, state = task.loss(batch, torch.ones(1, lanes, width), np.random.default_rng(0))
         found.append((loss, state[:, 0]))
     torch.testing.assert_close(found[0], found[1])
