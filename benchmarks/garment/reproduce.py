@@ -127,8 +127,11 @@ class Reproduction:
     def config(self, preset: str, *changes: str) -> Config:
         return override(load_config(preset), [_FEW, *changes, *self.settings])
 
-    def bones(self, store: str, config: Config) -> VirtualBones:
-        return virtual_bones(self.store(store), config.bones, progress=self.progress)
+    def bones(self, store: str, config: Config, start: Checkpoint | None = None) -> VirtualBones:
+        subject = None if start is None else start.subject
+        return virtual_bones(
+            self.store(store), config.bones, subject=subject, progress=self.progress
+        )
 
     def network(
         self, store: str, label: str, config: Config, start: Checkpoint | None = None
@@ -136,15 +139,10 @@ class Reproduction:
         """A trained network; it is only read if its training is finished."""
         folder = self.folder / store / label
         if not (folder / "history.json").is_file():
+            clips, done = self.store(store), self.epoch(label)
             self.timed(
                 f"{store}/{label}",
-                lambda: train(
-                    self.store(store),
-                    config,
-                    folder,
-                    start=start,
-                    progress=self.epoch(label),
-                ),
+                lambda: train(clips, config, folder, start=start, progress=done),
             )
         return load_checkpoint(folder / "checkpoint.safetensors")
 
@@ -167,15 +165,17 @@ class Reproduction:
         config: Config,
         methods: Iterable[Callable[[], Method]],
         test: Sequence[str] | None = None,
+        start: Checkpoint | None = None,
     ) -> dict[str, Any]:
         """Scores of methods on the test dances or named clips, with ratios to the first method.
 
-        The last rows are the mean shape, the bones themselves and, where clips have a repetition
-        from a perturbed first frame, the chaos of the cloth in these.
+        Bones are those of `start` or, without it, of the configuration.  The last rows are the mean
+        shape, the bones themselves and, where clips have a repetition from a perturbed first frame,
+        the chaos of the cloth in these.
         """
         file = self.folder / store / f"{key}.json"
         if not file.is_file():
-            bones = self.bones(store, config)
+            bones = self.bones(store, config, start)
             test = self.clips(store, config)[2] if test is None else test
             clips = bones.store
             learned = choose_clips(clips, config, "train", _base(clips))[0]
@@ -406,16 +406,17 @@ def _left_out(run: Reproduction, name: str, recorded: str, test: list[str]) -> d
 
 def _shipped(run: Reproduction) -> str:
     """The dress that ships learns on; in half precision the result lies beside its training."""
-    store, config = run.store("live"), run.config("rooted", *_SHIPPED)
+    store, start = run.store("live"), load_checkpoint("dress")
+    config = run.config("rooted", *_SHIPPED)
     file = run.folder / "live" / "dress.safetensors"
     test = [c.name for c in store.clips("test", _base(store)) if c.motion.startswith(_TESTED)]
 
     def dress() -> Method:
-        trained = run.network("live", "dress", config, load_checkpoint("dress"))
+        trained = run.network("live", "dress", config, start)
         save_checkpoint(trained, file, half=True)
         return Network("the dress", load_checkpoint(file))
 
-    return _text(run.scores("live", "scores", config, [dress], test), "overall") + "\n"
+    return _text(run.scores("live", "scores", config, [dress], test, start), "overall") + "\n"
 
 
 TABLES: dict[str, Callable[[Reproduction], str]] = {
