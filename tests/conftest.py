@@ -24,6 +24,11 @@ if importlib.util.find_spec("torch"):
 pytest.register_assert_rewrite("helpers.measures", "helpers.stretches", "helpers.surfaces")
 
 
+def pytest_report_header() -> str:
+    """What is left out without a line for each test."""
+    return f"not installed, so not collected: {', '.join(collect_ignore)}" if collect_ignore else ""
+
+
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
     """Folder of real animations; tests that need it are skipped where it is absent."""
