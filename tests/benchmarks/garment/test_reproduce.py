@@ -101,7 +101,7 @@ def test_every_recording_is_left_out(run, toy_store, toy_run, monkeypatch):
     monkeypatch.setattr(reproduce, "group_of", lambda clip: RECORDED)
     monkeypatch.setattr(reproduce, "_TUNED", ("train.high_epochs=0",))
     # Widths of the network that stands for the one that ships.
-    run.settings += ("low.hidden=64", "train.epochs=1", "train.high_epochs=1")
+    run.settings += ("low.hidden=64", "train.epochs=1", "train.high_epochs=1", "data.frames=100")
     load = reproduce.load_checkpoint
     shipped = toy_run / "checkpoint.safetensors"
     monkeypatch.setattr(

@@ -165,6 +165,8 @@ def test_the_solver_answers_with_a_file_and_the_skin(
         assert skin["weights"].shape == skin["indices"].shape == (12, model.n_influences)
         upright = ssdr.io.in_space(model, ssdr.Space(up="z"))
         np.testing.assert_allclose(skin["rest"], upright.rest, atol=1e-6)
+    if joints is not None:
+        return
     asked["options"]["influences"] = 0
     (tmp_path / "asked.json").write_text(json.dumps(asked))
     wrong = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
