@@ -45,9 +45,7 @@ def test_plain_alternation_is_beaten() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "options",
-    [{}, {"smoothness": 0.1, "effort": "fast"}, {"rig": "rigid", "effort": "fast"}],
-    ids=str,
+    "options", [{}, {"smoothness": 0.1, "effort": "fast"}, {"rig": "rigid"}], ids=str
 )
 def test_history_is_what_a_run_stopped_there_gives(options: dict[str, Any]) -> None:
     """A run that is stopped at a record returns a model of that record's error.

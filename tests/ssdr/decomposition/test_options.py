@@ -114,13 +114,14 @@ def test_a_frame_that_hardly_counts_is_skinned_all_the_same(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [motions.wings, motions.cloth])
-def test_smoothness_finds_what_is_better_with_it(make: Callable[[], Any]) -> None:
+@pytest.mark.parametrize("share", [3e-3, 1e-2])
+def test_smoothness_finds_what_is_better_with_it(make: Callable[[], Any], share: float) -> None:
     """Lower by its own measure than what is found without, or nearly so; and smoother weights.
 
     Both are sums over two seeds, each of which leads to a minimum of its own.
     """
     shots, faces = make()
-    length = 1e-2 * float(np.linalg.norm(np.ptp(shots[0], axis=0)))
+    length = share * float(np.linalg.norm(np.ptp(shots[0], axis=0)))
 
     def measured(smoothness: float) -> np.ndarray:
         bare = {"rest_pose": "free", "normals": False}  # what the penalty alone does
@@ -135,7 +136,8 @@ def test_smoothness_finds_what_is_better_with_it(make: Callable[[], Any]) -> Non
 
     without, with_it = measured(0.0), measured(length)
     assert with_it[0] <= 1.2 * without[0]
-    assert with_it[1] < 1.2 * without[1]
+    if share == 1e-2:  # below that it is the error that decides
+        assert with_it[1] < 1.2 * without[1]
 
 
 def test_a_callback_that_writes_to_the_parts_changes_nothing() -> None:

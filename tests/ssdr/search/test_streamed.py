@@ -42,7 +42,7 @@ def test_the_error_is_that_of_all_frames_and_near_the_one_in_memory(
 
 def test_a_skeleton_is_found_again_and_every_frame_hangs_on_its_joints() -> None:
     made = trees.skeleton(6, 120, seed=3)
-    result = ssdr.decompose(made.frames, bones=6, influences=2, rig="rigid", effort="fast")
+    result = ssdr.decompose(made.frames, bones=6, influences=2, rig="rigid")
     model, size = result.skinning, diagonal(made.frames)
     assert {record.phase for record in result.history} == {"all frames"}
     assert result.rmse < 1e-4 * size
@@ -98,7 +98,7 @@ def test_fixed_parts_stay() -> None:
 
 def test_evenly_spread_frames_pay(monkeypatch: pytest.MonkeyPatch) -> None:
     """On most seeds, where weights are smooth; else the walk over all frames makes up for it."""
-    frames, seeds = motions.rippled(), range(4)
+    frames, seeds = motions.rippled(), range(6)
 
     def errors() -> np.ndarray:
         runs = [ssdr.decompose(frames, FACES, rng=s, bones=5, smoothness=0.01) for s in seeds]
@@ -106,7 +106,7 @@ def test_evenly_spread_frames_pay(monkeypatch: pytest.MonkeyPatch) -> None:
 
     spread = errors()
     monkeypatch.setattr(scan, "_MOST_SPREAD", 40)
-    assert (spread < errors()).sum() >= 3
+    assert (spread < errors()).sum() >= 4
 
 
 def test_progress_and_cancel() -> None:

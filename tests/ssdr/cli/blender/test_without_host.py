@@ -136,13 +136,8 @@ def test_esc_ends_the_operator_and_its_steps_and_nothing_else_does(clerk: Any) -
 JOINTS = {"names": ["hips", "head"], "parents": [-1, 0], "positions": [[0, 0, 0], [1, 0, 0.0]]}
 
 
-@pytest.mark.parametrize(
-    ("options", "joints"),
-    [({"bones": 2}, None), ({"tolerance": "50%", "measure": "max"}, None), ({}, JOINTS)],
-)
-def test_the_solver_answers_with_a_file_and_the_skin(
-    tmp_path: Path, wave: Any, options: Any, joints: Any
-) -> None:
+def run_solver(folder: Path, wave: Any, joints: Any = None, **options: Any) -> Any:
+    """The solver's process, which has been asked for a model of the wave."""
     asked = {
         "name": "sheet",
         "fps": 25,
@@ -150,10 +145,23 @@ def test_the_solver_answers_with_a_file_and_the_skin(
         "joints": joints,
         "options": {"effort": "fast", "influences": 2, **options},
     }
-    (tmp_path / "asked.json").write_text(json.dumps(asked))
-    np.savez(tmp_path / "frames.npz", vertices=wave.vertices, faces=wave.faces)
-    words = [sys.executable, str(ADDONS / "blender" / "run_solver.py"), str(tmp_path)]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
+    (folder / "asked.json").write_text(json.dumps(asked))
+    np.savez(folder / "frames.npz", vertices=wave.vertices, faces=wave.faces)
+    words = [sys.executable, str(ADDONS / "blender" / "run_solver.py"), str(folder)]
+    return subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
+
+
+ASKED = pytest.mark.parametrize(
+    ("options", "joints"),
+    [({"bones": 2}, None), ({"tolerance": "50%", "measure": "max"}, None), ({}, JOINTS)],
+)
+
+
+@ASKED
+def test_the_solver_answers_with_a_file_and_the_skin(
+    tmp_path: Path, wave: Any, options: Any, joints: Any
+) -> None:
+    done = run_solver(tmp_path, wave, joints, **options)
     assert done.returncode == 0, done.stderr
     assert float(done.stderr.splitlines()[0].split()[0]) <= 1
     said = json.loads(done.stdout)
@@ -165,10 +173,12 @@ def test_the_solver_answers_with_a_file_and_the_skin(
         assert skin["weights"].shape == skin["indices"].shape == (12, model.n_influences)
         upright = ssdr.io.in_space(model, ssdr.Space(up="z"))
         np.testing.assert_allclose(skin["rest"], upright.rest, atol=1e-6)
-    if joints is not None:
-        return
-    asked["options"]["influences"] = 0
-    (tmp_path / "asked.json").write_text(json.dumps(asked))
-    wrong = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
+
+
+@ASKED
+def test_what_it_cannot_do_is_its_last_line(
+    tmp_path: Path, wave: Any, options: Any, joints: Any
+) -> None:
+    wrong = run_solver(tmp_path, wave, joints, **options, influences=0)
     assert wrong.returncode == 1
     assert wrong.stderr.splitlines()[-1].startswith("influences: expected")
