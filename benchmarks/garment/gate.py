@@ -42,17 +42,14 @@ def spoil(kind: str, v: Array, joints: Array, garment: Garment, rng: np.random.G
     """Vertices of a clip of which a patch is caught or pressed into the body, or that come late."""
     b, out = BODY.skinning, v.copy()
     posed = np.asarray(skin(b.rest, b.indices, b.weights, joints), np.float32)
-    way = [
-        q[np.argmin(((p[:, None] - q) ** 2).sum(-1), axis=1)] - p
-        for p, q in zip(v, posed, strict=True)
-    ]
+    pairs = zip(v, posed, strict=True)
+    way = [q[np.argmin(((p[:, None] - q) ** 2).sum(-1), axis=1)] - p for p, q in pairs]
     gap = np.linalg.norm(way, axis=2)
     middle = rng.choice(np.flatnonzero(~garment.pinned & (gap[START] < 0.05)))
     far = np.linalg.norm(v[START] - v[START, middle], axis=1)
     if kind == "caught":  # it stays where it is, and the cloth around it nearly
-        out[START:] += (np.exp(-((far / 0.08) ** 2)) * ~garment.pinned)[:, None] * (
-            v[START] - v[START:]
-        )
+        held = np.exp(-((far / 0.08) ** 2)) * ~garment.pinned
+        out[START:] += held[:, None] * (v[START] - v[START:])
     elif kind == "pressed":  # 2 cm beyond the nearest vertex of the skin, for a second and a half
         hit, when = np.flatnonzero((far < 0.12) & ~garment.pinned), slice(START, START + 45)
         to = np.asarray(way)[when, hit] * (1 + 0.02 / gap[when, hit])[..., None]
@@ -97,9 +94,8 @@ def main() -> None:
         clips = [r for r in rows if r["kind"] == kind]
         why = Counter(x.split()[0] for r in clips for x in r["reason"].split("; ") if x)
         count = sum(not r["accepted"] for r in clips)
-        table.append(
-            [kind, str(len(clips)), str(count), ", ".join(f"{k} {n}" for k, n in why.items())]
-        )
+        reasons = ", ".join(f"{k} {n}" for k, n in why.items())
+        table.append([kind, str(len(clips)), str(count), reasons])
     print(markdown(["clips", "made", "refused", "because of"], table))
 
 

@@ -8,6 +8,7 @@ two hundred numbers instead of 3 V.  This changes the time of training, but no e
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -223,29 +224,20 @@ def train_regression(
     space = Unposed(bones) if variant.unposed else None
     tracks, held = (load_tracks(reader, bones, n) for n in (names, validation))
     nets: dict[Part, tuple[nn.Module, ShapeBasis]] = {}
+    o = config.train
+    learn = functools.partial(fit, options=o, folder=folder, progress=progress)
     for part in variant.parts:
         target = _Target(bones, reader, space, part)
         basis = target.basis(names)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.train.seed)
             net = _Scaled(variant.network(reader.size, config.low.hidden, basis.rank), basis)
+        coded, others = ([target.track(t, basis) for t in some] for some in (tracks, held))
+        size, width, share = bones.store.n_vertices, config.low.hidden, config.low.dropout
         objective = CoefficientObjective(
-            net,
-            bones.store.n_vertices,
-            hidden=config.low.hidden,
-            dropout=config.low.dropout,
-            tracks=[target.track(t, basis) for t in tracks],
-            validation=[target.track(t, basis) for t in held],
+            net, size, hidden=width, dropout=share, tracks=coded, validation=others
         )
-        fit(
-            objective,
-            config.train,
-            name=part,
-            epochs=config.train.epochs,
-            learning_rate=config.train.learning_rate,
-            folder=folder,
-            progress=progress,
-        )
+        learn(objective, name=part, epochs=o.epochs, learning_rate=o.learning_rate)
         nets[part] = net, basis
     return Regression(variant.name, reader, space, nets)
 
@@ -262,9 +254,8 @@ class _Target:
     def basis(self, names: Sequence[str]) -> ShapeBasis:
         plain = [n for n in names if not n.endswith(MIRRORED)]
         clips = self.bones.store.sample(plain, _FRAMES)
-        return ShapeBasis.fit(
-            np.concatenate([self._local(c.name, some) for c, some in clips]), _RANK
-        )
+        local = np.concatenate([self._local(c.name, some) for c, some in clips])
+        return ShapeBasis.fit(local, _RANK)
 
     def track(self, track: Track, basis: ShapeBasis) -> Track:
         rows: list[NDArray[np.float32]] = []

@@ -13,49 +13,40 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import os
 import sys
-import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 
-from benchmarks.garment.intervals import interval_cell, intervals
+from benchmarks.garment.intervals import interval_cell
 from benchmarks.garment.published import BASELINES, SANTESTEBAN, train_chen
-from benchmarks.garment.regression import Variant, train_regression
+from benchmarks.garment.reproduction import Reproduction, base_parameters, dances_for_testing
 from benchmarks.garment.rules import Rule, Ruled, inverse_distance, nearest
 from benchmarks.garment.scenes.dataset import make_data_set, recorded_motions
 from benchmarks.garment.scenes.scene_file import load_data_set
 from garmentnet.cli.progress import progress_bar
-from garmentnet.configs.config import Config, load_config, override
-from garmentnet.data.parameters import SimulationParameters
-from garmentnet.data.store import ClipStore
-from garmentnet.evaluation.baselines import BodySkinned, MeanShape
-from garmentnet.evaluation.methods import BonesThemselves, Chaos, Method, Network
+from garmentnet.configs.config import override
+from garmentnet.evaluation.baselines import BodySkinned
+from garmentnet.evaluation.methods import Chaos, Method, Network
 from garmentnet.evaluation.reporting import RECORDED, group_of
-from garmentnet.evaluation.scores import PARTS, evaluate
+from garmentnet.evaluation.scores import PARTS
 from garmentnet.evaluation.tables import markdown
-from garmentnet.io.files import Progress, silent
-from garmentnet.networks.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from garmentnet.paper.bones import VirtualBones, parameter_roles, virtual_bones
-from garmentnet.paper.train import choose_clips, train, train_ensemble, with_mirrored
+from garmentnet.networks.checkpoint import load_checkpoint, save_checkpoint
+from garmentnet.paper.bones import parameter_roles
+from garmentnet.paper.train import train_ensemble
 from garmentnet.training.batches import load_tracks
 from ssdr.common.errors import InputError
 from ssdr.io.atomic import write_bytes
 
-# A few dances are enough to find the bones, so that these stay the same while a data set grows.
-_FEW = "bones.motions=dance-20[01]*"
 _DRESSES = ("dress", "gown", "a_line")
 _TIGHT = ("t_shirt", "skirt", "trousers")
 # Sleeves follow the arms, which `rooted` does not read.
 _SLEEVES = {"gown": ("features.joints=[]",), "t_shirt": ("features.joints=[]",)}
 _BONES, _MANY = (20, 40, 80, 150, 250, 500), 200
-# Beginning of the names of the motions on which methods are tested.
-_TESTED = "dance-"
 # Equal data for all methods of a table: the paper's 40,000 frames.
 _EQUAL = "data.frames=40000"
 # Few recordings: a short training from the weights of a network that has seen none of them.
@@ -67,180 +58,6 @@ _SHIPPED = (
     "train.learning_rate=5e-4", "train.high_learning_rate=5e-4",
     "train.epochs=8", "train.high_epochs=2",
 )  # fmt: skip
-
-
-class Reproduction:
-    """Reproduction of the paper's tables, with data sets, trainings and results in two folders.
-
-    Parameters
-    ----------
-    data : path
-        Folder of the stores ``<preset>.clips``, in which missing clips are simulated.
-    folder : path
-        Folder for trainings, tables and ``hours.json``.
-    simulate : callable, optional
-        Makes the store of a preset, from its name and path.
-    settings : sequence of str
-        Changes of every configuration, such as ``train.epochs=2``.
-    progress : callable, optional
-        Called with a description and the fraction that is done.
-    """
-
-    def __init__(
-        self,
-        data: Path | str,
-        folder: Path | str,
-        *,
-        simulate: Callable[[str, Path], Any] | None = None,
-        settings: Sequence[str] = (),
-        progress: Progress = silent,
-    ) -> None:
-        self.simulate = simulate or (lambda name, path: None)
-        self.data, self.folder = Path(data), Path(folder)
-        self.settings, self.progress = tuple(settings), progress
-        self._stores: dict[str, ClipStore] = {}
-        self.folder.mkdir(parents=True, exist_ok=True)
-
-    def table(self, name: str) -> str:
-        """A table as Markdown, after the trainings and evaluations that are still missing.
-
-        Raises
-        ------
-        InputError
-            If there is no such table.
-        """
-        if name not in TABLES:
-            raise InputError("only", f"of {', '.join(TABLES)}", repr(name))
-        file = self.folder / f"{name}.md"
-        if not file.is_file():
-            write_bytes(file, TABLES[name](self).encode())
-        return file.read_text("utf-8")
-
-    def store(self, name: str) -> ClipStore:
-        """The store of a preset; clips that it lacks are simulated first."""
-        if name not in self._stores:
-            path = self.data / f"{name}.clips"
-            self.timed(f"{name}/simulation", lambda: self.simulate(name, path))
-            self._stores[name] = ClipStore.open(path)
-        return self._stores[name]
-
-    def config(self, preset: str, *changes: str) -> Config:
-        return override(load_config(preset), [_FEW, *changes, *self.settings])
-
-    def bones(self, store: str, config: Config, start: Checkpoint | None = None) -> VirtualBones:
-        subject = None if start is None else start.subject
-        return virtual_bones(
-            self.store(store), config.bones, subject=subject, progress=self.progress
-        )
-
-    def network(
-        self, store: str, label: str, config: Config, start: Checkpoint | None = None
-    ) -> Checkpoint:
-        """A trained network; it is only read if its training is finished."""
-        folder = self.folder / store / label
-        if not (folder / "history.json").is_file():
-            clips, done = self.store(store), self.epoch(label)
-            self.timed(
-                f"{store}/{label}",
-                lambda: train(clips, config, folder, start=start, progress=done),
-            )
-        return load_checkpoint(folder / "checkpoint.safetensors")
-
-    def method(self, store: str, name: str, config: Config) -> Callable[[], Method]:
-        """Function that returns a network as a method, and trains it first if necessary."""
-        return lambda: Network(name, self.network(store, name, config))
-
-    def clips(self, store: str, config: Config) -> tuple[list[str], list[str], list[str]]:
-        """Names of the clips for training, with mirrored ones, for validation and for testing."""
-        clips = self.store(store)
-        names, base = choose_clips(clips, config)
-        held, _ = choose_clips(clips, config, "validation")
-        test = [n for n in clips.names("test", base) if clips.clip(n).motion.startswith(_TESTED)]
-        return with_mirrored(clips, config, names), held, test
-
-    def scores(
-        self,
-        store: str,
-        key: str,
-        config: Config,
-        methods: Iterable[Callable[[], Method]],
-        test: Sequence[str] | None = None,
-        start: Checkpoint | None = None,
-    ) -> dict[str, Any]:
-        """Scores of methods on the test dances or named clips, with ratios to the first method.
-
-        Bones are those of `start` or, without it, of the configuration.  The last rows are the mean
-        shape, the bones themselves and, where clips have a repetition from a perturbed first frame,
-        the chaos of the cloth in these.
-        """
-        file = self.folder / store / f"{key}.json"
-        if not file.is_file():
-            bones = self.bones(store, config, start)
-            test = self.clips(store, config)[2] if test is None else test
-            clips = bones.store
-            learned = choose_clips(clips, config, "train", _base(clips))[0]
-            plain = MeanShape(bones, learned), BonesThemselves(bones)
-            made, chaos = [*(make() for make in methods), *plain], Chaos(clips)
-            rows = evaluate(bones, made, test, progress=self.progress)
-            record = {"rows": rows, "ratios": intervals(rows, rows[0].name)}
-            if twins := [n for n in test if n in chaos.twins]:
-                record["rows"] += evaluate(bones, [chaos], twins, progress=self.progress)
-            pooled = (dataclasses.replace(r, clips=()) for r in record["rows"])
-            record["rows"] = [dataclasses.asdict(r) for r in pooled]
-            file.parent.mkdir(parents=True, exist_ok=True)
-            write_bytes(file, json.dumps(record, indent=1).encode())
-        return dict(json.loads(file.read_text("utf-8")))
-
-    def baselines(
-        self,
-        store: str,
-        config: Config,
-        variants: Sequence[Variant] = BASELINES,
-        suffix: str = "",
-    ) -> list[Callable[[], Method]]:
-        """Functions that return the published baselines, and train them first if necessary."""
-        learned, held, _ = self.clips(store, config)
-
-        def made(variant: Variant) -> Callable[[], Method]:
-            label = variant.name.lower().replace(", ", "-").replace(" ", "-") + suffix
-            folder = self.folder / store / label
-            return lambda: self.timed(
-                f"{store}/{label}",
-                lambda: train_regression(
-                    variant,
-                    self.bones(store, config),
-                    config,
-                    learned,
-                    held,
-                    folder,
-                    progress=self.epoch(variant.name),
-                ),
-            )
-
-        return [made(v) for v in variants]
-
-    def epoch(self, label: str) -> Progress:
-        """Progress of one training among several."""
-        return lambda text, fraction: self.progress(f"{label}: {text}", fraction)
-
-    def timed(self, name: str, work: Callable[[], Any]) -> Any:
-        """Call `work`, add its time to ``hours.json``, and return its result."""
-        began, cpu = time.perf_counter(), time.process_time()
-        try:
-            return work()
-        finally:
-            file = self.folder / "hours.json"
-            hours = json.loads(file.read_text("utf-8")) if file.is_file() else {}
-            wall, used = hours.get(name, (0.0, 0.0))
-            wall += (time.perf_counter() - began) / 3600
-            used += (time.process_time() - cpu) / 3600
-            write_bytes(file, json.dumps(hours | {name: (wall, used)}, indent=1).encode())
-
-
-def _base(store: ClipStore) -> SimulationParameters | None:
-    """The base parameters of a data set."""
-    clips, key = store.clips(), "parameter_set"
-    return next((c.parameters for c in clips if c.provenance.get(key) == "base"), None)
 
 
 def _text(record: dict[str, Any], part: str) -> str:
@@ -339,8 +156,7 @@ def _table4(run: Reproduction) -> str:
         run.method("parameters", "large network", large),
         run.method("parameters", "large network, steps of a pivot", short),
     ]
-    tests = [c for c in store.clips("test") if c.motion.startswith(_TESTED)]
-    unseen = [c.name for c in tests if roles[c.parameters] == "test"]
+    unseen = [c.name for c in dances_for_testing(store) if roles[c.parameters] == "test"]
     record = run.scores("parameters", "table4", config, methods, unseen)
     parts = (_text(record, part) for part in ("low", "high", "overall"))
     return "## unseen parameters\n\n" + "\n\n".join(parts) + "\n"
@@ -409,14 +225,15 @@ def _shipped(run: Reproduction) -> str:
     store, start = run.store("live"), load_checkpoint("dress")
     config = run.config("rooted", *_SHIPPED)
     file = run.folder / "live" / "dress.safetensors"
-    test = [c.name for c in store.clips("test", _base(store)) if c.motion.startswith(_TESTED)]
+    test = [c.name for c in dances_for_testing(store, base_parameters(store))]
 
     def dress() -> Method:
         trained = run.network("live", "dress", config, start)
         save_checkpoint(trained, file, half=True)
         return Network("the dress", load_checkpoint(file))
 
-    return _text(run.scores("live", "scores", config, [dress], test, start), "overall") + "\n"
+    record = run.scores("live", "scores", config, [dress], test, start.subject)
+    return _text(record, "overall") + "\n"
 
 
 TABLES: dict[str, Callable[[Reproduction], str]] = {
@@ -427,6 +244,22 @@ TABLES: dict[str, Callable[[Reproduction], str]] = {
     "capture": _capture,
     "shipped": _shipped,
 }
+
+
+def table(run: Reproduction, name: str) -> str:
+    """A table as Markdown, after the trainings and evaluations that are still missing.
+
+    Raises
+    ------
+    InputError
+        If there is no such table.
+    """
+    if name not in TABLES:
+        raise InputError("only", f"of {', '.join(TABLES)}", repr(name))
+    file = run.folder / f"{name}.md"
+    if not file.is_file():
+        write_bytes(file, TABLES[name](run).encode())
+    return file.read_text("utf-8")
 
 
 def main() -> None:
@@ -449,7 +282,7 @@ def main() -> None:
             given.data, given.output, simulate=simulate, settings=given.set, progress=show
         )
         wanted = given.only or [name for name in TABLES if name != "shipped"]
-        found = [f"# {name}\n\n{run.table(name)}" for name in wanted]
+        found = [f"# {name}\n\n{table(run, name)}" for name in wanted]
     print("\n\n".join(found))
 
 

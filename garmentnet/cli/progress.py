@@ -1,4 +1,4 @@
-"""Progress of a command on stderr: the progress bar of ``ssdr`` on a terminal, else lines."""
+"""Progress of a command on standard error: a bar on a terminal, lines of text elsewhere."""
 
 from __future__ import annotations
 

@@ -270,7 +270,7 @@ class ClipStore(Outfit):
         return tuple(named)
 
     def refused(self) -> str:
-        """Text that names the clips that the quality gate refused, and why; empty without any."""
+        """Sentence on how many clips the quality gate refused, which and why; empty without any."""
         every = list(self.clips(accepted=None, perturbed=None))
         found = [f"{c.name} ({c.quality.get('reason')})" for c in every if not c.accepted]
         text = (

@@ -1,4 +1,4 @@
-"""Methods to evaluate: their interface, networks, and two bounds, fitted bones and chaos."""
+"""Methods that are evaluated: their interface, networks, and two bounds of their errors."""
 
 from __future__ import annotations
 

@@ -188,7 +188,7 @@ def _check_mesh(argument: str, mesh: MeshSequence, faces: NDArray[np.int32], cou
 def _rest_of(
     path: Path, cloth: MeshSequence, rig: MovingBody, o: ImportOptions, say: Say
 ) -> NDArray[Any]:
-    """The garment as it was cut, from its file."""
+    """Rest pose of the garment from its file, checked against the cloth and the body."""
     mesh = read_cloth(path, o.cloth, None, say)
     _check_mesh("rest", mesh, cloth.faces, cloth.n_vertices)
     bind = np.tile(np.eye(3, 4), (1, rig.joints.shape[1], 1, 1))
@@ -256,7 +256,7 @@ def _parts(name: str, count: int, o: ImportOptions) -> list[tuple[str, Split, sl
 def _pins(
     store: ClipStore, name: str, vertices: NDArray[Any], joints: NDArray[Any], say: Say
 ) -> BodyBound | None:
-    """Vertices that the body carries, in a store's other clips and in this one.
+    """Pins of a clip: vertices that the body carries in it and in the store's other clips.
 
     Their weights are those of all these frames: the other clips may leave open between which joints
     a vertex hangs.  Of what the body carried in a single clip some may have been still by chance;

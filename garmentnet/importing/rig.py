@@ -56,7 +56,7 @@ class MovingBody:
         return float((np.cross(b - a, c - a) * away).sum()) < 0
 
     def check_cloth(self, vertices: NDArray[np.floating], argument: str = "cloth") -> None:
-        """Check that a cloth ``(F, V, 3)`` lies on the body and has a size that it can wear.
+        """Check that a cloth ``(F, V, 3)`` lies on the body and is of a size that fits it.
 
         Raises
         ------

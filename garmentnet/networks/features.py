@@ -1,4 +1,4 @@
-"""Pose features M_b, a network's input, and the moving frame of its output (paper, section 4.2).
+"""Body motion M_b as a network reads it (paper, section 4.2), and the frame of its output.
 
 Features depend only on past frames, through a state that each call returns for the next.  So a
 motion has the same features whether it is read at once, in parts or frame by frame.

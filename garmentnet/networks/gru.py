@@ -1,4 +1,4 @@
-"""A GRU followed by a linear layer: the low-frequency module, and detail by components."""
+"""A GRU and a linear layer, on which the low-frequency module and `DetailBasis` are built."""
 
 from __future__ import annotations
 

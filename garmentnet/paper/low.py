@@ -47,9 +47,8 @@ REACH = 0.1
 class BoneCode(nn.Module):
     """Transforms of the bones as normalised numbers, and back.
 
-    A bone rotates about its centre c: v = R (p − c) + t, where t is the
-    posed centre, R c + T in terms of the paper.  With any other centre its translation
-    would depend on its rotation.
+    A bone rotates about its centre c: v = R (p − c) + t, where t is the posed centre, R c + T in
+    terms of the paper.  With any other centre its translation would depend on its rotation.
 
     Bones of a garment that lies close follow the body: the numbers are then those of N in M = J N,
     with J the transform of the joint that each bone follows best: its motion relative to it.

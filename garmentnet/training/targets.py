@@ -7,7 +7,6 @@ their coefficients take 400 bytes a frame.
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from torch import Tensor
 
 from ..data.clip import MIRRORED
 from ..io.files import kept
+from ..io.tensors import digest
 from ..networks.features import PoseFeatures
 from ..paper.bones import VirtualBones, remove_frame
 from .batches import Track
@@ -52,8 +52,7 @@ class LowTargets:
 
     def __init__(self, bones: VirtualBones, features: PoseFeatures, names: list[str]) -> None:
         self.bones, self.features = bones, features
-        key = hashlib.sha256("\n".join(names).encode()).hexdigest()[:8]
-        self._folder = f"low-{features.options.frame}-{key}"
+        self._folder = f"low-{features.options.frame}-{digest({}, {'clips': names})[:8]}"
         store, n = bones.store, bones.store.n_vertices
         self.free = bones.subject.free
         laplacian = mesh_laplacian(store.faces, n)

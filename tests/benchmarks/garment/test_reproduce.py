@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from benchmarks.garment import reproduce
+from benchmarks.garment import reproduce, reproduction
 from benchmarks.garment.published import BASELINES
-from benchmarks.garment.reproduce import Reproduction
+from benchmarks.garment.reproduction import Reproduction
 from garmentnet.evaluation.reporting import RECORDED
 from garmentnet.networks.checkpoint import load_checkpoint
 from garmentnet.paper.bones import parameter_roles
@@ -36,12 +36,12 @@ def run(toy_store, tmp_path, monkeypatch):
     monkeypatch.setattr(reproduce, "_TIGHT", ("large",))
     monkeypatch.setattr(reproduce, "_EQUAL", "data.frames=200")
     monkeypatch.setattr(reproduce, "_BONES", (2, 10))
-    monkeypatch.setattr(reproduce, "_TESTED", "")
+    monkeypatch.setattr(reproduction, "_TESTED", "")
     return Reproduction(tmp_path, tmp_path / "out", settings=(*SETTINGS, "bones.count=8"))
 
 
 def test_table_2_has_every_method(run, monkeypatch):
-    text = run.table("table2")
+    text = reproduce.table(run, "table2")
     for name in (
         "rooted",
         "faithful",
@@ -54,20 +54,20 @@ def test_table_2_has_every_method(run, monkeypatch):
     assert all(f"| {v.name}" in text for v in BASELINES)
     hours = json.loads((run.folder / "hours.json").read_text("utf-8"))
     assert "large/tailornet" in hours
-    monkeypatch.setattr(reproduce, "train", None)  # nothing is trained again
+    monkeypatch.setattr(reproduction, "train", None)  # nothing is trained again
     (run.folder / "table2.md").unlink()
-    assert run.table("table2") == text
+    assert reproduce.table(run, "table2") == text
 
 
 def test_more_bones_are_nearer(run):
     run.settings = SETTINGS
-    rows = [line.split("|") for line in run.table("bones").splitlines()[2:]]
+    rows = [line.split("|") for line in reproduce.table(run, "bones").splitlines()[2:]]
     errors = [float(r[5]) for r in rows[:2]]
     assert errors[1] < errors[0]  # more bones, nearer
 
 
 def test_table_4_scores_every_rule_on_the_same_clips(run):
-    text = run.table("table4")
+    text = reproduce.table(run, "table4")
     record = json.loads((run.folder / "parameters" / "table4.json").read_text("utf-8"))
     pivots = ["pivots, RBF", "pivots, inverse distance", "pivots, nearest"]
     large = ["large network", "large network, steps of a pivot"]
@@ -93,7 +93,7 @@ def test_table_4_scores_every_rule_on_the_same_clips(run):
 
 def test_an_unknown_table(run):
     with pytest.raises(InputError, match=r"only.*capture.*table9"):
-        run.table("table9")
+        reproduce.table(run, "table9")
 
 
 def test_every_recording_is_left_out(run, toy_store, toy_run, monkeypatch):
@@ -107,7 +107,7 @@ def test_every_recording_is_left_out(run, toy_store, toy_run, monkeypatch):
     monkeypatch.setattr(
         reproduce, "load_checkpoint", lambda p: load(shipped if p == "dress" else p)
     )
-    head, _, *rows = run.table("capture").splitlines()
+    head, _, *rows = reproduce.table(run, "capture").splitlines()
     # "test-0" and "test-1" are of one recording, as are "dance_00" and "dance_01".
     assert head.replace("|", " ").split()[-4:] == ["tes", "trai", "validatio", "mean"]
     names = [r.split("|")[1].split()[0] for r in rows]

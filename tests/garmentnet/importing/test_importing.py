@@ -19,81 +19,11 @@ from garmentnet.data.parameters import SimulationParameters
 from garmentnet.data.store import ClipStore
 from garmentnet.importing.importing import ImportOptions, import_clips
 from garmentnet.importing.scene_files import Source
-from helpers.cloth_scenes import tube
+from helpers.walking_rig import FPS, FRAMES, JOINTS, NAMES, PARENTS, cloth, motion, rig
 from ssdr import MeshSequence, Skinning
-from ssdr.common.errors import InputError, SsdrError
+from ssdr.common.errors import InputError
 
-FRAMES, FPS = 60, 30.0
 SPLITS = ("train", "validation", "test")
-NAMES, PARENTS = ("hips", "leg_l", "leg_r"), [-1, 0, 0]
-JOINTS = np.array([[0, 1.0, 0], [0.1, 0.9, 0], [-0.1, 0.9, 0]])
-CORNERS = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1.0]])
-SIDES = [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]]
-
-
-def motion(frames=FRAMES, fps=FPS, seed=0):
-    """Transforms (F, 3, 3, 4) of hips that turn and walk and legs that swing; first at rest."""
-    t = np.arange(frames)[:, None] / fps
-    phase = np.random.default_rng(seed).uniform(0, 3, 3)
-    angle = 0.8 * (np.sin(3 * t + phase) - np.sin(phase)) * [1, 0.15, 0.15]
-    turn = Rotation.from_euler("y", angle[:, [0]]).as_matrix()
-    hips = np.concatenate([turn, (JOINTS[0] - turn @ JOINTS[0])[..., None]], axis=-1)
-    hips[:, :, 3] += np.sin(2 * t) * [0.5, 0, 0.3]
-    out = [hips]
-    for k in (1, 2):
-        swing = turn @ Rotation.from_euler("x", angle[:, [k]]).as_matrix()
-        at = turn @ JOINTS[k] + hips[..., 3]
-        out.append(np.concatenate([swing, (at - swing @ JOINTS[k])[..., None]], axis=-1))
-    return np.stack(out, axis=1)
-
-
-def rig(moved=None, **changes):
-    """An octahedron around every joint."""
-    rest = np.concatenate([j + [0, -0.2, 0] + CORNERS * [0.08, 0.25, 0.08] for j in JOINTS])
-    faces = np.concatenate([np.array(SIDES) + 6 * k for k in range(3)])
-    fields = {
-        "faces": faces,
-        "fps": FPS,
-        "bone_names": NAMES,
-        "parents": PARENTS,
-        "joint_positions": JOINTS,
-        "name": "body",
-    }
-    index = np.repeat(np.arange(3), 6)[:, None]
-    moved = motion() if moved is None else moved
-    return Skinning(rest, index, np.ones((18, 1)), moved, **(fields | changes))
-
-
-def cloth(moved=None, seed=0):
-    """A tube whose upper ring the hips carry and whose lower rings wave."""
-    down = np.repeat(np.arange(5), 10)[:, None]
-    rest, faces = tube(1 - 0.12 * np.arange(5), 0.15 + 0.03 * np.arange(5))
-    m = motion() if moved is None else moved
-    t = np.arange(len(m))[:, None, None] / FPS
-    turn = np.arctan2(rest[:, 2:], rest[:, :1])
-    wave = 0.01 * down * np.sin(5 * t + seed + turn) * [1, 0, 1]
-    wave -= wave[:1]
-    v = (rest + wave) @ m[:, 0, :, :3].swapaxes(1, 2) + m[:, None, 0, :, 3]
-    return MeshSequence(v.astype(np.float32), faces, FPS, name="skirt")
-
-
-@pytest.fixture
-def pair(tmp_path):
-    """Save a cloth and a rig under a name; their paths."""
-
-    def save(name="walk", new_cloth=None, new_rig=None, cloth_as="usda", rig_as="glb"):
-        paths = tmp_path / f"{name}.{cloth_as}", tmp_path / f"{name}.{rig_as}"
-        for path, model in zip(paths, (new_cloth or cloth(), new_rig or rig()), strict=True):
-            ssdr.save(model, path)
-        return paths
-
-    return save
-
-
-@pytest.fixture
-def files(pair):
-    """A cloth as USD and its rig as glTF."""
-    return pair()
 
 
 def joints_of(store, name="walk"):
@@ -229,15 +159,6 @@ def test_a_tiny_cloth_is_not_taken_in_silence(pair, tmp_path):
     assert any(text.startswith("warning: the garment is 0.") for text in said), said
 
 
-def test_the_output_is_checked_before_anything_is_read(files, tmp_path):
-    store = import_clips([files], tmp_path / "new" / "deeper" / "a.clips")
-    assert store.path.parent.name == "deeper"
-    (tmp_path / "file").write_text("in the way")
-    missing = tmp_path / "not there.usda", tmp_path / "nor there.glb"
-    with pytest.raises((InputError, SsdrError), match="file"):
-        import_clips([missing], tmp_path / "file" / "a.clips")
-
-
 @pytest.mark.parametrize(
     ("scale", "turn", "hint"),
     [(1.0, False, ""), (0.1, False, "--rig-scale"), (1.0, True, "--rig-up z")],
@@ -271,70 +192,6 @@ def test_usd_in_centimetres_with_z_up_is_read_in_metres_with_y_up(pair, tmp_path
     stage.Save()
     store = import_clips([source], tmp_path / "a.clips")
     np.testing.assert_allclose(store.rest, cloth().vertices[0], atol=1e-5)
-
-
-FIRST = "cloth: expected the mesh of the first clip, 50 vertices and 80 triangles"
-LOWER = JOINTS - [[0, 0, 0], [0, 0.3, 0], [0, 0, 0]]
-SCALED = motion()
-SCALED[20:, 2, :, :3] *= 1.5
-DOUBLED = np.concatenate([cloth().vertices, cloth().vertices[:, :1]], axis=1)
-REFUSED = {
-    "rig: expected a skeleton: joints with parents": {
-        "new_rig": rig(parents=None, joint_positions=None)
-    },
-    "joints and parents .* others: arm_r, leg_r": {
-        "new_rig": rig(bone_names=("hips", "leg_l", "arm_r"))
-    },
-    "others: leg_r": {"new_rig": rig(parents=[-1, 0, 1])},
-    "bind pose of the first clip, got leg_l 0.": {"new_rig": rig(joint_positions=LOWER)},
-    "joints that turn and move, got leg_r scaled": {
-        "new_rig": rig(SCALED, bone_model="similarity")
-    },
-    rf"{FIRST}, got 50 and 79 \(other\)": {
-        "new_cloth": MeshSequence(cloth().vertices, cloth().faces[:-1], FPS)
-    },
-    f"{FIRST}, got as many in another order": {
-        "new_cloth": MeshSequence(cloth().vertices, cloth().faces[::2].tolist() * 2, FPS)
-    },
-    f"{FIRST}, got 51 and 80": {"new_cloth": MeshSequence(DOUBLED, cloth().faces, FPS)},
-    "a time that cloth and rig have in common, got 60 frames of cloth": {"offset": 2.5},
-    "expected some of other, each once, got walk": {"test": ("walk",)},
-    "each once, got other": {"test": ("other",), "validation": ("other",)},
-    "fps: expected 30": {"fps": 24.0},
-    r"other\.npz: expected 30 frames a second, got 25": {
-        "new_cloth": dataclasses.replace(cloth(), fps=25.0), "cloth_as": "npz"
-    },
-}  # fmt: skip
-
-
-def test_other_skeletons_topologies_and_times_are_refused(pair, files, tmp_path):
-    import_clips([files], tmp_path / "a.clips")
-    for text, given in REFUSED.items():
-        models = {k: v for k, v in given.items() if k in ("new_cloth", "new_rig", "cloth_as")}
-        options = ImportOptions(**{k: v for k, v in given.items() if k not in models})
-        with pytest.raises(InputError, match=text):
-            import_clips([pair("other", **models)], tmp_path / "a.clips", options)
-    with pytest.raises(InputError, match="different names"):
-        import_clips([files, files], tmp_path / "b.clips")
-    ssdr.save(MeshSequence(cloth().vertices[:1], cloth().faces[:-1]), tmp_path / "cut.npz")
-    with pytest.raises(InputError, match="rest: expected the mesh of the first clip"):
-        import_clips([files], tmp_path / "b.clips", rest=tmp_path / "cut.npz")
-    short = pair("short", cloth(motion()[:10]), rig(motion()[:10]))
-    with pytest.raises(InputError, match="cloth: expected 20 frames or more, got 10"):
-        import_clips([short], tmp_path / "b.clips")
-    assert not (tmp_path / "b.clips").exists()
-
-
-def test_a_garment_at_rest_is_on_the_body_and_that_of_the_store(pair, files, tmp_path):
-    cut = MeshSequence(cloth().vertices[:1], cloth().faces, FPS)
-    ssdr.save(cut, tmp_path / "cut.npz")
-    for factor, text in ((100, "a garment on the body"), (1.01, "that the store has")):
-        ssdr.save(dataclasses.replace(cut, vertices=cut.vertices * factor), tmp_path / "other.npz")
-        with pytest.raises(InputError, match=f"rest: expected .*{text}"):
-            import_clips([files], tmp_path / "a.clips", rest=tmp_path / "other.npz")
-        import_clips([files], tmp_path / "a.clips", rest=tmp_path / "cut.npz")
-    again = import_clips([pair("run")], tmp_path / "a.clips", rest=tmp_path / "cut.npz")
-    assert len(again.names()) == 6
 
 
 def test_files_and_their_animations_may_have_spaces_in_their_names(pair, tmp_path):
@@ -449,46 +306,3 @@ def test_the_command_takes_patterns_and_one_rig_for_all(files, tmp_path):
         (["--rig", "x.glb", "--rig", "y.glb"], "as cloths"),
     ):
         assert text in str(call(app, [*words, *bad]).exception)
-
-
-def test_cloth_that_lost_its_pins_is_refused(pair, tmp_path):
-    """The upper ring stays 30 cm above its place; in the clip before, the hips carried it."""
-    loose = cloth()
-    v = np.array(loose.vertices)
-    v[:, :10] += np.float32([0.0, 0.3, 0.0])
-    sources = [pair(), pair("loose", dataclasses.replace(loose, vertices=v))]
-    store = import_clips(sources, tmp_path / "a.clips")
-    assert not [n for n in store.names() if n.startswith("loose")]
-    assert "pins_off" in store.clip("loose-train").quality["reason"]
-    assert store.refused().startswith("3 of 6 clips are refused and left out: loose-test (")
-    words = ["import", "--cloth", sources[0][0], "--rig", sources[0][1], "-o", store.path]
-    result = CliRunner().invoke(app, list(map(str, words)))
-    assert "3 of 6 clips are refused" in result.stderr
-
-
-def test_some_pins_that_are_lost_are_told_from_cloth_that_was_still(pair, tmp_path):
-    """In the first clip the hips carry three rings of ten; in the third two vertices come off."""
-    first, hips = np.array(cloth().vertices), motion()[:, 0]
-    carried = first[0] @ hips[..., :3].swapaxes(1, 2) + hips[:, None, :, 3]
-    first[:, :30] = carried[:, :30]
-    loose = np.array(cloth(motion(seed=2)).vertices)
-    loose[30:, :2] += np.float32([0, 0.1, 0])
-    pairs = [
-        pair(name, MeshSequence(v, cloth().faces, FPS), rig(motion(seed=k)))
-        for k, (name, v) in enumerate(
-            [("still", first), ("walk", cloth(motion(seed=1)).vertices), ("loose", loose)]
-        )
-    ]
-    said: list[str] = []
-    store = import_clips(pairs, tmp_path / "a.clips", say=said.append)
-    assert "walk: 67% of the vertices that the body carried before are free" in said
-    assert {c.motion for c in store.clips()} == {"still", "walk"}
-
-
-def test_between_which_joints_pins_hang_may_show_later(pair, tmp_path):
-    """A leg carries them, which in the first clip moves with the hips."""
-    stiff, legs = motion(), [1, 0, 2]
-    stiff[:, 1] = stiff[:, 0]
-    kick = pair("kick", cloth(motion(seed=1)[:, legs]), rig(motion(seed=1)))
-    store = import_clips([pair("walk", cloth(stiff), rig(stiff)), kick], tmp_path / "a.clips")
-    assert {c.quality["reason"] for c in store.clips(accepted=None)} == {""}
