@@ -26,7 +26,7 @@ from benchmarks.garment.scenes.scene_file import load_data_set
 from benchmarks.garment.scenes.simulator import outfit_of, pins_of
 from benchmarks.garment.scenes.simulator import simulate as simulated
 from garmentnet.evaluation.tables import markdown
-from garmentnet.importing.quality import judge
+from garmentnet.importing.quality import LIMITS, judge
 from ssdr import skin
 from ssdr.io.atomic import write_bytes
 
@@ -63,7 +63,8 @@ def measured(number: int) -> dict[str, object]:
     """Kind of a clip and what the gate says of it."""
     kind = SPOILT[number // EVERY % len(SPOILT)] if number % EVERY == 0 else "sound"
     name, rng = GARMENTS[number // 3 % len(GARMENTS)], np.random.default_rng(SEED + number)
-    garment = cut_garment(BODY, dataclasses.replace(load_data_set(name).garment, vertices=VERTICES))
+    data_set = load_data_set(name)
+    garment = cut_garment(BODY, dataclasses.replace(data_set.garment, vertices=VERTICES))
     worn = garment
     if kind == "limb":  # the right leg and arm do not touch it
         worn = dataclasses.replace(garment, sides=np.ones(garment.n_vertices, np.int8))
@@ -71,11 +72,12 @@ def measured(number: int) -> dict[str, object]:
         worn = dataclasses.replace(garment, pinned=garment.pinned & (garment.rest[:, 0] < 0))
     classes = {"caught": ["walk"], "limb": ["walk", "kick"]}.get(kind)
     motion = dance(BODY.skeleton, seed=SEED + number, frames=FRAMES, classes=classes)
-    v = simulated(Cloth(BODY, worn, SOLVER), motion, load_data_set(name).base).vertices
+    v = simulated(Cloth(BODY, worn, SOLVER), motion, data_set.base).vertices
     if kind in ("caught", "pressed", "late"):
         v = spoil(kind, v, motion.joints, garment, rng)
     outfit = outfit_of(BODY, garment, motion.fps)
-    found = judge(outfit, motion.joints, v, bound=pins_of(garment))
+    limits, bound = LIMITS | data_set.gate, pins_of(garment)
+    found = judge(outfit, motion.joints, v, bound=bound, limits=limits)
     return {"kind": kind, "garment": name, **found}
 
 

@@ -59,7 +59,9 @@ def hung(points: Array, faces: Array, pinned: Array) -> Garment:
 
 def sleeve() -> Garment:
     """A tube around the left arm, from below the shoulder to the wrist, held at its upper end."""
-    corners = BODY.skeleton.rest[[BODY.skeleton.index(n) for n in ("arm_l", "forearm_l", "hand_l")]]
+    corners = BODY.skeleton.rest[
+        [BODY.skeleton.names.index(n) for n in ("arm_l", "forearm_l", "hand_l")]
+    ]
     ways = np.cumsum([0, *np.linalg.norm(np.diff(corners, axis=0), axis=1)])
     along = np.arange(0.25 * ways[1], 0.97 * ways[2], FINE)
     middle = np.stack([np.interp(along, ways, corners[:, k]) for k in range(3)], axis=1)
@@ -69,7 +71,9 @@ def sleeve() -> Garment:
     side /= np.linalg.norm(side)
     across = np.cross(side, axis)
     # As wide as the arm there, and 12 mm.
-    arm = BODY.skinning.dense_weights()[:, [BODY.skeleton.index(n) for n in ("arm_l", "forearm_l")]]
+    arm = BODY.skinning.dense_weights()[
+        :, [BODY.skeleton.names.index(n) for n in ("arm_l", "forearm_l")]
+    ]
     skin = np.asarray(BODY.skinning.rest, float)[arm.sum(axis=1) > 0.7]
     off = np.abs((skin[:, None] - middle) @ axis) < 0.03
     gap = np.linalg.norm(skin[:, None] - middle, axis=2)
@@ -88,14 +92,14 @@ def calm(motion: Motion) -> Motion:
     body = BODY.skeleton
     root, local = body.pose(motion.joints)
     for joint in ("arm_l", "forearm_l"):
-        turn = local[:, body.index(joint)]
+        turn = local[:, body.names.index(joint)]
         turn[:] = (Rotation.from_matrix(turn) ** 0.5).as_matrix()
     return dataclasses.replace(motion, joints=body.transforms(root, local))
 
 
 def cape() -> Garment:
     """A sheet behind the back that two corners hold at the shoulders."""
-    neck = BODY.skeleton.rest[[BODY.skeleton.index(n) for n in ("arm_l", "arm_r")]]
+    neck = BODY.skeleton.rest[[BODY.skeleton.names.index(n) for n in ("arm_l", "arm_r")]]
     top, wide = neck[0, 1] + 0.05, 0.85 * neck[0, 0]
     skin = np.asarray(BODY.skinning.rest, float)
     trunk = skin[(np.abs(skin[:, 0]) < wide) & (skin[:, 1] > 0.4)]

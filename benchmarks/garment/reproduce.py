@@ -74,12 +74,8 @@ def _text(record: dict[str, Any], part: str) -> str:
     return markdown([part, *head], lines)
 
 
-def _table2(run: Reproduction) -> str:
-    """Low and high frequencies of three dresses (the paper's table 2)."""
-    return "\n\n".join(_dress(run, name) for name in _DRESSES) + "\n"
-
-
 def _dress(run: Reproduction, store: str) -> str:
+    """Low and high frequencies of a dress (of the paper's table 2)."""
     rooted = run.config("rooted", _EQUAL, *_SLEEVES.get(store, ()))
     paper = run.config("faithful", _EQUAL)
     learned, held, _ = run.clips(store, rooted)
@@ -108,12 +104,8 @@ def _dress(run: Reproduction, store: str) -> str:
     return "\n\n".join([f"## {store}", *(_text(record, p) for p in ("low", "high", "overall"))])
 
 
-def _table3(run: Reproduction) -> str:
-    """Tight garments (the paper's table 3)."""
-    return "\n\n".join(_tight(run, name) for name in _TIGHT) + "\n"
-
-
 def _tight(run: Reproduction, store: str) -> str:
+    """A tight garment (of the paper's table 3)."""
     config = run.config("rooted", _EQUAL, "low.relative_to=joints", *_SLEEVES.get(store, ()))
     tailor, whole = BASELINES[0], SANTESTEBAN
     methods = [
@@ -237,8 +229,8 @@ def _shipped(run: Reproduction) -> str:
 
 
 TABLES: dict[str, Callable[[Reproduction], str]] = {
-    "table2": _table2,
-    "table3": _table3,
+    "table2": lambda run: "\n\n".join(_dress(run, name) for name in _DRESSES) + "\n",
+    "table3": lambda run: "\n\n".join(_tight(run, name) for name in _TIGHT) + "\n",
     "table4": _table4,
     "bones": _bones,
     "capture": _capture,
@@ -266,6 +258,7 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     options.add_argument("--output", "-o", type=Path, default=Path("out/reproduction"))
     options.add_argument("--data", type=Path, default=Path("out"), help="folder of the data sets")
+    options.add_argument("--share", type=float, default=1.0, help="of the motions of a data set")
     options.add_argument("--only", action="append", choices=TABLES, help="repeatable")
     options.add_argument("--motion", type=Path, help="BVH files, which the dress dances, too")
     options.add_argument("--set", action="append", default=[], help="a setting of every network")
@@ -273,6 +266,9 @@ def main() -> None:
 
     def simulate(name: str, path: Path) -> None:
         data_set = load_data_set(name)
+        if data_set.motions:
+            fewer = data_set.motions.share(given.share)
+            data_set = dataclasses.replace(data_set, motions=fewer)
         some = given.motion if name == "dress" else None
         recorded = recorded_motions(some, data_set) if some else ()
         make_data_set(data_set, path, recorded=recorded, progress=show)

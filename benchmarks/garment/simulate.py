@@ -17,20 +17,6 @@ from benchmarks.garment.scenes.dataset import make_data_set, recorded_motions
 from benchmarks.garment.scenes.scene_file import load_data_set
 from garmentnet.cli.learning import output_folder
 from garmentnet.cli.progress import progress_bar
-from garmentnet.data.clip import Clip
-from garmentnet.data.store import ClipStore
-
-
-def counts(store: ClipStore) -> list[str]:
-    """For each parameter set how many clips and frames it has, and how many the gate refused."""
-    groups: dict[str, list[Clip]] = {}
-    for clip in store.clips(accepted=None, perturbed=None):
-        groups.setdefault(str(clip.provenance.get("parameter_set", "?")), []).append(clip)
-    return [
-        f"{name}: {len(clips)} clips, {sum(c.n_frames for c in clips)} frames, "
-        f"{sum(not c.accepted for c in clips)} refused"
-        for name, clips in groups.items()
-    ]
 
 
 def main() -> None:
@@ -51,9 +37,7 @@ def main() -> None:
         store = make_data_set(
             data_set, target, recorded=recorded, workers=given.workers, progress=show
         )
-    print(*counts(store), sep="\n")
-    for clip in store.clips(accepted=False, perturbed=None):
-        print(f"refused {clip.name}: {clip.quality['reason']}")
+    print(f"{len(store.names(perturbed=None))} clips. {store.refused()}")
 
 
 if __name__ == "__main__":

@@ -36,7 +36,7 @@ class Skeleton:
     Examples
     --------
     >>> arm = Skeleton(("upper", "fore"), [-1, 0], [[0, 1, 0], [1, 1, 0]])
-    >>> arm.n_joints, arm.index("fore")
+    >>> arm.n_joints, arm.names.index("fore")
     (2, 1)
     """
 
@@ -65,12 +65,6 @@ class Skeleton:
     @property
     def n_joints(self) -> int:
         return len(self.names)
-
-    def index(self, name: str) -> int:
-        """Index of the joint `name`."""
-        if name not in self.names:
-            raise InputError("name", f"one of {', '.join(self.names)}", repr(name))
-        return self.names.index(name)
 
     def read(self, names: Sequence[str]) -> list[int]:
         """Numbers of the joints that features read, ascending: those named, or all.
@@ -132,7 +126,7 @@ class Skeleton:
         >>> arm.positions(np.eye(3, 4)[None, None].repeat(2, axis=1))[0, 1].tolist()
         [1.0, 1.0, 0.0]
         """
-        m = self._checked(joints)
+        m = check_joints(joints, self.n_joints)
         return np.asarray(np.einsum("fjab,jb->fja", m[..., :3], self.rest) + m[..., 3])
 
     def pose(self, joints: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -147,14 +141,8 @@ class Skeleton:
         >>> root[0].tolist(), rotations.shape
         ([0.0, 1.0, 0.0], (5, 2, 3, 3))
         """
-        local = to_local(self._checked(joints), self.parents, self.rest)
+        local = to_local(check_joints(joints, self.n_joints), self.parents, self.rest)
         return local[:, 0, :, 3], local[..., :3]
-
-    def _checked(self, joints: ArrayLike) -> NDArray[np.float64]:
-        m = np.asarray(joints, dtype=np.float64)
-        if m.ndim != 4 or m.shape[1:] != (self.n_joints, 3, 4):
-            raise InputError("joints", f"shape (F, {self.n_joints}, 3, 4)", f"shape {m.shape}")
-        return m
 
 
 def mirror_transforms(joints: ArrayLike, mirror: ArrayLike) -> NDArray[np.floating]:

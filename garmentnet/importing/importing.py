@@ -48,8 +48,8 @@ class ImportOptions:
         Seconds from the first frame of a rig to the first of its cloth.
     cloth, rig : Source, optional
         Mesh, unit and axes of the cloths' and the rigs' files.
-    parameters : SimulationParameters, optional
-        Parameters with which the cloths were simulated, or the defaults.
+    parameters : SimulationParameters
+        Parameters with which the cloths were simulated.
     test, validation : sequence of str
         Names of the clips of these splits.  If none is named for testing, the last tenth of every
         clip is used; if none is named for validation, the tenth before that, or else the last.
@@ -59,7 +59,7 @@ class ImportOptions:
     offset: float = 0.0
     cloth: Source = dataclasses.field(default_factory=Source)
     rig: Source = dataclasses.field(default_factory=Source)
-    parameters: SimulationParameters | None = None
+    parameters: SimulationParameters = dataclasses.field(default_factory=SimulationParameters)
     test: Sequence[str] = ()
     validation: Sequence[str] = ()
 
@@ -295,7 +295,6 @@ def _add(
     files: tuple[Path, Path],
     say: Say,
 ) -> None:
-    parameters = o.parameters or SimulationParameters()
     made = {"cloth": files[0].name, "rig": files[1].name, "parameter_set": "imported"}
     parts = _parts(name, len(vertices), o)
     _check_splits(store, name, parts)
@@ -305,13 +304,13 @@ def _add(
         provenance = made | {"sha256": hashlib.sha256(v.tobytes() + m.tobytes()).hexdigest()}
         if part in store:
             there = store.clip(part)
-            if (there.provenance, there.parameters) != (provenance, parameters):
+            if (there.provenance, there.parameters) != (provenance, o.parameters):
                 raise InputError("path", f"a store whose clip {part} is of {files[0]}", store.path)
             continue
         if quality is None:  # of the whole clip: a part may be too short to hold a second
             bound = _pins(store, name, vertices, joints, say)
             quality = judge(store, joints, vertices, bound=bound)
-        known: dict[str, Any] = {"parameters": parameters, "provenance": provenance}
+        known: dict[str, Any] = {"parameters": o.parameters, "provenance": provenance}
         known |= {"split": split, "motion": name, "quality": quality}
         store.add(part, vertices=v, joints=m, **known)
     text = ", ".join(f"{f.stop - f.start} {split}" for _, split, f in parts)

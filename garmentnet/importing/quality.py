@@ -1,21 +1,22 @@
 """The quality gate: measurements of a clip, and limits beyond which it is refused.
 
 Cloth is refused that is caught (an edge stays long, or a vertex stays behind the body, for a
-second), that crosses the body, or that has lost its pins.
+second), that stays folded, that crosses the body, or that has lost its pins.
 """
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 from scipy.spatial import cKDTree
 
+from ssdr.mesh.edges import triangle_edges
 from ssdr.model.lbs import skin
 
 from ..collision.body_tree import INSIDE, BodyTree, is_closed
@@ -28,6 +29,7 @@ LIMITS = {
     "stretch_p99": 1.5,  # length of an edge over that at rest, of edges with a free end
     "stretch_max": 4.0,
     "stretch_held": 2.0,  # of the edge that is longest for a whole second
+    "folded": 180.0,  # degrees that an edge is folded farther than at rest, for three seconds
     "behind": 0.5,  # metres that a vertex is farther from its skin than at rest, for a second
     "inside_fraction": 0.02,  # of the vertices, more than half a millimetre below the skin
     "depth_max": 0.05,  # metres below the skin
@@ -37,7 +39,7 @@ LIMITS = {
 }
 # Distance from the skin, metres, up to which vertices outside are measured.
 _LOOK = 1e-3
-_EVERY = 3  # frames from one search for crossings to the next
+_EVERY = 3  # frames from one search for crossings or folds to the next
 _AT_ONCE = 10_000_000  # stretches that are computed at once
 _NOTHING = 1e-6  # length of an edge, relative to the mean, below which it is none
 _NEAREST = 4  # vertices of the body, nearest at rest, that are the skin of a vertex
@@ -74,11 +76,12 @@ def judge(
     if bound is not None:
         held = np.isin(np.arange(outfit.n_vertices), bound.index)
         off = np.linalg.norm(bound.place(vertices, m) - vertices, axis=2)
-    pairs = np.sort(outfit.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    edges = np.unique(pairs, axis=0)
+    edges = triangle_edges(outfit.faces, outfit.n_vertices)
     rest = _lengths(outfit.rest[None], edges)[0]
     free = ~held[edges].all(axis=1) & (rest > _NOTHING * rest.mean())
     edges, rest = edges[free], rest[free]
+    beside = outfit.faces[trimesh.graph.face_adjacency(outfit.faces)]
+    beside = beside[~held[beside].all(axis=(1, 2))]
     second, count = min(len(vertices), round(outfit.fps)), len(vertices) * len(edges)
     longest, lasting = 0.0, 0.0
     sample: list[NDArray[Any]] = [np.ones(1)]
@@ -95,15 +98,19 @@ def judge(
         some = vertices[::_EVERY], m[::_EVERY]
         found = find_crossings(body, outfit.faces, *some, pinned=held).depth[:, None]
         crossed = _held(found, min(len(found), math.ceil(second / _EVERY)))
-    step = np.linalg.norm(np.diff(vertices, axis=0), axis=2)
+    folded = 0.0
+    for part in np.array_split(beside, 1 + count // _AT_ONCE):
+        fold = _folds(part, vertices[::_EVERY]) - _folds(part, outfit.rest[None])
+        folded = max(folded, _held(fold, round(outfit.fps)))
     measured = {
         "stretch_p99": np.percentile(np.concatenate(sample), 99),
         "stretch_max": longest,
         "stretch_held": lasting,
+        "folded": folded,
         "behind": _held(away[:, ~held], second),
         "inside_fraction": (depth[:, ~held] > INSIDE).sum() / depth.size,
         "depth_max": depth[:, ~held].max(initial=0.0),
-        "speed_max": step.max(initial=0.0) * outfit.fps,
+        "speed_max": np.linalg.norm(np.diff(vertices, axis=0), axis=2).max(initial=0) * outfit.fps,
         "crossed": crossed,
         "pins_off": off.max(),
     }
@@ -113,7 +120,7 @@ def judge(
     return {"accepted": not over, "reason": "; ".join(over), **rounded}
 
 
-def _lengths(vertices: NDArray[np.float32], edges: NDArray[np.int32]) -> NDArray[np.float32]:
+def _lengths(vertices: NDArray[np.float32], edges: NDArray[np.integer]) -> NDArray[np.float32]:
     return np.asarray(np.linalg.norm(vertices[:, edges[:, 0]] - vertices[:, edges[:, 1]], axis=2))
 
 
@@ -121,6 +128,14 @@ def _held(values: NDArray[np.floating], frames: int) -> float:
     """The largest value that is reached or exceeded in so many frames on end."""
     least = minimum_filter1d(values, frames, axis=0, mode="constant", cval=-np.inf)
     return float(least.max(initial=0.0))
+
+
+def _folds(corners: NDArray[np.integer], v: NDArray[np.float32]) -> NDArray[Any]:
+    """Degrees (F, n) between the normals of two triangles, of the corners (n, 2, 3) of both."""
+    a, b, c = np.moveaxis(v[:, corners], 3, 0)
+    p, q = np.moveaxis(np.cross(b - a, c - a), 2, 0)
+    angle = np.arctan2(np.linalg.norm(np.cross(p, q), axis=2), (p * q).sum(axis=2))
+    return np.asarray(np.degrees(angle))
 
 
 def _away(
@@ -131,5 +146,5 @@ def _away(
     tree: Any = cKDTree(b.rest)
     rest, near = tree.query(outfit.rest, k=np.arange(1, min(_NEAREST, b.n_vertices) + 1))
     posed = skin(b.rest, b.indices, b.weights, joints)
-    gaps = (np.linalg.norm(vertices - posed[:, k], axis=2) for k in near.T)
-    return np.asarray(functools.reduce(np.minimum, gaps) - rest[:, 0], np.float32)
+    gaps = [np.linalg.norm(vertices - posed[:, k], axis=2) for k in near.T]
+    return np.asarray(np.min(gaps, axis=0) - rest[:, 0], np.float32)

@@ -93,7 +93,7 @@ class MovingBody:
         if theirs != ours:
             text = ", ".join(sorted({joint for joint, _ in theirs.items() ^ ours.items()}))
             raise InputError("rig", "the joints and parents of the first clip", f"others: {text}")
-        order = [own.index(name) for name in skeleton.names]
+        order = [own.names.index(name) for name in skeleton.names]
         rest, near = own.rest[order], _SAME_PLACE * rest_diagonal(skeleton.rest)
         turn = np.eye(3, 4)
         if np.abs(rest - skeleton.rest).max() > near:

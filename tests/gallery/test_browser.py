@@ -89,7 +89,7 @@ def test_the_dress_is_pushed_out_of_a_leg_but_not_of_one_turned_by_hand(opened):
     plain = load_checkpoint("dress")
     skeleton, count = plain.subject.skeleton, 24
     turns = np.zeros((count, skeleton.n_joints, 3))
-    turns[:, skeleton.index("thigh_l"), 0] = np.linspace(0, -1.5, count)
+    turns[:, skeleton.names.index("thigh_l"), 0] = np.linspace(0, -1.5, count)
     root = np.tile(skeleton.rest[0], (count, 1))
     rotations = Rotation.from_rotvec(turns.reshape(-1, 3)).as_matrix()
     joints = skeleton.transforms(root, rotations.reshape(count, -1, 3, 3))
@@ -208,7 +208,7 @@ def test_an_arm_of_the_dress_is_clicked_and_dragged(opened):
     joints = np.tile(np.eye(3, 4), (3, garment.subject.skeleton.n_joints, 1, 1))
     browser = opened(garment, [Take("still", joints)])
     before = vertices(browser, garment, 2)
-    arm, thigh = (garment.subject.skeleton.index(n) for n in ("arm_l", "thigh_l"))
+    arm, thigh = (garment.subject.skeleton.names.index(n) for n in ("arm_l", "thigh_l"))
     (x, y), hip = (browser.value(f"garmentnet.place({b})")[:2] for b in (arm, thigh))
     hand = browser.value(f"garmentnet.place({arm + 1})")
     browser.click((x + hand[0]) / 2, (y + hand[1]) / 2)

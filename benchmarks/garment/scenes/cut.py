@@ -163,7 +163,7 @@ class _Pattern:
         self.trunk = self._outline(torso, self.waist, self.start)
         if cut.armpit:
             shoulder, elbow = (
-                body.skeleton.rest[body.skeleton.index(n)] for n in ("arm_l", "forearm_l")
+                body.skeleton.rest[body.skeleton.names.index(n)] for n in ("arm_l", "forearm_l")
             )
             frame = _axes(shoulder - elbow)
             self.yoke, self.armpits = self._yoke(faces, torso, arm, frame[1])

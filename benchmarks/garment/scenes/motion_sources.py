@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import get_args
 
 from garmentnet.data.clip_files import Split
@@ -149,6 +150,11 @@ class DancesOfSplits:
             count, most = getattr(self, f"set_{split}"), getattr(self, split)
             if count > most:
                 raise InputError(f"set_{split}", f"at most {most}, as {split}", count)
+
+    def share(self, part: float) -> DancesOfSplits:
+        """The first dances alone, such a part of every number, rounded up."""
+        names = (prefix + split for split in SPLITS for prefix in ("", "set_"))
+        return dataclasses.replace(self, **{n: math.ceil(part * getattr(self, n)) for n in names})
 
     def sources(self, split: Split, seed: int) -> list[MotionSource]:
         """One source for each dance of a split.

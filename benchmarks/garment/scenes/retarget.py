@@ -108,7 +108,9 @@ def retarget(bvh: Bvh, skeleton: Skeleton, *, fps: float = 30.0) -> Motion:
     path: Float = bvh.root[first:] @ ours.T * (_leg_length(rest) / legs)
     path -= [path[0, 0], 0.0, path[0, 2]]
     joints = skeleton.transforms(path, local)
-    soles = skeleton.positions(joints)[:, [skeleton.index(n) for n in ("foot_l", "foot_r")], 1]
+    soles = skeleton.positions(joints)[
+        :, [skeleton.names.index(n) for n in ("foot_l", "foot_r")], 1
+    ]
     # The second percentile, not the minimum: a few frames of noise may lie below the floor.
     joints[..., 1, 3] -= np.percentile(soles.min(axis=1), 2) - rest["foot_l"][1]
     # 1e-3 of a frame is added, so that a frame time written as 0.0333333 s keeps the last frame.

@@ -23,8 +23,8 @@ def test_body_is_what_the_rest_relies_on(tmp_path: Path) -> None:
     assert rig.rest[:, 1].min() == pytest.approx(0, abs=1e-6)
     np.testing.assert_array_equal(tree.rest[tree.mirror()] * [-1, 1, 1], tree.rest)
     # Feet point where the body looks, the left one is at positive x.
-    foot = rig.rest[rig.dense_weights()[:, tree.index("foot_l")] > 0.9]
-    assert foot[:, 2].max() - tree.rest[tree.index("foot_l"), 2] > 0.1
+    foot = rig.rest[rig.dense_weights()[:, tree.names.index("foot_l")] > 0.9]
+    assert foot[:, 2].max() - tree.rest[tree.names.index("foot_l"), 2] > 0.1
     assert foot[:, 0].min() > 0
     assert trimesh.Trimesh(rig.rest, rig.faces, process=False).is_watertight
     save_body(BODY, tmp_path / "b.npz")

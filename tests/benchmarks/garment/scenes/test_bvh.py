@@ -107,7 +107,7 @@ def read(tmp_path: Path, text: str | bytes, name: str = "a.bvh") -> Any:
 
 def direction(joints: np.ndarray, a: str, b: str) -> np.ndarray:
     p = TREE.positions(joints)
-    d = p[:, TREE.index(b)] - p[:, TREE.index(a)]
+    d = p[:, TREE.names.index(b)] - p[:, TREE.names.index(a)]
     return d / np.linalg.norm(d, axis=1, keepdims=True)
 
 
@@ -146,7 +146,7 @@ def test_limbs_point_where_they_did_and_the_root_scales_with_the_legs(tmp_path: 
     # The root's way scales with the legs.
     hips = TREE.positions(motion.joints)[:, 0]
     legs = sum(
-        np.linalg.norm(TREE.rest[TREE.index(b)] - TREE.rest[TREE.index(a)])
+        np.linalg.norm(TREE.rest[TREE.names.index(b)] - TREE.rest[TREE.names.index(a)])
         for a, b in (("thigh_l", "shin_l"), ("shin_l", "foot_l"))
     )
     np.testing.assert_allclose(hips[0, [0, 2]], 0, atol=1e-9)
@@ -238,9 +238,9 @@ def test_motion_capture_moves_the_body_upright_and_on_the_floor(data_dir: Path) 
         assert 500 < motion.n_frames < 700
         heads = TREE.positions(motion.joints)
         # Upright, on the floor, limbs as long as the body's, no jump between frames.
-        up = heads[:, TREE.index("head"), 1] - heads[:, 0, 1]
+        up = heads[:, TREE.names.index("head"), 1] - heads[:, 0, 1]
         assert np.percentile(up, 5) > 0.3
-        soles = heads[:, [TREE.index("foot_l"), TREE.index("foot_r")], 1].min(axis=1)
+        soles = heads[:, [TREE.names.index("foot_l"), TREE.names.index("foot_r")], 1].min(axis=1)
         assert soles.min() > -0.03
         assert np.median(soles) < 0.15
         step = np.linalg.norm(np.diff(heads, axis=0), axis=2).max() * motion.fps

@@ -125,10 +125,10 @@ def test_a_trouser_leg_stays_on_its_leg_where_legs_cross() -> None:
     angle = 0.6 * np.sin(np.linspace(0, np.pi, count))
     joints = np.tile(np.eye(3, 4), (count, skeleton.n_joints, 1, 1))
     for side, sign in (("l", -1.0), ("r", 1.0)):
-        hip = skeleton.rest[skeleton.index(f"thigh_{side}")]
+        hip = skeleton.rest[skeleton.names.index(f"thigh_{side}")]
         turn = Rotation.from_euler("z", sign * angle[:, None]).as_matrix()
         for name in ("thigh", "shin", "foot"):
-            j = skeleton.index(f"{name}_{side}")
+            j = skeleton.names.index(f"{name}_{side}")
             joints[:, j] = np.concatenate([turn, (hip - turn @ hip)[..., None]], axis=2)
     skin = BODY.skinning.rest
     skin = skin[(skin[:, 0] > 0) & (skin[:, 1] < 0.8)]

@@ -129,6 +129,21 @@ def test_the_gate_says_why(spin: Motion) -> None:
     assert {"crossed", "inside_fraction"} <= reasons(narrow)
 
 
+def test_a_hem_that_stays_folded_is_refused_where_the_garment_hangs() -> None:
+    joints, limits = still(120, BODY.skeleton.n_joints).joints, LIMITS | {"folded": 100}
+    outfit = outfit_of(BODY, DRESS, 30.0)
+    worn = np.repeat(DRESS.rest[None], 120, axis=0)
+    low = np.quantile(DRESS.rest[:, 1], 0.2)
+    corner = (DRESS.rest[:, 1] < low) & (DRESS.rest[:, 0] > 0)
+    for frames, most in ((0, 1.0), (75, 1.0), (110, 180.0)):
+        v = worn.copy()
+        v[:frames, corner, 1] = 2 * low - v[:frames, corner, 1]  # turned up
+        found = judge(outfit, joints, v, limits=limits)
+        assert most - 70 < found["folded"] <= most
+        assert ("folded" in found["reason"]) == (most > 100)
+        assert "folded" not in judge(outfit, joints, v)["reason"]  # sleeves fold at rest, too
+
+
 def test_cloth_that_explodes_is_rejected(spin: Motion) -> None:
     cloth = Cloth(BODY, DRESS, dataclasses.replace(QUICK, substeps=1, blocks=1))
     made = simulate(cloth, spin, BASE)

@@ -13,7 +13,7 @@ from benchmarks.garment.scenes.motion import Motion
 from garmentnet.data.clip import CLASSES
 
 TREE = default_body().skeleton
-FEET = [TREE.index("foot_l"), TREE.index("foot_r")]
+FEET = [TREE.names.index("foot_l"), TREE.names.index("foot_r")]
 ANKLE = TREE.rest[FEET[0], 1]
 
 
@@ -126,7 +126,9 @@ def test_dances_are_varied_and_wide() -> None:
         h = heads(motion)
         walking = np.isin(motion.classes[1:], [CLASSES.index("walk"), CLASSES.index("turn")])
         turning.append(np.abs(yaw_rate(motion))[walking])
-        hands.append((h[:, TREE.index("hand_l"), 1] > h[:, TREE.index("head"), 1]).mean())
+        hands.append(
+            (h[:, TREE.names.index("hand_l"), 1] > h[:, TREE.names.index("head"), 1]).mean()
+        )
         places.append(np.ptp(h[:, 0, [0, 2]], axis=0).max())
         stop = motion.classes == CLASSES.index("stop")
         stops += int((stop[1:] & ~stop[:-1]).sum())
