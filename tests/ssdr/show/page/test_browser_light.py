@@ -58,7 +58,7 @@ def test_the_shader_turns_rest_normals_by_the_blended_matrices(opened, dancer, m
         browser = opened(subject, dancer)
         for frame in (5, 11):
             browser.value(f"ssdr.seek({frame})")
-            turned = np.reshape(browser.value("Array.from(ssdr.mesh.normals())"), (-1, 4))[:, :3]
+            turned = np.reshape(browser.value("Array.from(ssdr.normals())"), (-1, 4))[:, :3]
             turned = turned / np.linalg.norm(turned, axis=1, keepdims=True)
             expected = model_normals(subject, frame)
             np.testing.assert_allclose(turned[subject.faces], expected, atol=2e-3)
