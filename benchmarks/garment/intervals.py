@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,14 +23,6 @@ _LEVEL = 0.95
 _NOTHING = 1e-6
 
 
-class Interval(NamedTuple):
-    """A figure with its 95 % confidence interval, which a single clip does not have."""
-
-    value: float
-    low: float | None = None
-    high: float | None = None
-
-
 def paired_ratio(
     a: ArrayLike,
     b: ArrayLike,
@@ -38,9 +30,10 @@ def paired_ratio(
     frames: ArrayLike | None = None,
     resamples: int = 10_000,
     rng: int | np.random.Generator = 0,
-) -> Interval:
+) -> tuple[float, float | None, float | None]:
     """The pooled error of method `a` divided by that of `b`; below 1 the first is better.
 
+    Behind it stand the ends of its 95 % confidence interval, which a single clip does not have.
     The pooled error of clips is √(Σ frames · error² / Σ frames); with `b` = 1, the result is
     the pooled error of `a` itself.  Clips are drawn with replacement, the same ones for
     both methods.  The interval lies between two percentiles of the resampled ratios, which are
@@ -74,7 +67,7 @@ def paired_ratio(
     above, below = (weights * np.asarray(x, float) ** 2 for x in (a, b))
     value = math.sqrt(above.sum() / below.sum())
     if n < 2:
-        return Interval(value)
+        return value, None, None
     drawn = np.random.default_rng(rng).multinomial(n, np.full(n, 1 / n), size=resamples)
     found = np.sqrt(drawn @ above / (drawn @ below))
     # Plain percentiles are too narrow for few clips, like a normal quantile in place of Student's t
@@ -82,7 +75,7 @@ def paired_ratio(
     wide = math.sqrt(n / (n - 1)) * student.ppf((1 + _LEVEL) / 2, n - 1)
     tail = norm.cdf(-wide)
     low, high = np.quantile(found, [tail, 1 - tail])
-    return Interval(value, float(low), float(high))
+    return value, float(low), float(high)
 
 
 def intervals(rows: Sequence[Scores], reference: str) -> dict[str, Any]:

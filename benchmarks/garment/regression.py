@@ -23,7 +23,7 @@ from garmentnet.configs.config import Config, load_config, override
 from garmentnet.data.clip import MIRRORED, Clip
 from garmentnet.evaluation.baselines import body_skinning
 from garmentnet.evaluation.methods import Array, Method
-from garmentnet.io.files import Progress, silent
+from garmentnet.io.files import Progress, kept, silent
 from garmentnet.networks.features import PoseReader, transforms_in_frame
 from garmentnet.networks.gru import GRULinear
 from garmentnet.paper.bones import VirtualBones, apply_frame, remove_frame
@@ -222,13 +222,15 @@ def train_regression(
     own = override(dataclasses.replace(config, features=features, data=data), variant.changes)
     reader = pose_reader(own, bones, names)
     space = Unposed(bones) if variant.unposed else None
-    tracks, held = (load_tracks(reader, bones, n) for n in (names, validation))
+    finished = folder / "finished"
+    wanted = ([], []) if finished.is_file() else (names, validation)
+    tracks, held = (load_tracks(reader, bones, n) for n in wanted)
     nets: dict[Part, tuple[nn.Module, ShapeBasis]] = {}
     o = config.train
     learn = functools.partial(fit, options=o, folder=folder, progress=progress)
     for part in variant.parts:
         target = _Target(bones, reader, space, part)
-        basis = target.basis(names)
+        basis = target.basis(names, folder)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.train.seed)
             net = _Scaled(variant.network(reader.size, config.low.hidden, basis.rank), basis)
@@ -239,6 +241,7 @@ def train_regression(
         )
         learn(objective, name=part, epochs=o.epochs, learning_rate=o.learning_rate)
         nets[part] = net, basis
+    finished.touch()
     return Regression(variant.name, reader, space, nets)
 
 
@@ -251,11 +254,16 @@ class _Target:
     space: Unposed | None
     part: Part
 
-    def basis(self, names: Sequence[str]) -> ShapeBasis:
-        plain = [n for n in names if not n.endswith(MIRRORED)]
-        clips = self.bones.store.sample(plain, _FRAMES)
-        local = np.concatenate([self._local(c.name, some) for c, some in clips])
-        return ShapeBasis.fit(local, _RANK)
+    def basis(self, names: Sequence[str], folder: Path) -> ShapeBasis:
+        """Components of the training frames, which are kept in a folder."""
+
+        def made() -> dict[str, Any]:
+            plain = [n for n in names if not n.endswith(MIRRORED)]
+            clips = self.bones.store.sample(plain, _FRAMES)
+            local = np.concatenate([self._local(c.name, some) for c, some in clips])
+            return dataclasses.asdict(ShapeBasis.fit(local, _RANK))
+
+        return ShapeBasis(**kept(folder / f"{self.part}.npz", made))
 
     def track(self, track: Track, basis: ShapeBasis) -> Track:
         rows: list[NDArray[np.float32]] = []

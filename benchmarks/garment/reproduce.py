@@ -37,7 +37,7 @@ from garmentnet.evaluation.scores import PARTS
 from garmentnet.evaluation.tables import markdown
 from garmentnet.networks.checkpoint import load_checkpoint, save_checkpoint
 from garmentnet.paper.bones import parameter_roles
-from garmentnet.paper.train import train_ensemble
+from garmentnet.paper.train import choose_clips, train_ensemble
 from garmentnet.training.batches import load_tracks
 from ssdr.common.errors import InputError
 from ssdr.io.atomic import write_bytes
@@ -137,16 +137,17 @@ def _table4(run: Reproduction) -> str:
 
     roles = parameter_roles(store)
     large = override(config, ["data.condition=true"])
-    # Its epoch of all sets has the steps of an epoch of every pivot together.
+    # Of each set a part, so that all together have the frames, and the steps, of one pivot.
+    frames = sum(store.clip(n).n_frames for n in choose_clips(store, config)[0])
     sets = sum(role == "train" for role in roles.values())
-    short = override(large, [f"train.epochs={max(1, config.train.epochs // sets)}"])
+    short = override(large, [f"data.frames={frames // sets}"])
 
     methods = [
         pivots("pivots, RBF"),
         pivots("pivots, inverse distance", inverse_distance),
         pivots("pivots, nearest", nearest),
         run.method("parameters", "large network", large),
-        run.method("parameters", "large network, steps of a pivot", short),
+        run.method("parameters", "large network, frames of a pivot", short),
     ]
     unseen = [c.name for c in dances_for_testing(store) if roles[c.parameters] == "test"]
     record = run.scores("parameters", "table4", config, methods, unseen)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import glob
+import os
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from ssdr.common.errors import InputError
+from ssdr.io.mesh_names import natural_key
 from ssdr.mesh.surface import Up
 
 from .learning import Parameters, entered_parameters
@@ -83,8 +85,10 @@ def import_clips(
 
 
 def _files(option: str, words: list[str]) -> list[Path]:
-    """Files with the given names, or that match the given patterns, sorted.
+    """Files with the given names, or that match the given patterns, sorted by number and name.
 
+    What the names of a pattern's files have in common at their ends does not count: of ``walk_rig``
+    and ``walk2_rig`` the first is the first, as of ``walk`` and ``walk2``.
     A pattern of numbered meshes stays one entry, since they are the frames of one cloth.
     """
     found: list[Path] = []
@@ -93,7 +97,9 @@ def _files(option: str, words: list[str]) -> list[Path]:
         if Path(word).exists() or numbered or not glob.has_magic(word):
             found.append(Path(word))
             continue
-        here = [Path(name) for name in sorted(glob.glob(word))]
+        here = [Path(name) for name in glob.glob(word)]
+        end = len(os.path.commonprefix([p.stem[::-1] for p in here]))  # noqa: RUF071
+        here.sort(key=lambda p: natural_key(p.stem[: len(p.stem) - end]))
         if not here:
             raise InputError(option, "a pattern of files that exist", word)
         found += here

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from ssdr import MeshSequence
 from ssdr.common.errors import InputError
 from ssdr.io.atomic import check_writable
+from ssdr.model.lbs import skin
+from ssdr.model.rigid import kabsch
 from ssdr.model.transforms import rest_diagonal
 
 from ..collision.body_tree import is_closed
@@ -32,7 +34,8 @@ _SMALL = 0.12  # size of a garment, relative to the body's, below which its unit
 _SHORTEST = 20  # fewest frames of a clip that is cut
 _PIN_FRAMES, _MOST_PINS = 240, 0.6  # frames in which pins are looked for; their largest share
 _LEAST_KEPT = 0.1  # share of the pins of a single clip that the next one must have
-_BIND_POSE = 2e-3  # radians, mean over joints, up to which a pose is the bind pose
+# Vertices that show where the body is; radians, in the mean, up to which a pose is the bind pose.
+_BODY_POINTS, _BIND_POSE = 500, 2e-3
 PathLike = str | os.PathLike[str]
 
 
@@ -88,7 +91,7 @@ def import_clips(
     rest : path, optional
         File of the garment as it was cut, on the body in its bind pose, for a new store.  By
         default it is the cloth of the first clip in the frame whose pose is closest to the bind
-        pose, moved to the bind pose by the root.
+        pose, moved to the bind pose as the body is as a whole.
     say : callable, optional
         Called with a sentence for whatever the user should know.
 
@@ -204,12 +207,15 @@ def _create(
     path: Path, cloth: MeshSequence, rig: MovingBody, o: ImportOptions, rest: Any, say: Say
 ) -> ClipStore:
     if rest is None:
-        root = rig.joints[:, 0]
-        turn = root[:, None, :, :3].swapaxes(-1, -2) @ rig.joints[..., :3]
+        # Not by the root, which may stand still.
+        body, some = rig.body, np.s_[:: 1 + rig.body.n_vertices // _BODY_POINTS]
+        points = body.rest[some], body.indices[some], body.weights[some]
+        back = kabsch(skin(*points, rig.joints), points[0])
+        turn = back[:, None, :, :3] @ rig.joints[..., :3]
         cosine = (np.trace(turn, axis1=-2, axis2=-1) - 1) / 2
         angle = np.arccos(cosine.clip(-1, 1)).mean(axis=1)
         t = int((angle <= angle.min() + _BIND_POSE).argmax())
-        rest = (np.asarray(cloth.vertices[t]) - root[t, :, 3]) @ root[t, :, :3]
+        rest = np.asarray(cloth.vertices[t]) @ back[t, :, :3].T + back[t, :, 3]
         off = f", off by {np.degrees(angle[t]):.0f}° a joint: better give --rest"
         say(
             f"the cloth at rest is that of frame {t}, whose pose is closest to the bind pose"
@@ -314,4 +320,4 @@ def _add(
         known |= {"split": split, "motion": name, "quality": quality}
         store.add(part, vertices=v, joints=m, **known)
     text = ", ".join(f"{f.stop - f.start} {split}" for _, split, f in parts)
-    say(f"{name}: {vertices.shape[1]} vertices, {joints.shape[1]} joints; frames: {text}")
+    say(f"{name}, with {files[1].name}: {vertices.shape[1]} vertices; frames: {text}")

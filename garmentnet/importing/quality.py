@@ -1,7 +1,7 @@
 """The quality gate: measurements of a clip, and limits beyond which it is refused.
 
-Cloth is refused that is caught (an edge stays long, or a vertex stays behind the body, for a
-second), that stays folded, that crosses the body, or that has lost its pins.
+Cloth is refused that is caught (an edge stays long for a second), that stays folded, that crosses
+the body, or that has lost its pins.
 """
 
 from __future__ import annotations
@@ -14,10 +14,8 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
-from scipy.spatial import cKDTree
 
 from ssdr.mesh.edges import triangle_edges
-from ssdr.model.lbs import skin
 
 from ..collision.body_tree import INSIDE, BodyTree, is_closed
 from ..collision.crossings import find_crossings
@@ -30,7 +28,6 @@ LIMITS = {
     "stretch_max": 4.0,
     "stretch_held": 2.0,  # of the edge that is longest for a whole second
     "folded": 180.0,  # degrees that an edge is folded farther than at rest, for three seconds
-    "behind": 0.5,  # metres that a vertex is farther from its skin than at rest, for a second
     "inside_fraction": 0.02,  # of the vertices, more than half a millimetre below the skin
     "depth_max": 0.05,  # metres below the skin
     "speed_max": 40.0,  # metres a second
@@ -41,8 +38,7 @@ LIMITS = {
 _LOOK = 1e-3
 _EVERY = 3  # frames from one search for crossings or folds to the next
 _AT_ONCE = 10_000_000  # stretches that are computed at once
-_NOTHING = 1e-6  # length of an edge, relative to the mean, below which it is none
-_NEAREST = 4  # vertices of the body, nearest at rest, that are the skin of a vertex
+_SHORT = 0.05  # of the mean length: shorter edges, as slivers at seams have, count as so long
 
 
 def judge(
@@ -78,8 +74,8 @@ def judge(
         off = np.linalg.norm(bound.place(vertices, m) - vertices, axis=2)
     edges = triangle_edges(outfit.faces, outfit.n_vertices)
     rest = _lengths(outfit.rest[None], edges)[0]
-    free = ~held[edges].all(axis=1) & (rest > _NOTHING * rest.mean())
-    edges, rest = edges[free], rest[free]
+    free = ~held[edges].all(axis=1)
+    edges, rest = edges[free], np.maximum(rest, _SHORT * rest.mean())[free]
     beside = outfit.faces[trimesh.graph.face_adjacency(outfit.faces)]
     beside = beside[~held[beside].all(axis=(1, 2))]
     second, count = min(len(vertices), round(outfit.fps)), len(vertices) * len(edges)
@@ -90,14 +86,12 @@ def judge(
         longest = max(longest, stretch.max(initial=0.0))
         lasting = max(lasting, _held(stretch, second))
         sample.append(stretch.ravel()[:: 1 + count // _AT_ONCE])
-    away = _away(outfit, m, vertices)
     depth, crossed = np.zeros(vertices.shape[:2]), 0.0
     if is_closed(body.faces):
         depth = -BodyTree(body).signed_distance(vertices, m, limit=_LOOK)
     if len(body.faces):
-        some = vertices[::_EVERY], m[::_EVERY]
-        found = find_crossings(body, outfit.faces, *some, pinned=held).depth[:, None]
-        crossed = _held(found, min(len(found), math.ceil(second / _EVERY)))
+        found = find_crossings(body, outfit.faces, vertices[::_EVERY], m[::_EVERY], pinned=held)
+        crossed = _held(found.depth[:, None], min(len(found.depth), math.ceil(second / _EVERY)))
     folded = 0.0
     for part in np.array_split(beside, 1 + count // _AT_ONCE):
         fold = _folds(part, vertices[::_EVERY]) - _folds(part, outfit.rest[None])
@@ -107,7 +101,6 @@ def judge(
         "stretch_max": longest,
         "stretch_held": lasting,
         "folded": folded,
-        "behind": _held(away[:, ~held], second),
         "inside_fraction": (depth[:, ~held] > INSIDE).sum() / depth.size,
         "depth_max": depth[:, ~held].max(initial=0.0),
         "speed_max": np.linalg.norm(np.diff(vertices, axis=0), axis=2).max(initial=0) * outfit.fps,
@@ -136,15 +129,3 @@ def _folds(corners: NDArray[np.integer], v: NDArray[np.float32]) -> NDArray[Any]
     p, q = np.moveaxis(np.cross(b - a, c - a), 2, 0)
     angle = np.arctan2(np.linalg.norm(np.cross(p, q), axis=2), (p * q).sum(axis=2))
     return np.asarray(np.degrees(angle))
-
-
-def _away(
-    outfit: Outfit, joints: NDArray[np.float64], vertices: NDArray[np.float32]
-) -> NDArray[np.float32]:
-    """Distance ``(F, V)`` from the skin nearest at rest, minus that distance at rest; metres."""
-    b = outfit.body
-    tree: Any = cKDTree(b.rest)
-    rest, near = tree.query(outfit.rest, k=np.arange(1, min(_NEAREST, b.n_vertices) + 1))
-    posed = skin(b.rest, b.indices, b.weights, joints)
-    gaps = [np.linalg.norm(vertices - posed[:, k], axis=2) for k in near.T]
-    return np.asarray(np.min(gaps, axis=0) - rest[:, 0], np.float32)

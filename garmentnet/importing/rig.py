@@ -130,8 +130,8 @@ def rig_of(model: Skinning) -> MovingBody:
     size = np.bincount(root, minlength=model.n_bones)
     main = int(size.argmax())
     shared = (moves & (moves.sum(axis=1) > 1)[:, None]).any(axis=0)
-    alone = (size == 1) & (root == np.arange(model.n_bones)) & ~shared
     hung = (parents < 0) & (np.arange(model.n_bones) != main)
+    alone = (size == 1) & hung & ~shared
     parents[hung] = main
     order = np.array([b for b in parents_first(parents) if not alone[b]])
     place = np.zeros(model.n_bones, dtype=np.int32)

@@ -22,6 +22,8 @@ _GLTF = (".glb", ".gltf")
 RIGS = (*_USD, *_GLTF, ".fbx")
 # Files that state times in seconds and can be sampled at any rate.
 _SAMPLED = (*_USD, *_GLTF, ".abc", ".fbx")
+# Files that state no rate.
+_UNTIMED = (".obj", ".ply", ".pc2", ".npy")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,6 +105,9 @@ def _at_rate(
 ) -> Model:
     suffix = path.suffix.lower()
     found = read(None)
+    if suffix in _UNTIMED and found.n_frames > 1:
+        say(f"{path.name} states no frame rate: {rate or found.fps:g} frames a second")
+        return read(rate)
     if rate is None or math.isclose(found.fps, rate, rel_tol=1e-4):
         return found
     if suffix not in _SAMPLED:

@@ -21,7 +21,7 @@ from .detail_basis import DetailBasis
 from .features import Normaliser, PoseFeatures, PoseReader, transforms_in_frame
 
 # Frames that are predicted at once, which bounds the memory; results do not depend on it.
-FRAMES_AT_ONCE = 128
+FRAMES_AT_ONCE = 120
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -33,6 +33,8 @@ from ..training.loop import TrainingObjective
 from ..training.losses import BodyShape, collision_depth, frame_norm
 from ..training.targets import bone_motion, detail_target
 
+_MOMENTUM = 1e-3  # of the batch normalisation's statistics, that of the published code
+
 
 def neighbour_table(faces: Any, n_vertices: int) -> Tensor:
     """Neighbours ``(V, D)`` of every vertex by the mesh's edges.
@@ -161,8 +163,7 @@ class HighFrequency(nn.Module):
         wide = len(chosen) * o.global_features
         self.spread = nn.Linear(o.hidden, wide)
         self.spread_act = _PReLU(wide)
-        # The momentum is that of the published code.
-        self.norm = nn.BatchNorm1d(wide, momentum=1e-3) if o.batch_norm else nn.Identity()
+        self.norm = nn.BatchNorm1d(wide, momentum=_MOMENTUM) if o.batch_norm else nn.Identity()
         widths = [3, *o.edge_features] if o.local else [3]
         self.edges = nn.ModuleList(
             EdgeConv(a, b, edge_length if k == 0 else 1.0)
@@ -226,6 +227,9 @@ class HighFrequency(nn.Module):
         if mask is not None:
             h = h * mask
         lead = h.shape[:2]
+        if self.training and isinstance(self.norm, nn.BatchNorm1d):
+            # A training of some hundred steps would end with the statistics that it began with.
+            self.norm.momentum = max(_MOMENTUM, 10 / (10 + int(self.norm.num_batches_tracked or 0)))
         wide = self.norm(self.spread_act(self.spread(h.flatten(0, 1))))
         features = wide.view(-1, len(self.vertices), self.global_features).transpose(0, 1)
         if len(self.edges):

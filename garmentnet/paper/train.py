@@ -12,6 +12,7 @@ import dataclasses
 import functools
 import json
 import logging
+from collections import Counter
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -102,12 +103,13 @@ def choose_clips(
             return not left and fnmatchcase(clip.motion, o.motions or "*")
         return left and split == "test"
 
-    names, frames = [], 0
+    names: list[str] = []
+    frames: Counter[SimulationParameters] = Counter()
     for clip in store.clips():
-        enough = split == "train" and 0 < o.frames <= frames
+        enough = split == "train" and 0 < o.frames <= frames[clip.parameters]
         if used(clip) and not enough:
             names.append(clip.name)
-            frames += clip.n_frames
+            frames[clip.parameters] += clip.n_frames
     if split == "train" and not names:
         wanted = f" of motions {o.motions}" if o.motions else ""
         expected = f"training clips{wanted} of {chosen or 'training sets'}"

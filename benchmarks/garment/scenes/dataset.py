@@ -36,8 +36,7 @@ def recorded_motions(
     """Motions from a folder of BVH files, for every split.
 
     The last file is for testing, the one before for validation, the others for training, so that
-    no file is in two splits.  Of two files none is for validation; a single file is cut in three
-    parts.
+    no file is in two splits.  Of two files none is for validation.
 
     Parameters
     ----------
@@ -52,16 +51,14 @@ def recorded_motions(
     files = find_bvh(folder)
     for k, path in enumerate(files):
         motion = retarget(read_bvh(path), body.skeleton, fps=data_set.fps)
-        stem = "".join(c if c.isalnum() else "_" for c in path.name.split(".")[0])
+        named = path.name[: path.name.lower().rindex(".bvh")]
+        stem = "".join(c if c.isalnum() else "_" for c in named)
         starts = list(range(0, motion.n_frames, frames))
         if len(starts) > 1 and motion.n_frames - starts[-1] < frames // 2:
             starts.pop()
         for i, start in enumerate(starts):
             split: Split = "train"
-            if len(files) == 1:
-                place = i / len(starts)
-                split = "train" if place < 0.6 else "validation" if place < 0.8 else "test"
-            elif k == len(files) - 1:
+            if k == len(files) - 1:
                 split = "test"
             elif k == len(files) - 2 and len(files) > 2:
                 split = "validation"

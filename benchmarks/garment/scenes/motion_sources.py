@@ -145,7 +145,7 @@ class DancesOfSplits:
     set_test: int = 0
 
     def __post_init__(self) -> None:
-        check_numbers(self, train=_FROM_1, frames=_FROM_1)
+        check_numbers(self, train=(1, _SEEDS_OF_A_SPLIT), frames=_FROM_1)
         for split in SPLITS:
             count, most = getattr(self, f"set_{split}"), getattr(self, split)
             if count > most:

@@ -95,6 +95,7 @@ class SceneDescription:
             "parameter_set": self.parameters.name,
             "parameter_split": self.parameters.split,
             "repeat_of": self.repeat_of,
+            "gate": self.data_set.gate,
             "simulator": VERSION,
         }
 

@@ -15,9 +15,11 @@ from typer.testing import CliRunner
 
 import ssdr
 from garmentnet.cli import app
+from garmentnet.cli.importing import _files
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.data.store import ClipStore
 from garmentnet.importing.importing import ImportOptions, import_clips
+from garmentnet.importing.rig import rig_of
 from garmentnet.importing.scene_files import Source
 from helpers.walking_rig import FPS, FRAMES, JOINTS, NAMES, PARENTS, cloth, motion, rig
 from ssdr import MeshSequence, Skinning
@@ -64,6 +66,46 @@ def test_the_rest_pose_is_found_later_in_a_clip_and_elsewhere(pair, tmp_path):
     ssdr.save(cut, tmp_path / "cut.npz")
     store = import_clips([back], tmp_path / "b.clips", rest=tmp_path / "cut.npz")
     np.testing.assert_allclose(store.rest, cut.vertices[0], atol=1e-6)
+
+
+def test_the_rest_pose_lies_on_the_body_though_the_root_stands_still(pair, tmp_path):
+    """As in rigs of engines, whose first bone stays at the origin."""
+    away = np.add(motion(), [[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 3]])
+    still = np.concatenate([np.tile(np.eye(3, 4), (FRAMES, 1, 1, 1)), away], axis=1)
+    rooted = rig(
+        still,
+        bone_names=("root", *NAMES),
+        parents=[-1, 0, 1, 1],
+        joint_positions=np.concatenate([np.zeros((1, 3)), JOINTS]),
+    )
+    rooted = dataclasses.replace(rooted, indices=rig().indices + 1)
+    store = import_clips([pair("walk", cloth(away), rooted)], tmp_path / "a.clips")
+    np.testing.assert_allclose(store.rest, cloth().vertices[0], atol=0.15)
+
+
+def test_a_prop_of_one_joint_is_a_rig():
+    one = {"bone_names": NAMES[:1], "parents": [-1], "joint_positions": JOINTS[:1]}
+    pole = dataclasses.replace(rig(), indices=0 * rig().indices, transforms=motion()[:, :1], **one)
+    assert rig_of(pole).skeleton.names == ("hips",)
+
+
+def test_files_without_times_have_the_rate_that_is_stated(pair, tmp_path):
+    ssdr.save(cloth(), tmp_path / "walk%04d.obj")
+    said: list[str] = []
+    files = tmp_path / "walk%04d.obj", pair()[1]
+    store = import_clips([files], tmp_path / "a.clips", ImportOptions(fps=30.0), say=said.append)
+    assert store.fps == 30
+    assert "walk%04d.obj states no frame rate: 30 frames a second" in said
+    assert store.clip(store.names("train")[0]).n_frames == 48
+
+
+@pytest.mark.parametrize("stems", [("take1", "take2", "take10"), ("walk", "walk2", "walk11")])
+def test_files_of_two_patterns_are_paired_by_number(tmp_path, stems):
+    pairs = [tmp_path / f"{stem}{end}" for end in (".abc", "_rig.fbx") for stem in stems]
+    for path in pairs:
+        path.touch()
+    found = [_files("--cloth", [f"{tmp_path}/*{end}"]) for end in (".abc", ".fbx")]
+    assert found == [pairs[:3], pairs[3:]]
 
 
 def test_triangles_that_face_the_body_are_turned_round(pair, tmp_path):

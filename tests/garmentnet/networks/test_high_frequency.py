@@ -129,3 +129,18 @@ def test_detail_of_some_vertices():
     assert float(out[:, :, others].abs().max()) == 0
     assert float(out[:, :, chosen].abs().min()) > 0
     assert module.spread.weight.shape == (16, 16)
+
+
+def test_a_short_training_ends_with_statistics_of_its_last_batches():
+    torch.manual_seed(0)
+    rest, faces, _ = toy.skirt(columns=6, rings=2)
+    net = HighFrequency(4, faces, len(rest), HighOptions(hidden=8), edge_length=0.1).train()
+    for k in range(60):
+        x, low = torch.randn(8, 6, 4), torch.zeros(8, 6, len(rest), 3)
+        net(x, low)
+        if k == 30:  # what it has learned changes the features
+            torch.nn.init.normal_(net.spread.weight, std=3.0)
+    seen = []
+    net.norm.register_forward_hook(lambda _, __, out: seen.append(out))
+    net.eval()(x, low)
+    assert 0.6 < float(seen[0].detach().std()) < 1.6

@@ -121,7 +121,7 @@ def test_the_gate_says_why(spin: Motion) -> None:
     once[3, free[-1]] += np.float32([0.0, -0.05, 0.0])
     assert "stretch_held" not in reasons(once)
     away = made + np.float32([0.0, 0.0, 0.6])
-    assert {"behind", "pins_off"} <= reasons(away)
+    assert "pins_off" in reasons(away)
     # Cloth drawn to the middle of the body crosses it.
     middle = made[:, DRESS.pinned].mean(axis=1, keepdims=True) * [1, 0, 1]
     narrow = made.copy()
