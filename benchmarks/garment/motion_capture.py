@@ -23,4 +23,4 @@ if __name__ == "__main__":
     given = options.parse_args()
     subject = load_checkpoint(given.model).subject
     motion = retarget(read_bvh(given.source), subject.skeleton, fps=subject.fps)
-    np.savez(given.target, joints=motion.joints)
+    np.savez(given.target, joints=motion.joints, fps=subject.fps)

@@ -122,7 +122,7 @@ def predict(
     ],
     parameters: Parameters = "",
     detail: Annotated[bool, typer.Option(help="Run the high-frequency module.")] = True,
-    every: Annotated[int, typer.Option(help="Every n-th frame alone in films.")] = 1,
+    every: Annotated[int, typer.Option(min=1, help="Every n-th frame alone in films.")] = 1,
     push_out: Annotated[
         bool, typer.Option(help="Move vertices that lie inside the body out of it.")
     ] = True,
@@ -136,7 +136,7 @@ def predict(
     from ..prediction.prediction import predict as run
 
     for path in output:
-        check_output(path)
+        check_output(path, [motion, checkpoint])
     model = load_checkpoint(checkpoint)
     chosen = chosen_parameters(model, entered_parameters(parameters))
     joints, clip = read_motion(motion, model.subject)

@@ -51,13 +51,14 @@ def _want(v, x, y, z, fixed, wanted, length):
 
 
 @inline
-def _find(points, garment, scene, margin, work, hot, crossed, inside, beyond, wanted, length):
+def _find(points, garment, scene, bounds, work, hot, marks, wanted, length):
     """Number of crossings.  They mark edges and their ends, and lift cloth off corners of the body.
 
     `beyond` is the other end of an edge that crosses, −1 without one.  Triangles that are not `hot`
     are known to cross nothing.
     """
     cloth, edges, fixed, _, _, _, _, _, _ = garment
+    (margin, reach), (crossed, inside, beyond) = bounds, marks
     corners, depth, boxes = scene
     own, meets = work
     found, other, base = 0, len(corners), (1 << depth) - 1
@@ -89,9 +90,9 @@ def _find(points, garment, scene, margin, work, hot, crossed, inside, beyond, wa
                         meets[i] = True
                         high, low = max(p, q), min(p, q)
                         size = np.sqrt(square)
-                        rise = high / size + margin
+                        rise = min(high / size, reach) + margin
                         if high > -_NEARER * low:
-                            rise = low / size - margin
+                            rise = max(low / size, -reach) - margin
                         rise /= size
                         x, y, z = normal_of(own, i)
                         for e in range(3):
@@ -140,9 +141,8 @@ def push_outward(
     field, other = np.empty((n, 3)), np.empty((n, 3))
     first, best, waited, kept = 0, -1, 0, np.empty((n, 3))
     for turn in range(rounds + 1):
-        found = _find(
-            points, garment, scene, margin, work, hot, crossed, inside, beyond, wanted, length
-        )
+        marks = crossed, inside, beyond
+        found = _find(points, garment, scene, (margin, reach), work, hot, marks, wanted, length)
         if turn == 0:
             first = found
         elif found < best or best < 0:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ssdr.common.errors import FormatError, InputError
 from ssdr.io.arrays.array_files import read_arrays
-from ssdr.io.file_errors import reading
+from ssdr.io.file_errors import check, reading
 
 from ..data.clip import Clip
 from ..data.skeleton import check_joints
@@ -25,8 +25,9 @@ def read_motion(path: Path | str, subject: Subject) -> tuple[NDArray[np.float64]
     Parameters
     ----------
     path : path
-        ``.npz`` with an array ``joints`` ``(F, J, 3, 4)``; the file of a clip in a store; or a
-        ``.fbx``, ``.glb`` or ``.usd*`` whose rig has the joints and the bind pose of the network's.
+        ``.npz`` with an array ``joints`` ``(F, J, 3, 4)`` and, if it is known, ``fps``; the file of
+        a clip in a store; or a ``.fbx``, ``.glb`` or ``.usd*`` whose rig has the joints and the
+        bind pose of the network's.
 
     Returns
     -------
@@ -40,13 +41,15 @@ def read_motion(path: Path | str, subject: Subject) -> tuple[NDArray[np.float64]
         If there is no such file, a clip is of another garment, body or frame rate than the
         network, or a rig is another.
     FormatError
-        If the file is damaged, of an unknown kind, or has the joints of another body.
+        If the file is damaged, of an unknown kind, or has the joints of another body or another
+        frame rate.
     """
     file = Path(path)
     if not file.exists():
         raise InputError("motion", "a .fbx, .glb, .usd or .npz, or a clip", str(file))
-    if file.parent.name == "clips" and file.suffix == ".npz":
-        store = ClipStore.open(file.parent.parent)
+    folder = file.absolute().parent
+    if folder.name == "clips" and (folder.parent / "outfit.npz").is_file():
+        store = ClipStore.open(folder.parent)
         subject.check_fits(store)
         clip = store.clip(file.stem)
         return np.asarray(clip.joints, np.float64), clip
@@ -61,6 +64,7 @@ def read_motion(path: Path | str, subject: Subject) -> tuple[NDArray[np.float64]
             f"{file}: a motion is a .fbx, .glb or .usd with the rig, a .npz with joints, "
             "or a clip of a store"
         )
-    joints = np.asarray(read_arrays(file, required=("joints",))["joints"], np.float64)
+    arrays = read_arrays(file, required=("joints",), optional=("fps",))
     with reading(file):
-        return check_joints(joints, subject.skeleton.n_joints), None
+        check(arrays.get("fps", subject.fps) == subject.fps, f"it is not of {subject.fps:g} fps")
+        return check_joints(arrays["joints"], subject.skeleton.n_joints), None

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,6 @@ import ssdr
 from ssdr import MeshSequence, Skinning
 from ssdr.common.errors import InputError
 from ssdr.io.formats import FORMATS
-from ssdr.io.optional import import_optional as require
 from ssdr.model.rigid import nearest_rotation
 from ssdr.show import Film, write_picture
 
@@ -29,6 +30,7 @@ from ..drawing.dressed import (
 from ..io.files import Progress, silent
 from .prediction import Prediction
 
+_FASTEST = 30  # frames a second that a film shows; viewers slow down faster ones
 _ELEVATION = 12.0  # degrees of the camera above the horizon
 _FILMS = (".gif", ".webp")
 _PICTURES = (".png", ".jpg", ".jpeg")
@@ -36,13 +38,13 @@ _BONES = (".glb", ".gltf", ".fbx")
 _PAGE = ".html"
 
 
-def check_output(path: Path | str) -> None:
+def check_output(path: Path | str, inputs: Sequence[Path | str] = ()) -> None:
     """Check that :func:`save_prediction` can write a file of this name.
 
     Raises
     ------
     InputError
-        If there is no such folder or format.
+        If there is no such folder or format, or the file is one of `inputs`, which are read.
     MissingDependencyError
         If the format needs a package that is not installed.
     """
@@ -54,12 +56,8 @@ def check_output(path: Path | str) -> None:
     known = sorted({*_FILMS, *_PICTURES, *meshes, _PAGE})
     if suffix not in known:
         raise InputError("output", f"a suffix of {', '.join(known)}", str(file))
-    if suffix.startswith(".usd"):
-        require("pxr", "ssdr[usd]", f"a {suffix} file")
-    if suffix == ".fbx":
-        from ssdr.io.blender.finder import command
-
-        command("")
+    if suffix in meshes:
+        ssdr.io.check_outputs([file], inputs=inputs)
 
 
 def save_prediction(
@@ -104,8 +102,7 @@ def save_prediction(
     Raises
     ------
     InputError
-        If the clip has other numbers of frames or vertices than the prediction, or `every` is
-        below 1.
+        If the clip has other numbers of frames or vertices than the prediction.
     OSError
         If the file cannot be written.
     """
@@ -116,8 +113,6 @@ def save_prediction(
         if expected != found:
             text = "a clip of {} frames and {} vertices".format
             raise InputError("truth", text(*expected), text(*found))
-    if every < 1:
-        raise InputError("every", "1 or more", every)
     suffix = file.suffix.lower()
     if suffix in _FILMS:
         film = _film(p, truth, size, every)
@@ -160,6 +155,7 @@ def _film(p: Prediction, truth: Clip | None, size: int, every: int) -> Film:
         return dressed(*both, p.body.faces, p.cloth.faces, p.cloth.fps, p.cloth.name)
 
     side = size - size % 2
+    every *= math.ceil(p.cloth.fps / every / _FASTEST - 1e-9)
     order = range(0, p.cloth.n_frames, every)
     options: dict[str, Any] = {
         **outfit_look(p.body.n_vertices, p.cloth.n_vertices),

@@ -138,8 +138,12 @@ class Film:
             palette = Image.fromarray(np.concatenate(some)).quantize()
             drawn = (picture.quantize(palette=palette) for picture in drawn)
         first, *others = drawn
+        # A GIF counts hundredths of a second: rounded one by one, frames would take another time.
+        tick = 10 if target.suffix.lower() == ".gif" else 1
+        times = np.round(np.arange(len(self.panels.frames) + 1) * 1000 / (tick * self.fps))
+        shown = np.maximum(20, tick * np.diff(times)).astype(int).tolist()
         # Method 4 makes a WebP a third smaller and takes less time than drawing.
-        options = {"duration": max(20, round(1000 / self.fps)), "loop": 0, "method": 4}
+        options = {"duration": shown, "loop": 0, "method": 4}
         write_picture(first, target, save_all=True, append_images=others, disposal=1, **options)
         return target
 

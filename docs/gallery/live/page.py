@@ -31,6 +31,7 @@ from garmentnet.networks.checkpoint import Checkpoint, load_checkpoint
 from garmentnet.networks.detail_basis import DetailBasis
 from garmentnet.networks.gru import GRULinear
 from garmentnet.prediction.motion_file import read_motion
+from garmentnet.prediction.prediction import chosen_parameters
 from ssdr import Skinning
 from ssdr.common.errors import InputError
 from ssdr.io.atomic import write_bytes
@@ -368,14 +369,17 @@ def main() -> None:
     given = options.parse_args()
     garment = load_checkpoint(given.model)
     entered = {k: v for k in RANGES if (v := getattr(given, k)) is not None}
+    shown = chosen_parameters(garment, entered) or garment.parameters[0]
+    if not garment.reads_parameters and shown != garment.parameters[0]:
+        raise InputError("parameters", f"those of the training, {garment.parameters[0]}", shown)
     takes = []
     for path in given.motions or [SHIPPED / "dance.npz"]:
         joints, clip = read_motion(path, garment.subject)
-        fits = clip is not None and clip.parameters == SimulationParameters(**entered)
+        fits = clip is not None and clip.parameters == shown
         truth = clip.sequence.frames(slice(None)) if clip is not None and fits else None
         takes.append(Take(path.stem, joints, truth))
     size = write_page(
-        garment, takes, given.output, parameters=SimulationParameters(**entered),
+        garment, takes, given.output, parameters=shown,
         title=Path(given.model).stem, max_bytes=round(1e6 * given.max_mb),
     )  # fmt: skip
     print(f"{given.output}: {size / 1e6:.1f} MB, {len(takes)} motion(s)")

@@ -19,11 +19,12 @@ def test_motion_files(toy_network, toy_store, joints, tmp_path):
     assert (len(found), clip.name) == (90, "base-test-0")
     np.savez(tmp_path / "few.npz", joints=joints[:, :2])
     np.savez(tmp_path / "none.npz", other=joints)
+    np.savez(tmp_path / "fast.npz", joints=joints, fps=2 * toy_network.subject.fps)
     np.savez(tmp_path / "pickled.npz", joints=np.array([{}, 1], dtype=object))
     (tmp_path / "broken.npz").write_bytes(b"PK\x03\x04 no")
     for name in ("m.c3d", "m.glb"):
         (tmp_path / name).write_bytes(b"x")
-    for name in ("few.npz", "none.npz", "pickled.npz", "broken.npz", "m.c3d", "m.glb"):
+    for name in ("few.npz", "none.npz", "fast.npz", "pickled.npz", "broken.npz", "m.c3d", "m.glb"):
         with pytest.raises(FormatError, match=name):
             read_motion(tmp_path / name, toy_network.subject)
     with pytest.raises(InputError, match="motion"):

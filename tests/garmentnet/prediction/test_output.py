@@ -1,5 +1,6 @@
 """Files of predictions."""
 
+import dataclasses
 import types
 
 import numpy as np
@@ -8,7 +9,7 @@ from PIL import Image, ImageSequence
 
 import ssdr
 from garmentnet.data.parameters import SimulationParameters
-from garmentnet.prediction.output import save_prediction
+from garmentnet.prediction.output import check_output, save_prediction
 from garmentnet.prediction.prediction import predict
 from helpers.page import Held
 
@@ -106,15 +107,33 @@ def test_a_film_of_truth_beside_prediction(toy_network, toy_store, tmp_path):
 
 def test_truth_that_does_not_fit_is_named(toy_network, toy_store, joints, tmp_path):
     p = predict(toy_network, joints)
-    clip = toy_store.clip("base-test-0")
-    for argument, options in (
-        ("truth", {"truth": clip}),
-        ("every", {"every": 0}),
-    ):
-        with pytest.raises(ssdr.InputError) as caught:
-            save_prediction(p, tmp_path / "a.gif", size=64, **options)
-        assert caught.value.argument == argument
+    with pytest.raises(ssdr.InputError, match="truth"):
+        save_prediction(p, tmp_path / "a.gif", size=64, truth=toy_store.clip("base-test-0"))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_read_is_not_written_over(tmp_path):
+    motion = tmp_path / "walk.npz"
+    np.savez(motion, joints=np.zeros(3))
+    for same in (motion, tmp_path / "." / "walk.npz"):
+        with pytest.raises(ssdr.InputError, match="output"):
+            check_output(same, [motion])
+    check_output(tmp_path / "dress.npz", [motion])
+
+
+def test_a_fast_motion_is_a_film_at_its_speed(toy_network, joints, tmp_path):
+    p = predict(toy_network, joints)
+    cloth = ssdr.MeshSequence(p.cloth.vertices, p.cloth.faces, 120.0)
+    fast = dataclasses.replace(p, cloth=cloth)
+    for suffix in ("gif", "webp"):
+        save_prediction(fast, tmp_path / f"a.{suffix}", size=64)
+        with Image.open(tmp_path / f"a.{suffix}") as film:
+            lasting = []
+            for frame in range(film.n_frames):
+                film.seek(frame)
+                film.load()
+                lasting.append(film.info["duration"])
+        assert sum(lasting) == pytest.approx(1000 * len(joints) / 120, abs=40)
 
 
 def first_frames(clip, count):

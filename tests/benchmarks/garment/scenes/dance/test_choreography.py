@@ -38,10 +38,10 @@ def test_any_seed_gives_a_plausible_dance(seed: int) -> None:
         np.testing.assert_allclose(bone, np.linalg.norm(TREE.rest[j] - TREE.rest[p]), rtol=1e-6)
     # No foot under the floor; one on or near it but for jumps.
     soles = h[:, FEET, 1] - ANKLE
-    assert soles.min() > -0.12
+    assert soles.min() > -0.06
     flying = np.isin(motion.classes, [CLASSES.index(c) for c in ("jump", "kick")])
     standing = soles.min(axis=1)[~flying]
-    assert not len(standing) or (standing < 0.14).mean() > 0.95
+    assert not len(standing) or (standing < 0.06).mean() > 0.95
     # No limb goes faster than a quick dancer's.
     speed = np.linalg.norm(np.diff(h, axis=0), axis=2).max(axis=1) * motion.fps
     assert speed.max() < 18
@@ -59,7 +59,7 @@ def test_standing_feet_do_not_slide() -> None:
     slid = np.concatenate(slides)
     assert len(slid) > 500
     # Some samples catch the begin or end of a step.
-    assert np.percentile(slid, 80) < 2e-3
+    assert np.percentile(slid, 95) < 1e-6
 
 
 def test_the_same_seed_the_same_dance() -> None:
