@@ -154,8 +154,9 @@ def test_garmentnet_names_each_of_its_packages() -> None:
     setup = tomllib.loads((ROOT / "garmentnet" / "pyproject.toml").read_text())["tool"][
         "setuptools"
     ]
-    inside = ROOT / "garmentnet"  # a folder of settings counts as one: else setuptools warns
-    files = [*inside.rglob("__init__.py"), *inside.glob("*/**/*.toml")]
+    inside = ROOT / "garmentnet"  # folders of settings and models count, too: else setuptools warns
+    files = [f for end in ("toml", "safetensors") for f in inside.glob(f"*/**/*.{end}")]
+    files += inside.rglob("__init__.py")
     folders = {path.parent.relative_to(ROOT) for path in files}
     assert setup["packages"] == sorted(".".join(f.parts) for f in folders if "build" not in f.parts)
     assert (ROOT / "garmentnet" / "LICENSE").read_text() == (ROOT / "LICENSE").read_text()
