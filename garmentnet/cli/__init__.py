@@ -1,4 +1,4 @@
-"""The command ``garmentnet``: import, train, evaluate, predict, export, models, demo."""
+"""The command ``garmentnet``: import, train, evaluate, predict, export, demo."""
 
 from .app import app, main
 

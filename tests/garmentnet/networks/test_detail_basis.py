@@ -46,15 +46,6 @@ def test_components_are_the_principal_ones():
     np.testing.assert_allclose(gram.numpy(), np.eye(6), atol=1e-5)
 
 
-def test_fewer_frames_than_components():
-    module = DetailBasis(4, 5, hidden=3, rank=20)
-    frames = torch.randn(4, 5, 3)
-    module.fit(frames)
-    numbers, rest = module.code(frames)
-    assert float(rest.max()) < 1e-8
-    assert float(numbers[:, 3:].abs().max()) < 1e-5
-
-
 @torch.no_grad()
 def test_what_the_low_frequencies_leave(toy_basis, toy_store, toy_bones):
     """With that target the error is the garment's."""

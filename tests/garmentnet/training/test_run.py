@@ -26,24 +26,6 @@ def test_learns_what_a_pose_does_not_tell(toy_store, toy_bones, toy_network):
         assert rows["network"].all.overall.rmse < 0.7 * rows[other.name].all.overall.rmse
 
 
-def test_resume_is_bit_for_bit(toy_store, toy_config, tmp_path):
-    # Twice cut off, once in each phase, against a run in one piece.
-    config = toy_config(epochs=4, high_epochs=3, validate_every=1)
-    whole = train(toy_store, config, tmp_path / "whole").read_bytes()
-    folder = tmp_path / "cut"
-    for where in ("low 2,", "high 1,"):
-
-        def stop(text, fraction, where=where):
-            if text.startswith(where):
-                raise KeyboardInterrupt
-
-        with pytest.raises(KeyboardInterrupt):
-            train(toy_store, config, folder, progress=stop)
-        assert not (folder / "history.json").exists()
-    assert train(toy_store, config, folder).read_bytes() == whole
-    assert train(toy_store, config, folder).read_bytes() == whole
-
-
 def test_a_seed_decides_all_weights_but_not_the_bones(toy_store, toy_config, tmp_path):
     def run(name, seed):
         config = toy_config(epochs=1, high_epochs=1, seed=seed)
