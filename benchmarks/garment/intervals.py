@@ -33,7 +33,7 @@ def paired_ratio(
 ) -> tuple[float, float | None, float | None]:
     """The pooled error of method `a` divided by that of `b`; below 1 the first is better.
 
-    Behind it stand the ends of its 95 % confidence interval, which a single clip does not have.
+    Returned are the ratio and both ends of its 95 % confidence interval, None for a single clip.
     The pooled error of clips is √(Σ frames · error² / Σ frames); with `b` = 1, the result is
     the pooled error of `a` itself.  Clips are drawn with replacement, the same ones for
     both methods.  The interval lies between two percentiles of the resampled ratios, which are

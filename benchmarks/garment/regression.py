@@ -255,7 +255,7 @@ class _Target:
     part: Part
 
     def basis(self, names: Sequence[str], folder: Path) -> ShapeBasis:
-        """Components of the training frames, which are kept in a folder."""
+        """Principal components of the training frames; read from the folder if it has them."""
 
         def made() -> dict[str, Any]:
             plain = [n for n in names if not n.endswith(MIRRORED)]

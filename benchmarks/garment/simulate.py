@@ -37,7 +37,7 @@ def main() -> None:
         store = make_data_set(
             data_set, target, recorded=recorded, workers=given.workers, progress=show
         )
-    print(f"{len(store.names(perturbed=None))} clips", store.refused(), sep="\n")
+    print(f"{len(store.names(perturbed=None))} clips accepted. {store.refused()}".rstrip())
 
 
 if __name__ == "__main__":

@@ -85,7 +85,7 @@ def import_clips(
 
 
 def _files(option: str, words: list[str]) -> list[Path]:
-    """Files with the given names, or that match the given patterns, sorted by number and name.
+    """Files of the given names and patterns, in natural order (2 before 10).
 
     What the names of a pattern's files have in common at their ends does not count: of ``walk_rig``
     and ``walk2_rig`` the first is the first, as of ``walk`` and ``walk2``.

@@ -139,10 +139,10 @@ def push_outward(
     beyond, queue, ring = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
     wanted, length = np.empty((n, 3)), np.empty(n)
     field, other = np.empty((n, 3)), np.empty((n, 3))
+    bounds, marks = (margin, reach), (crossed, inside, beyond)
     first, best, waited, kept = 0, -1, 0, np.empty((n, 3))
     for turn in range(rounds + 1):
-        marks = crossed, inside, beyond
-        found = _find(points, garment, scene, (margin, reach), work, hot, marks, wanted, length)
+        found = _find(points, garment, scene, bounds, work, hot, marks, wanted, length)
         if turn == 0:
             first = found
         elif found < best or best < 0:

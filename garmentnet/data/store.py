@@ -38,7 +38,7 @@ from .skeleton import Skeleton, check_finite
 
 _VERSION = 2
 # Of garment and skeleton, and of the names of all clips, which are in the folder `clips`.
-_OUTFIT, _LIST = "outfit.npz", "clips.txt"
+OUTFIT, _LIST = "outfit.npz", "clips.txt"
 _ARRAYS = ("rest", "faces", "pinned", "mirror_vertices")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.\-]*\Z")
 
@@ -148,11 +148,11 @@ class ClipStore(Outfit):
             with atomic_path(target, flush=False) as temporary:
                 (temporary / "clips").mkdir(parents=True)
                 (temporary / _LIST).touch()
-                write_arrays(temporary / _OUTFIT, arrays)
+                write_arrays(temporary / OUTFIT, arrays)
                 ssdr.save(body, temporary / "body.npz")
         except OSError:
             # Another process may have made the store in the meantime.
-            if not (target / _OUTFIT).is_file():
+            if not (target / OUTFIT).is_file():
                 raise
         return cls._same(target, outfit)
 
@@ -175,8 +175,8 @@ class ClipStore(Outfit):
         """
         target = Path(path)
         check(target.is_dir(), f"{target}: no such folder")
-        file = target / _OUTFIT
-        check(file.is_file(), f"{target}: not a store of clips (no {_OUTFIT})")
+        file = target / OUTFIT
+        check(file.is_file(), f"{target}: not a store of clips (no {OUTFIT})")
         stated = ("version", "classes", "fps", "parents", "joint_rest")
         d = read_arrays(file, required=(*stated, *_ARRAYS[:3]), optional=_ARRAYS[3:])
         with reading(file):
@@ -270,7 +270,7 @@ class ClipStore(Outfit):
         return tuple(named)
 
     def refused(self) -> str:
-        """Sentence on how many clips the quality gate refused, which and why; empty without any."""
+        """How many clips the quality gate refused, which and why, in a sentence; empty if none."""
         every = list(self.clips(accepted=None, perturbed=None))
         found = [f"{c.name} ({c.quality.get('reason')})" for c in every if not c.accepted]
         text = (

@@ -1,4 +1,4 @@
-"""Methods that are evaluated: their interface, networks, and two bounds of their errors."""
+"""Methods to evaluate: their interface, trained networks, and two bounds on the error."""
 
 from __future__ import annotations
 

@@ -36,7 +36,8 @@ LIMITS = {
 }
 # Distance from the skin, metres, up to which vertices outside are measured.
 _LOOK = 1e-3
-_EVERY = 3  # frames from one search for crossings or folds to the next
+# Frames from one search for crossings or folds to the next; seconds that a fold lasts.
+_EVERY, _FOLDED = 3, 3
 _AT_ONCE = 10_000_000  # stretches that are computed at once
 _SHORT = 0.05  # of the mean length: shorter edges, as slivers at seams have, count as so long
 
@@ -79,7 +80,7 @@ def judge(
     beside = outfit.faces[trimesh.graph.face_adjacency(outfit.faces)]
     beside = beside[~held[beside].all(axis=(1, 2))]
     second, count = min(len(vertices), round(outfit.fps)), len(vertices) * len(edges)
-    longest, lasting = 0.0, 0.0
+    longest = lasting = folded = 0.0
     sample: list[NDArray[Any]] = [np.ones(1)]
     for part in np.array_split(np.arange(len(edges)), 1 + count // _AT_ONCE):
         stretch = _lengths(vertices, edges[part]) / rest[part]
@@ -92,10 +93,9 @@ def judge(
     if len(body.faces):
         found = find_crossings(body, outfit.faces, vertices[::_EVERY], m[::_EVERY], pinned=held)
         crossed = _held(found.depth[:, None], min(len(found.depth), math.ceil(second / _EVERY)))
-    folded = 0.0
     for part in np.array_split(beside, 1 + count // _AT_ONCE):
         fold = _folds(part, vertices[::_EVERY]) - _folds(part, outfit.rest[None])
-        folded = max(folded, _held(fold, round(outfit.fps)))
+        folded = max(folded, _held(fold, round(_FOLDED * outfit.fps / _EVERY)))
     measured = {
         "stretch_p99": np.percentile(np.concatenate(sample), 99),
         "stretch_max": longest,
@@ -124,7 +124,7 @@ def _held(values: NDArray[np.floating], frames: int) -> float:
 
 
 def _folds(corners: NDArray[np.integer], v: NDArray[np.float32]) -> NDArray[Any]:
-    """Degrees (F, n) between the normals of two triangles, of the corners (n, 2, 3) of both."""
+    """Fold angles (F, n), degrees, 0 if flat, of pairs of triangles with corners (n, 2, 3)."""
     a, b, c = np.moveaxis(v[:, corners], 3, 0)
     p, q = np.moveaxis(np.cross(b - a, c - a), 2, 0)
     angle = np.arctan2(np.linalg.norm(np.cross(p, q), axis=2), (p * q).sum(axis=2))

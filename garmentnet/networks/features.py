@@ -1,4 +1,4 @@
-"""Body motion M_b as a network reads it (paper, section 4.2), and the frame of its output.
+"""Pose features of the body motion M_b (paper, section 4.2), and the moving frame of the output.
 
 Features depend only on past frames, through a state that each call returns for the next.  So a
 motion has the same features whether it is read at once, in parts or frame by frame.

@@ -1,4 +1,4 @@
-"""A GRU and a linear layer, on which the low-frequency module and `DetailBasis` are built."""
+"""A GRU followed by a linear layer, the core of the low-frequency module and `DetailBasis`."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ class Predictor:
     def motions(
         self, joints: Any, parameters: Any = None, *, detail: bool = True, frames: Any = None
     ) -> list[NetworkOutput]:
-        """The motion, or some of its frames, in parts of at most 120 frames."""
+        """Outputs for a motion, or some of its frames, in parts of at most `FRAMES_AT_ONCE`."""
         count = np.shape(joints)[1] if np.ndim(joints) == 4 else 1  # the features check it
         joints, state, out = check_joints(joints, count), None, []
         for start in range(0, len(joints), FRAMES_AT_ONCE):

@@ -13,7 +13,7 @@ from ssdr.io.file_errors import check, reading
 
 from ..data.clip import Clip
 from ..data.skeleton import check_joints
-from ..data.store import ClipStore
+from ..data.store import OUTFIT, ClipStore
 from ..data.subject import Subject
 from ..importing.rig import rig_of
 from ..importing.scene_files import RIGS, Source, read_rig
@@ -48,7 +48,7 @@ def read_motion(path: Path | str, subject: Subject) -> tuple[NDArray[np.float64]
     if not file.exists():
         raise InputError("motion", "a .fbx, .glb, .usd or .npz, or a clip", str(file))
     folder = file.absolute().parent
-    if folder.name == "clips" and (folder.parent / "outfit.npz").is_file():
+    if folder.name == "clips" and (folder.parent / OUTFIT).is_file():
         store = ClipStore.open(folder.parent)
         subject.check_fits(store)
         clip = store.clip(file.stem)
@@ -66,5 +66,7 @@ def read_motion(path: Path | str, subject: Subject) -> tuple[NDArray[np.float64]
         )
     arrays = read_arrays(file, required=("joints",), optional=("fps",))
     with reading(file):
-        check(arrays.get("fps", subject.fps) == subject.fps, f"it is not of {subject.fps:g} fps")
+        check(
+            arrays.get("fps", subject.fps) == subject.fps, f"not the network's {subject.fps:g} fps"
+        )
         return check_joints(arrays["joints"], subject.skeleton.n_joints), None

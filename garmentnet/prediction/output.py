@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -30,7 +29,6 @@ from ..drawing.dressed import (
 from ..io.files import Progress, silent
 from .prediction import Prediction
 
-_FASTEST = 30  # frames a second that a film shows; viewers slow down faster ones
 _ELEVATION = 12.0  # degrees of the camera above the horizon
 _FILMS = (".gif", ".webp")
 _PICTURES = (".png", ".jpg", ".jpeg")
@@ -155,7 +153,7 @@ def _film(p: Prediction, truth: Clip | None, size: int, every: int) -> Film:
         return dressed(*both, p.body.faces, p.cloth.faces, p.cloth.fps, p.cloth.name)
 
     side = size - size % 2
-    every *= math.ceil(p.cloth.fps / every / _FASTEST - 1e-9)
+    every *= Film.step(p.cloth.fps / every)
     order = range(0, p.cloth.n_frames, every)
     options: dict[str, Any] = {
         **outfit_look(p.body.n_vertices, p.cloth.n_vertices),

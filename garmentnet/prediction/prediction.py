@@ -72,6 +72,14 @@ def chosen_parameters(
     return from_table(SimulationParameters, values, file="parameters")
 
 
+def check_set(checkpoint: Checkpoint, parameters: SimulationParameters | None) -> None:
+    """Raise an error if a network of one parameter set is asked for another."""
+    trained_on = None if checkpoint.reads_parameters else checkpoint.parameters[0]
+    if None not in (parameters, trained_on) and parameters != trained_on:
+        expected = f"those of this single network, {trained_on} (an ensemble takes any)"
+        raise InputError("parameters", expected, parameters)
+
+
 def predict(
     checkpoint: Checkpoint,
     joints: Any,
@@ -111,12 +119,8 @@ def predict(
     """
     if not isinstance(parameters, SimulationParameters | None):
         raise InputError("parameters", "SimulationParameters", repr(parameters))
-    several = checkpoint.reads_parameters
-    trained_on = checkpoint.parameters[0]
-    if not several and None not in (parameters, trained_on) and parameters != trained_on:
-        expected = f"those of this single network, {trained_on} (an ensemble takes any)"
-        raise InputError("parameters", expected, parameters)
-    if several and parameters is not None:
+    check_set(checkpoint, parameters)
+    if checkpoint.reads_parameters and parameters is not None:
         warn_beyond(parameters, checkpoint.parameters)
     motions = checkpoint.motions(joints, parameters, detail=detail)
     cloth = np.concatenate([part.vertices() for part in motions])

@@ -106,7 +106,7 @@ class Film:
         if clips and not one_rate(clips):
             rates = ", ".join(f"{clip.name} at {clip.fps:g}" for clip in clips)
             raise InputError("subject", "clips of one frame rate, for a film", rates)
-        step = max(1, math.ceil(scene.subject.fps / 30 - 1e-9)) if frames is None else 1
+        step = cls.step(scene.subject.fps) if frames is None else 1
         speed = fps or scene.subject.fps / step
         if not (math.isfinite(speed) and speed > 0):
             raise InputError("fps", "a positive number", fps)
@@ -116,6 +116,11 @@ class Film:
         names = () if titles is None else as_many("titles", titles, panels.rows)
         texts = () if captions is None else as_many("captions", captions, panels.frames)
         return cls(panels, speed, tuple(names), tuple(texts), unit)
+
+    @staticmethod
+    def step(fps: float) -> int:
+        """Step between the frames shown of a sequence: at most 30 a second, as viewers can play."""
+        return max(1, math.ceil(fps / 30 - 1e-9))
 
     def pictures(self, callback: Callable[[float], object] | None = None) -> Iterator[Image.Image]:
         """Draw the frames, one after the other; `callback` is called with the fraction done."""
@@ -131,15 +136,15 @@ class Film:
         target = Path(path)
         if target.suffix.lower() not in FILMS:
             raise InputError("path", "a film: .gif or .webp", str(path))
-        drawn = self.pictures(callback)
-        if target.suffix.lower() == ".gif":
+        drawn, gif = self.pictures(callback), target.suffix.lower() == ".gif"
+        if gif:
             # One palette for all frames, since the background flickers otherwise.
             some = [np.asarray(self._picture(k)) for k in evenly(len(self.panels.frames), 4)]
             palette = Image.fromarray(np.concatenate(some)).quantize()
             drawn = (picture.quantize(palette=palette) for picture in drawn)
         first, *others = drawn
         # A GIF counts hundredths of a second: rounded one by one, frames would take another time.
-        tick = 10 if target.suffix.lower() == ".gif" else 1
+        tick = 10 if gif else 1
         times = np.round(np.arange(len(self.panels.frames) + 1) * 1000 / (tick * self.fps))
         shown = np.maximum(20, tick * np.diff(times)).astype(int).tolist()
         # Method 4 makes a WebP a third smaller and takes less time than drawing.

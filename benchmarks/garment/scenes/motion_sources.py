@@ -152,7 +152,7 @@ class DancesOfSplits:
                 raise InputError(f"set_{split}", f"at most {most}, as {split}", count)
 
     def share(self, part: float) -> DancesOfSplits:
-        """The first dances alone, such a part of every number, rounded up."""
+        """A share of the dances: the first of every split, their numbers rounded up."""
         names = (prefix + split for split in SPLITS for prefix in ("", "set_"))
         return dataclasses.replace(self, **{n: math.ceil(part * getattr(self, n)) for n in names})
 

@@ -31,7 +31,7 @@ from garmentnet.networks.checkpoint import Checkpoint, load_checkpoint
 from garmentnet.networks.detail_basis import DetailBasis
 from garmentnet.networks.gru import GRULinear
 from garmentnet.prediction.motion_file import read_motion
-from garmentnet.prediction.prediction import chosen_parameters
+from garmentnet.prediction.prediction import check_set, chosen_parameters
 from ssdr import Skinning
 from ssdr.common.errors import InputError
 from ssdr.io.atomic import write_bytes
@@ -370,8 +370,7 @@ def main() -> None:
     garment = load_checkpoint(given.model)
     entered = {k: v for k in RANGES if (v := getattr(given, k)) is not None}
     shown = chosen_parameters(garment, entered) or garment.parameters[0]
-    if not garment.reads_parameters and shown != garment.parameters[0]:
-        raise InputError("parameters", f"those of the training, {garment.parameters[0]}", shown)
+    check_set(garment, shown)
     takes = []
     for path in given.motions or [SHIPPED / "dance.npz"]:
         joints, clip = read_motion(path, garment.subject)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
+import ssdr
 from garmentnet.collision import outward
 from garmentnet.collision.body_tree import BodyTree
 from garmentnet.collision.crossings import find_crossings
@@ -108,3 +109,10 @@ def test_pinned_vertices_stay(rng):
     out = push(cloth[None].repeat(2, 0), STILL.repeat(2, 0)).vertices
     assert np.array_equal(out[0, pinned], cloth[pinned])
     assert np.array_equal(out[0], out[1])
+    before = ssdr.get_threads()
+    try:
+        ssdr.set_threads(3)
+        many = push(cloth[None].repeat(20, 0), STILL.repeat(20, 0)).vertices
+    finally:
+        ssdr.set_threads(before)
+    assert (many == out[0]).all()
