@@ -79,7 +79,7 @@ def report(
     config, base = first.networks[0].config, _base(first, store)
     reading = [n for n in networks if n.checkpoint.reads_parameters]
     sections = _sections(store, base, bool(reading), clips)
-    bones = virtual_bones(store, config.bones, progress=progress)
+    bones = virtual_bones(store, config.bones, subject=first.subject, progress=progress)
     bound, chaos = BonesThemselves(bones), Chaos(store)
     methods: list[Method] = [bound, *networks]
     if baselines:

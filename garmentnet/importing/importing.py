@@ -174,11 +174,9 @@ def _read(
 def _check_mesh(argument: str, mesh: MeshSequence, faces: NDArray[np.int32], count: int) -> None:
     """Raise an error unless a mesh has the vertices and triangles of the first clip.
 
-    Its triangles may all face the other way.
+    Its triangles may face either way.
     """
-    if mesh.n_vertices == count and any(
-        np.array_equal(mesh.faces, some) for some in (faces, faces[:, ::-1])
-    ):
+    if mesh.n_vertices == count and np.array_equal(*(np.sort(x) for x in (mesh.faces, faces))):
         return
     own, first = (mesh.n_vertices, len(mesh.faces)), (count, len(faces))
     raise InputError(
@@ -224,10 +222,10 @@ def _create(
     if not is_closed(rig.body.faces):
         mesh_of = "a mesh of the body that is not closed" if len(rig.body.faces) else "no body"
         say(f"the rig has {mesh_of}: nothing can be pushed out of it")
-    faces = cloth.faces
-    if rig.is_faced(rest, faces):
-        faces = faces[:, ::-1]
-        say("the triangles of the cloth face the body: they are turned round")
+    inward = rig.facing(rest, cloth.faces)
+    if inward.any():
+        say(f"{inward.sum()} of {len(inward)} triangles face the body: they are turned round")
+    faces = np.where(inward[:, None], cloth.faces[:, ::-1], cloth.faces)
     large, size = rest_diagonal(rest), rest_diagonal(rig.body.rest)
     likely = large > _SMALL * size and 0.2 < size < 20
     text = f"the garment is {large:.3g} m large, the body {size:.3g} m"

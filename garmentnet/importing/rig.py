@@ -6,6 +6,8 @@ import dataclasses
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ssdr import Skinning, kabsch, skin
@@ -47,13 +49,18 @@ class MovingBody:
         x, y, z = np.ptp(self.skeleton.rest, axis=0)
         return bool(z > 1.2 * max(x, y))
 
-    def is_faced(self, rest: NDArray[np.floating], faces: NDArray[np.integer]) -> bool:
-        """Whether triangles ``(T, 3)`` of a garment at rest ``(V, 3)`` face the body."""
+    def facing(self, rest: NDArray[np.floating], faces: NDArray[np.integer]) -> NDArray[np.bool_]:
+        """Mask ``(T,)`` of the connected pieces of a garment at rest that face the body."""
         a, b, c = np.asarray(rest, np.float64)[faces].swapaxes(0, 1)
         middle = (a + b + c) / 3
         away = middle - self.body.rest[cKDTree(self.body.rest).query(middle)[1]]
         away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
-        return float((np.cross(b - a, c - a) * away).sum()) < 0
+        links = sparse.coo_array(
+            (np.ones(2 * len(faces)), (faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel())),
+            (len(rest),) * 2,
+        )
+        piece = connected_components(links, directed=False)[1][faces[:, 0]]
+        return np.bincount(piece, (np.cross(b - a, c - a) * away).sum(axis=1))[piece] < 0
 
     def check_cloth(self, vertices: NDArray[np.floating], argument: str = "cloth") -> None:
         """Check that a cloth ``(F, V, 3)`` lies on the body and is of a size that fits it.
@@ -79,20 +86,21 @@ class MovingBody:
             )
 
     def matched(self, skeleton: Skeleton, body: Skinning) -> MovingBody:
-        """Rig with this motion for a skeleton with the same joints in any order, and its body.
+        """Rig with this motion for a skeleton whose joints this one has, and for its body.
 
-        The rest poses may differ by a rigid motion.
+        Other joints, such as those of a dressed character, are left out.  The rest poses may differ
+        by a rigid motion.
 
         Raises
         ------
         InputError
-            If joints, parents or rest pose differ.
+            If joints are missing, or parents or rest pose differ.
         """
         own = self.skeleton
         theirs, ours = (_parents(s) for s in (skeleton, own))
-        if theirs != ours:
-            text = ", ".join(sorted({joint for joint, _ in theirs.items() ^ ours.items()}))
-            raise InputError("rig", "the joints and parents of the first clip", f"others: {text}")
+        if missing := sorted(joint for joint, _ in theirs.items() - ours.items()):
+            expected = "the joints and parents of the first clip"
+            raise InputError("rig", expected, f"none such: {', '.join(missing)}")
         order = [own.names.index(name) for name in skeleton.names]
         rest, near = own.rest[order], _SAME_PLACE * rest_diagonal(skeleton.rest)
         turn = np.eye(3, 4)

@@ -151,7 +151,7 @@ def virtual_bones(
     store : ClipStore
     options : BoneOptions
     subject : Subject, optional
-        Garment and body of a trained network, whose bones are used.
+        Garment and body of a trained network, whose bones are used, whatever clips these are from.
     progress : callable, optional
         Called with a description of the current step and the fraction that is done.
 
@@ -163,7 +163,7 @@ def virtual_bones(
     if subject is not None:
         if subject.garment_id != store.garment_id:
             raise InputError("subject", f"the garment of {store.path}", "another")
-        options = dataclasses.replace(options, count=subject.garment.n_bones)
+        options = dataclasses.replace(options, count=subject.garment.n_bones, motions="")
     roles = parameter_roles(store)
     names = [
         c.name

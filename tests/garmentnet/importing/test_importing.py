@@ -83,6 +83,21 @@ def test_the_rest_pose_lies_on_the_body_though_the_root_stands_still(pair, tmp_p
     np.testing.assert_allclose(store.rest, cloth().vertices[0], atol=0.15)
 
 
+def test_joints_that_the_first_rig_has_not_are_left_out(pair, files, tmp_path):
+    """As when the model that a prediction wrote, with its virtual bones, is animated anew."""
+    more = np.concatenate([motion(), motion(seed=1)[:, 1:2]], axis=1)
+    dressed = rig(
+        more,
+        bone_names=(*NAMES, "virtual_00"),
+        parents=[-1, 0, 0, 0],
+        joint_positions=np.concatenate([JOINTS, JOINTS[:1]]),
+    )
+    import_clips([files], tmp_path / "a.clips")
+    store = import_clips([pair("other", cloth(), dressed)], tmp_path / "a.clips")
+    assert len(store.names()) == 6
+    np.testing.assert_allclose(joints_of(store, "other"), motion(), atol=1e-5)
+
+
 def test_a_prop_of_one_joint_is_a_rig():
     one = {"bone_names": NAMES[:1], "parents": [-1], "joint_positions": JOINTS[:1]}
     pole = dataclasses.replace(rig(), indices=0 * rig().indices, transforms=motion()[:, :1], **one)
@@ -108,13 +123,20 @@ def test_files_of_two_patterns_are_paired_by_number(tmp_path, stems):
     assert found == [pairs[:3], pairs[3:]]
 
 
-def test_triangles_that_face_the_body_are_turned_round(pair, tmp_path):
-    inside_out = MeshSequence(cloth().vertices, cloth().faces[:, ::-1], FPS)
-    store = import_clips([pair("one", inside_out), pair("other")], tmp_path / "a.clips")
+def test_pieces_that_face_the_body_are_turned_round(pair, tmp_path):
+    one, said = cloth(), []
+    outer = one.vertices * [1.02, 1, 1.02]
+    faces = np.concatenate([one.faces[:, ::-1], one.faces + one.n_vertices])
+    two = MeshSequence(np.concatenate([one.vertices, outer], axis=1), faces, FPS)
+    other = dataclasses.replace(two, faces=two.faces[:, ::-1])
+    pairs = [pair("one", two), pair("other", other)]
+    store = import_clips(pairs, tmp_path / "a.clips", say=said.append)
+    assert len(store.names()) == 6
+    half = len(one.faces)
+    assert f"{half} of {2 * half} triangles face the body: they are turned round" in said
     a, b, c = store.rest[store.faces].swapaxes(0, 1)
     away = (a + b + c) / 3 * [1, 0, 1]  # from the axis of the tube
     assert (np.einsum("tc,tc->t", np.cross(b - a, c - a), away) > 0).all()
-    assert len(store.names()) == 6
 
 
 def test_clips_go_to_named_splits_and_are_added_once(pair, tmp_path):

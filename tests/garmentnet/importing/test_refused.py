@@ -22,10 +22,10 @@ REFUSED = {
     "rig: expected a skeleton: joints with parents": {
         "new_rig": rig(parents=None, joint_positions=None)
     },
-    "joints and parents .* others: arm_r, leg_r": {
+    "joints and parents .* none such: leg_r": {
         "new_rig": rig(bone_names=("hips", "leg_l", "arm_r"))
     },
-    "others: leg_r": {"new_rig": rig(parents=[-1, 0, 1])},
+    "none such: leg_r": {"new_rig": rig(parents=[-1, 0, 1])},
     "bind pose of the first clip, got leg_l 0.": {"new_rig": rig(joint_positions=LOWER)},
     "joints that turn and move, got leg_r scaled": {
         "new_rig": rig(SCALED, bone_model="similarity")
