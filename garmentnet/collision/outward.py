@@ -113,7 +113,8 @@ class OutwardPush:
         self.n_vertices, self._tree = n_vertices, BodyTree(body)
         fixed = check_mask(pinned, "pinned", n_vertices)
         self.fixed = np.zeros(n_vertices, bool) if fixed is None else fixed
-        every = np.ascontiguousarray(check_faces(faces, self.n_vertices), np.int32)
+        # A copy: the kernel is compiled once more for arrays that cannot be written.
+        every = np.array(check_faces(faces, self.n_vertices), np.int32, order="C")
         cloth = every[~self.fixed[every].all(axis=1)]
         if not len(cloth):
             raise InputError("pinned", "a triangle that can move", "all corners")

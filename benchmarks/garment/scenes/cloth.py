@@ -149,7 +149,7 @@ class Cloth:
         skeleton = self.body.skeleton
         at = np.arange((len(joints) - 1) * s.blocks + 1) / s.blocks
         poses = interpolate(skeleton, joints, at).reshape(len(at), -1, 12)
-        roots = skeleton.positions(joints)[:, 0]
+        roots = np.ascontiguousarray(skeleton.positions(joints)[:, 0])
         arrays = self._cloth_arrays(parameters, h)
         simulate_frames(self._body, arrays, poses, roots, step, first, shift, out)
         return out
@@ -190,11 +190,9 @@ def _clusters(rest: NDArray[np.float64], free: NDArray[np.intp]) -> NDArray[np.i
 
 
 def _skin(rest: ArrayLike, indices: ArrayLike, weights: ArrayLike) -> tuple[NDArray[Any], ...]:
-    return (
-        np.ascontiguousarray(rest, REAL),
-        np.ascontiguousarray(indices, np.int32),
-        np.ascontiguousarray(weights, REAL),
-    )
+    # Copies: a kernel is compiled once more for arrays that cannot be written.
+    kinds = (rest, REAL), (indices, np.int32), (weights, REAL)
+    return tuple(np.array(x, kind, order="C") for x, kind in kinds)
 
 
 def _body_arrays(body: Body) -> BodyArrays:

@@ -7,7 +7,7 @@ import numpy as np
 from benchmarks.garment.scenes.xpbd.chunks import colour, pack
 from benchmarks.garment.scenes.xpbd.constraints import BUFFER_ROWS, bend, stretch
 from benchmarks.garment.scenes.xpbd.contact import CLUSTER, find_contacts, skin_points
-from benchmarks.garment.scenes.xpbd.policy import LANES, REAL
+from benchmarks.garment.scenes.xpbd.policy import INDEX, LANES, REAL
 
 BUFFER = np.zeros(BUFFER_ROWS * LANES, REAL)
 
@@ -84,7 +84,7 @@ def test_contacts_are_the_nearest_triangles(rng):
     points, at = mesh.vertices.ravel().astype(REAL), rng.normal(0, 0.3, (80, 3)).astype(REAL)
     # Triangles of a search before: right, wrong and none.
     boxes, nearest = np.empty((63, 6), REAL), rng.integers(-1, 320, 80).astype(np.int32)
-    close = np.empty(80, np.int32)
+    close = np.empty(80, INDEX)
     fit_boxes(points.reshape(-1, 3), triangles, 5, boxes)
     # Points and triangles of a side do not meet those of the other one.
     own, sides = (rng.integers(-1, 2, n).astype(np.int8) for n in (80, len(triangles)))
