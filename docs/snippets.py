@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import io
-import os
 import re
 import shlex
-import subprocess
-import sys
 import textwrap
 import warnings
 from collections.abc import Iterator, Mapping
@@ -18,6 +15,7 @@ import numpy as np
 
 import ssdr
 from docs.gallery import made
+from ssdr.cli import main
 
 __all__ = ["FENCE", "GALLERY", "STILL", "needing", "prepare", "run", "run_needing", "runs"]
 
@@ -104,14 +102,9 @@ def _command(line: str) -> str:
     words = shlex.split(line, comments=True)
     if words[:1] != ["ssdr"]:
         return ""
-    done = subprocess.run(
-        [sys.executable, "-m", "ssdr.cli", *words[1:]],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-    )
-    if done.returncode:
-        raise RuntimeError(f"{line}\n{done.stdout}\n{done.stderr}")
-    return done.stdout
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = main(words[1:])
+    if code:
+        raise RuntimeError(f"{line}\n{out.getvalue()}\n{err.getvalue()}")
+    return out.getvalue()

@@ -278,7 +278,8 @@ def main() -> None:
         run = Reproduction(
             given.data, given.output, simulate=simulate, settings=given.set, progress=show
         )
-        wanted = given.only or [name for name in TABLES if name != "shipped"]
+        left = {"shipped"} if given.motion else {"shipped", "capture"}
+        wanted = given.only or [name for name in TABLES if name not in left]
         found = [f"# {name}\n\n{table(run, name)}" for name in wanted]
     print("\n\n".join(found))
 
