@@ -30,7 +30,7 @@ help:
 setup: $(READY)
 
 $(READY): pyproject.toml garmentnet/pyproject.toml .ci/constraints.txt .ci/setup.sh
-	@PYTHON="$(PYTHON)" .ci/setup.sh
+	@PYTHON="$(PYTHON)" VENV="$(VENV)" .ci/setup.sh
 
 demo: $(READY)
 	@OUT="$(OUT)" .ci/demo.sh

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Sets up everything that the Makefile's targets need, in .venv beside this folder.
+# Sets up everything that the Makefile's targets need, in $VENV or .venv beside this folder.
 # Usage: .ci/setup.sh
 # Environment: PYTHON (interpreter to build on), SSDR_NO_SYSTEM=1 (install no system package),
 # EXTRAS (more of pyproject's extras, such as dask,docs; garmentnet is the second distribution,
@@ -7,7 +7,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-venv=.venv
+venv=${VENV:-.venv}
 say() { printf 'setup: %s\n' "$*"; }
 die() { printf 'setup: %s\n' "$*" >&2; exit 1; }
 

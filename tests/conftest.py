@@ -169,8 +169,7 @@ def toy_config():
     return make
 
 
-@pytest.fixture(scope="session")
-def toy_store(tmp_path_factory):
+def _stored(folder, **sizes):
     from garmentnet.data.parameters import SimulationParameters as P
     from helpers import toy_store as toy
 
@@ -181,7 +180,18 @@ def toy_store(tmp_path_factory):
         (P(0.5, 0.2, 1.3), "train"),
         (P(0.8, 0.2, 0.9), "test"),
     ]
-    return toy.make_store(tmp_path_factory.mktemp("toy") / "store", others=others)
+    return toy.make_store(folder / "store", others=others, **sizes)
+
+
+@pytest.fixture(scope="session")
+def toy_store(tmp_path_factory):
+    return _stored(tmp_path_factory.mktemp("toy"))
+
+
+@pytest.fixture(scope="session")
+def short_store(tmp_path_factory):
+    """The same clips, fewer and shorter, for what does not depend on how well a network learns."""
+    return _stored(tmp_path_factory.mktemp("short"), frames=40, train=3)
 
 
 @pytest.fixture(scope="session")

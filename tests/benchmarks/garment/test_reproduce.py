@@ -29,12 +29,12 @@ SETTINGS = (
 
 
 @pytest.fixture
-def run(toy_store, tmp_path, monkeypatch):
+def run(short_store, tmp_path, monkeypatch):
     for name in ("large", "parameters"):
-        (tmp_path / f"{name}.clips").symlink_to(toy_store.path, target_is_directory=True)
+        (tmp_path / f"{name}.clips").symlink_to(short_store.path, target_is_directory=True)
     monkeypatch.setattr(reproduce, "_DRESSES", ("large",))
     monkeypatch.setattr(reproduce, "_TIGHT", ("large",))
-    monkeypatch.setattr(reproduce, "_EQUAL", "data.frames=200")
+    monkeypatch.setattr(reproduce, "_EQUAL", "data.frames=80")
     monkeypatch.setattr(reproduce, "_BONES", (2, 10))
     monkeypatch.setattr(reproduction, "_TESTED", "")
     return Reproduction(tmp_path, tmp_path / "out", settings=(*SETTINGS, "bones.count=8"))
@@ -98,8 +98,8 @@ def test_an_unknown_table(run):
         reproduce.table(run, "table9")
 
 
-def test_every_recording_is_left_out(run, toy_store, toy_run, monkeypatch):
-    (run.data / "dress.clips").symlink_to(toy_store.path, target_is_directory=True)
+def test_every_recording_is_left_out(run, short_store, toy_run, monkeypatch):
+    (run.data / "dress.clips").symlink_to(short_store.path, target_is_directory=True)
     monkeypatch.setattr(reproduce, "group_of", lambda clip: RECORDED)
     monkeypatch.setattr(reproduce, "_TUNED", ("train.high_epochs=0",))
     # Widths of the network that stands for the one that ships.

@@ -50,23 +50,23 @@ def test_a_clip_is_shown_beside_its_prediction(toy_run, toy_store, tmp_path):
     assert sizes["base-test-0"] > 2 * sizes["set0-test-0"]
 
 
-def test_train_then_evaluate_then_predict(toy_store, tmp_path, monkeypatch):
+def test_train_then_evaluate_then_predict(short_store, tmp_path, monkeypatch):
     monkeypatch.setenv("GARMENTNET_DATA", str(tmp_path / "data"))
-    out = call("train", settings(tmp_path), "--store", toy_store.path, "--set", "train.seed=3")
+    out = call("train", settings(tmp_path), "--store", short_store.path, "--set", "train.seed=3")
     checkpoint = tmp_path / "data" / "runs" / "c-seed3" / "checkpoint.safetensors"
     assert out.strip() == str(checkpoint)
 
-    out = call("evaluate", checkpoint, "--store", toy_store.path, "--pictures", 0)
+    out = call("evaluate", checkpoint, "--store", short_store.path, "--pictures", 0)
     assert "| mean shape " in out
     report = json.loads((tmp_path / "data" / "evaluation" / "report.json").read_text())
     names = [r["name"] for r in report["groups"]["test"]["rows"]]
     assert names[0] == "bones themselves"
     assert names[-4:] == ["mean shape", "body-skinned", "ridge", "chaos of the cloth"]
-    motion = toy_store.clip("base-test-0").path
+    motion = short_store.clip("base-test-0").path
     out = call("predict", checkpoint, motion, "-o", tmp_path / "dress.npz")
-    assert "90 frames of vertices" in out
+    assert "40 frames of vertices" in out
     with np.load(tmp_path / "dress.npz") as archive:
-        assert any(archive[k].shape == (90, 112, 3) for k in archive.files)
+        assert any(archive[k].shape == (40, 112, 3) for k in archive.files)
 
 
 def said(capfd, *arguments):
@@ -146,10 +146,10 @@ sys.exit(main(sys.argv[2:]))
 """
 
 
-def test_killed_training_goes_on(toy_store, tmp_path):
+def test_killed_training_goes_on(short_store, tmp_path):
     """A real process, killed in the first module and again in the second."""
     file = settings(tmp_path, epochs=2, high_epochs=2, device="cpu")
-    given = [str(file), "--store", str(toy_store.path)]
+    given = [str(file), "--store", str(short_store.path)]
     call("train", *given, "-o", tmp_path / "whole")
     cut = tmp_path / "cut"
     for state in ("low", "high"):
@@ -171,12 +171,12 @@ def test_killed_training_goes_on(toy_store, tmp_path):
         assert (cut / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
 
 
-def test_limit_of_a_file_while_training(toy_store, tmp_path):
+def test_limit_of_a_file_while_training(short_store, tmp_path):
     """A disk that takes no more: a state that cannot be written, and the one before it kept."""
     pytest.importorskip("resource")
     file = settings(tmp_path, low=128, epochs=1, device="cpu")
-    virtual_bones(toy_store, load_config(str(file)).bones)
-    arguments = ["train", str(file), "--store", str(toy_store.path)]
+    virtual_bones(short_store, load_config(str(file)).bones)
+    arguments = ["train", str(file), "--store", str(short_store.path)]
     # In a process of its own: the limit cannot be lifted again everywhere.
     code = (
         "import resource, signal, sys\n"

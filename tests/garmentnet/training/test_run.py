@@ -26,13 +26,13 @@ def test_learns_what_a_pose_does_not_tell(toy_store, toy_bones, toy_network):
         assert rows["network"].all.overall.rmse < 0.7 * rows[other.name].all.overall.rmse
 
 
-def test_a_seed_decides_all_weights_but_not_the_bones(toy_store, toy_config, tmp_path):
+def test_a_seed_decides_all_weights_but_not_the_bones(short_store, toy_config, tmp_path):
     def run(name, seed):
         config = toy_config(epochs=1, high_epochs=1, seed=seed)
-        return train(toy_store, config, tmp_path / name).read_bytes()
+        return train(short_store, config, tmp_path / name).read_bytes()
 
     def homes():
-        return set(toy_store.path.with_name(toy_store.path.name + ".bones").iterdir())
+        return set(short_store.path.with_name(short_store.path.name + ".bones").iterdir())
 
     first = run("a", 0)
     after_first = homes()
@@ -44,11 +44,11 @@ def test_a_seed_decides_all_weights_but_not_the_bones(toy_store, toy_config, tmp
     assert homes() == after_first
 
 
-def test_history_progress_and_early_stop(toy_store, toy_config, tmp_path):
+def test_history_progress_and_early_stop(short_store, toy_config, tmp_path):
     seen = []
     # A rate of nothing: validation cannot improve after the first time.
     config = toy_config(epochs=50, high_epochs=1, validate_every=1, patience=3, learning_rate=1e-12)
-    train(toy_store, config, tmp_path, progress=lambda *said: seen.append(said))
+    train(short_store, config, tmp_path, progress=lambda *said: seen.append(said))
     seen = [(text, fraction) for text, fraction in seen if text.startswith(("low ", "high "))]
     low = [text for text, _ in seen if text.startswith("low ")]
     assert len(low) <= 8
@@ -59,32 +59,32 @@ def test_history_progress_and_early_stop(toy_store, toy_config, tmp_path):
     assert history["low"][-1]["learning_rate"] < history["low"][0]["learning_rate"]
 
 
-def test_a_damaged_state_and_another_configuration(toy_store, toy_config, tmp_path):
+def test_a_damaged_state_and_another_configuration(short_store, toy_config, tmp_path):
     config = toy_config(epochs=2, high_epochs=1)
-    train(toy_store, config, tmp_path)
+    train(short_store, config, tmp_path)
     with pytest.raises(InputError, match="folder"):
-        train(toy_store, toy_config(epochs=1, high_epochs=1, window=20), tmp_path)
+        train(short_store, toy_config(epochs=1, high_epochs=1, window=20), tmp_path)
     file = tmp_path / "low.state.safetensors"
     file.write_bytes(file.read_bytes()[:-100])
     with pytest.raises(FormatError, match=r"low\.state\.safetensors"):
-        train(toy_store, config, tmp_path)
+        train(short_store, config, tmp_path)
 
 
-def test_a_start_is_where_it_starts(toy_store, toy_config, toy_network, tmp_path):
+def test_a_start_is_where_it_starts(short_store, toy_config, toy_network, tmp_path):
     config = toy_config(epochs=1, high_epochs=1, learning_rate=1e-12, high_learning_rate=1e-12)
 
-    path = train(toy_store, config, tmp_path, start=toy_network)
-    joints = toy_store.clip("base-test-0").joints[:10]
+    path = train(short_store, config, tmp_path, start=toy_network)
+    joints = short_store.clip("base-test-0").joints[:10]
     gap = load_checkpoint(path).predict(joints) - toy_network.predict(joints)
     assert np.abs(gap).max() < 1e-5
 
 
-def test_a_start_that_reads_less_is_where_it_starts(toy_store, toy_config, tmp_path):
+def test_a_start_that_reads_less_is_where_it_starts(short_store, toy_config, tmp_path):
     more = toy_config(epochs=1, high_epochs=1, learning_rate=1e-12, high_learning_rate=1e-12)
     few = override(more, ["features.joint_motion=false"])
-    first = load_checkpoint(train(toy_store, few, tmp_path / "few"))
-    path = train(toy_store, more, tmp_path / "more", start=first)
-    joints = toy_store.clip("base-test-0").joints[:10]
+    first = load_checkpoint(train(short_store, few, tmp_path / "few"))
+    path = train(short_store, more, tmp_path / "more", start=first)
+    joints = short_store.clip("base-test-0").joints[:10]
     gap = load_checkpoint(path).predict(joints) - first.predict(joints)
     assert np.abs(gap).max() < 1e-5
 
