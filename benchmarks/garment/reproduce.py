@@ -54,6 +54,7 @@ _TUNED = ("train.learning_rate=3e-4", "train.epochs=40", "train.high_epochs=4")
 # What the dress that ships differs in, and how it goes on from the one that shipped before.
 _SHIPPED = (
     "data.condition=true", "bones.motions=base-dance-20[01]*", "low.dropout=0.1",
+    "features.joint_motion=false",
     "high.hidden=128", "high.rank=16", "train.batch=32", "train.window=60",
     "train.learning_rate=5e-4", "train.high_learning_rate=5e-4",
     "train.epochs=8", "train.high_epochs=2",
@@ -124,7 +125,7 @@ def _table4(run: Reproduction) -> str:
 
     def pivots(name: str, rule: Rule | None = None) -> Callable[[], Method]:
         def made() -> Method:
-            if not (folder / "ensemble.json").is_file():
+            if not (folder / "ensemble.safetensors").is_file():
                 run.timed(
                     "parameters/ensemble",
                     lambda: train_ensemble(store, config, folder, progress=run.progress),

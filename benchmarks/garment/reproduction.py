@@ -124,7 +124,7 @@ class Reproduction:
             test = self.clips(store, config)[2] if test is None else test
             clips = bones.store
             learned = choose_clips(clips, config, "train", base_parameters(clips))[0]
-            plain = MeanShape(bones, learned), BonesThemselves(bones)
+            plain = MeanShape(bones, learned), BonesThemselves()
             made, chaos = [*(make() for make in methods), *plain], Chaos(clips)
             rows = evaluate(bones, made, test, progress=self.progress)
             record = {"rows": rows, "ratios": intervals(rows, rows[0].name)}

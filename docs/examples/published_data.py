@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import ssdr
+from garmentnet.data.outfit import Outfit
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.data.skeleton import Skeleton
 from garmentnet.data.store import ClipStore
@@ -23,9 +24,7 @@ table = tomllib.loads(Path(__file__).with_name("smplh.toml").read_text())["joint
 names, parents, rest = zip(*((j["name"], j["parent"], j["rest"]) for j in table), strict=True)
 skeleton = Skeleton(names, parents, rest)
 mesh, body = ssdr.load(source / "template.obj"), bare_body(skeleton.rest, names)
-store = ClipStore.create(
-    target, rest=mesh.vertices[0], faces=mesh.faces, body=body, skeleton=skeleton, fps=30.0
-)
+store = ClipStore.create(target, Outfit(mesh.vertices[0], mesh.faces, body, skeleton, fps=30.0))
 for k, file in enumerate(sorted(source.glob("*.npz"), key=lambda f: (len(f.stem), f.stem))):
     clip, split = np.load(file), {8: "validation", 9: "test"}.get(k % 10, "train")
     turn = Rotation.from_rotvec(clip["pose"].reshape(-1, 3)).as_matrix().reshape(-1, 52, 3, 3)

@@ -10,7 +10,7 @@ import typer
 
 from ssdr.common.errors import InputError
 
-from .progress import logged, progress_bar
+from .progress import log, progress_bar
 
 Folder = Annotated[Path | None, typer.Option("--output", "-o", help="Folder; else one in ./out.")]
 Settings = Annotated[
@@ -45,17 +45,12 @@ def train(
     ensemble: Annotated[
         bool, typer.Option("--ensemble", help="A network for every training set, and the kernel.")
     ] = False,
-    start: Annotated[
-        Path | None,
-        typer.Option("--start", help="Checkpoint from whose weights and bones to start."),
-    ] = None,
     settings: Settings = None,
 ) -> None:
     """Train networks on a store; the same command again goes on where it was stopped."""
     from ..configs.config import load_config, override
     from ..data.store import ClipStore
-    from ..evaluation.verdict import validation_errors, verdict
-    from ..networks.checkpoint import load_checkpoint
+    from ..evaluation.verdict import verdict
     from ..paper.train import train as train_network
     from ..paper.train import train_ensemble
 
@@ -65,12 +60,12 @@ def train(
         typer.echo(refused, err=True)
     stem = Path(config).stem + ("-ensemble" if ensemble else "") + f"-seed{chosen.train.seed}"
     folder = output or output_folder() / "runs" / stem
-    begun = load_checkpoint(start) if start else None
-    with progress_bar() as show, logged():
+    log()
+    with progress_bar() as show:
         run = train_ensemble if ensemble else train_network
-        path = run(clips, chosen, folder, start=begun, progress=show)
-        errors = {} if ensemble else validation_errors(path, clips, start=begun, progress=show)
-    if compared := verdict(errors):
+        path = run(clips, chosen, folder, progress=show)
+        compared = "" if ensemble else verdict(path, clips, progress=show)
+    if compared:
         typer.echo(compared, err=True)
     typer.echo(str(path))
 
@@ -122,13 +117,12 @@ def predict(
     ],
     parameters: Parameters = "",
     detail: Annotated[bool, typer.Option(help="Run the high-frequency module.")] = True,
-    every: Annotated[int, typer.Option(min=1, help="Every n-th frame alone in films.")] = 1,
+    every: Annotated[int, typer.Option(min=1, help="Draw only every n-th frame in films.")] = 1,
     push_out: Annotated[
         bool, typer.Option(help="Move vertices that lie inside the body out of it.")
     ] = True,
 ) -> None:
     """Dress a motion: from a checkpoint and a motion to meshes, a film or pictures."""
-    from ..collision.body_tree import is_closed
     from ..networks.checkpoint import load_checkpoint
     from ..prediction.motion_file import read_motion
     from ..prediction.output import check_output, save_prediction
@@ -147,14 +141,14 @@ def predict(
     if clip is not None and shown is not None and clip.parameters != shown:
         typer.echo(f"the clip's cloth is not shown: it is of {clip.parameters}", err=True)
         clip = None
-    if push_out and not is_closed(model.subject.body.faces):
-        typer.echo("nothing is pushed out: the body has no closed mesh", err=True)
-    elif push_out:
+    if pushed := result.pushed:
         typer.echo(
-            f"pushed out of the body: {100 * result.moved:.2f} % of the vertices moved, "
-            f"at most {1e3 * result.farthest:.1f} mm",
+            f"pushed out of the body: {100 * pushed.moved:.2f} % of the vertices moved by more "
+            f"than 5 mm, at most {1e3 * pushed.farthest:.1f} mm",
             err=True,
         )
+    elif push_out:
+        typer.echo("nothing is pushed out: the body has no closed mesh", err=True)
     for path in output:
         with progress_bar() as show:
             text = save_prediction(result, path, truth=clip, every=every, progress=show)

@@ -15,18 +15,11 @@ from ..io.files import Progress
 _EVERY = 5.0  # seconds between lines
 
 
-@contextlib.contextmanager
-def logged() -> Iterator[None]:
-    """Context in which the log's lines, from the level INFO on, are written to stderr."""
-    logger, handler = logging.getLogger("garmentnet"), logging.StreamHandler(sys.stderr)
-    level = logger.level
-    logger.addHandler(handler)
+def log() -> None:
+    """Write the log's lines, from the level INFO on, to stderr."""
+    logger = logging.getLogger("garmentnet")
+    logger.handlers = [logging.StreamHandler(sys.stderr)]
     logger.setLevel(logging.INFO)
-    try:
-        yield
-    finally:
-        logger.removeHandler(handler)
-        logger.setLevel(level)
 
 
 @contextlib.contextmanager

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ssdr import Skinning, skin
-from ssdr.common.errors import InputError
+from ssdr.common.checks import check_floats
 from ssdr.common.parallel import chunk_bounds, run_chunks
 from ssdr.kernels.closest import fit_boxes, tree_order
 
-from ..data.skeleton import check_finite
 from .kernels import signed_distances
 
 # Metres below the skin from which a vertex counts as inside.
@@ -63,12 +62,12 @@ class BodyTree:
 
         It is infinite where a point is outside and farther than `limit`.  The sign is that of the
         winding number, as in Jacobson et al., "Robust inside-outside segmentation using generalized
-        winding numbers", 2013; for a closed mesh it is counted with a ray.
+        winding numbers", 2013, of a closed mesh, which is counted with a ray.
 
         Raises
         ------
         InputError
-            If the body is not closed, a shape does not match or a number is not finite.
+            If a shape does not match or a number is not finite.
 
         Examples
         --------
@@ -81,9 +80,9 @@ class BodyTree:
         >>> BodyTree(body).signed_distance(some, body.transforms).tolist()
         [[-0.02, 0.5]]
         """
-        if not is_closed(self.body.faces):
-            raise InputError("body", CLOSED, "an open one")
-        v, m = check_frames(points, joints, None, self.body.n_bones)
+        v = check_floats(points, "points", ("F", "n", 3))
+        shape = len(v), self.body.n_bones, 3, 4
+        m = np.asarray(check_floats(joints, "joints", shape), np.float64)
         out = np.empty(v.shape[:2])
 
         def measure(_: int, start: int, stop: int) -> None:
@@ -93,26 +92,6 @@ class BodyTree:
 
         run_chunks(measure, chunk_bounds(len(v), _FRAMES))
         return out
-
-
-CLOSED = "a closed mesh with triangles that face one way"
-
-
-def check_frames(
-    vertices: ArrayLike, joints: ArrayLike, count: int | None, n_joints: int
-) -> tuple[NDArray[np.floating], NDArray[np.float64]]:
-    """Points ``(F, n, 3)``, `count` if it is given, and joints ``(F, J, 3, 4)``, checked."""
-    v = np.asarray(vertices)
-    if v.dtype.kind != "f":
-        v = v.astype(np.float64)
-    if v.ndim != 3 or v.shape[2] != 3 or count not in (None, v.shape[1]):
-        raise InputError("vertices", f"shape (F, {count or 'n'}, 3)", f"shape {v.shape}")
-    m, shape = np.asarray(joints, np.float64), (len(v), n_joints, 3, 4)
-    if m.shape != shape:
-        raise InputError("joints", f"shape {shape}", f"shape {m.shape}")
-    check_finite(v, "vertices")
-    check_finite(m, "joints")
-    return v, m
 
 
 def is_closed(faces: ArrayLike) -> bool:

@@ -89,11 +89,8 @@ def find_crossings(
     ([0, 3], [0.0, 0.01], 0.5, 0.5)
     """
     v, m = np.asarray(vertices, np.float64), np.asarray(joints, np.float64)
-    count = v.shape[1]
-    cloth = check_faces(faces, count)
-    fixed = check_mask(pinned, "pinned", count)
-    if fixed is not None:
-        cloth = cloth[~fixed[cloth].all(axis=1)]
+    cloth = check_faces(faces, v.shape[1])
+    cloth = cloth[~check_mask(pinned, "pinned", v.shape[1])[cloth].all(axis=1)]
     tree = BodyTree(body)
     pairs, deepest = np.zeros(len(v), np.int64), np.zeros(len(v))
 

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ssdr import Skinning
-from ssdr.common.checks import check_faces, check_mask
+from ssdr.common.checks import check_faces, check_floats, check_mask
 from ssdr.common.errors import InputError
 from ssdr.common.parallel import chunk_bounds, run_chunks
 
 from ..data.outfit import neighbours
 from ..data.subject import Subject
-from .body_tree import CLOSED, BodyTree, check_frames, is_closed
+from .body_tree import BodyTree, is_closed
 from .crossings import DEEP
 from .outward_kernels import push_outward
 
@@ -109,15 +109,13 @@ class OutwardPush:
         pinned: ArrayLike | None = None,
     ) -> None:
         if not is_closed(body.faces):
-            raise InputError("body", CLOSED, "an open one")
+            expected = "a closed mesh with triangles that face one way"
+            raise InputError("body", expected, "an open one")
         self.n_vertices, self._tree = n_vertices, BodyTree(body)
-        fixed = check_mask(pinned, "pinned", n_vertices)
-        self.fixed = np.zeros(n_vertices, bool) if fixed is None else fixed
+        self.fixed = check_mask(pinned, "pinned", n_vertices)
         # A copy: the kernel is compiled once more for arrays that cannot be written.
         every = np.array(check_faces(faces, self.n_vertices), np.int32, order="C")
         cloth = every[~self.fixed[every].all(axis=1)]
-        if not len(cloth):
-            raise InputError("pinned", "a triangle that can move", "all corners")
         n, (starts, others) = self.n_vertices, neighbours(every, self.n_vertices)
         sources = np.repeat(np.arange(n), np.diff(starts))
         keys = np.minimum(sources, others) * n + np.maximum(sources, others)
@@ -153,7 +151,9 @@ class OutwardPush:
         InputError
             If a shape does not match or a number is not finite.
         """
-        v, m = check_frames(vertices, joints, self.n_vertices, self._tree.body.n_bones)
+        v = check_floats(vertices, "vertices", ("F", self.n_vertices, 3))
+        shape = len(v), self._tree.body.n_bones, 3, 4
+        m = np.asarray(check_floats(joints, "joints", shape), np.float64)
         out, distance = np.empty_like(v), np.empty(v.shape[:2])
 
         def push(_: int, start: int, stop: int) -> None:

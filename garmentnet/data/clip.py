@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssdr.common.errors import InputError
-from ssdr.io.file_errors import check, reading
+from ssdr.io.file_errors import check
 from ssdr.mesh.sequence import MeshSequence
 from ssdr.model.lbs import skin
 
 from .clip_files import Split, StoredFrames, read_parts
 from .outfit import Outfit
 from .parameters import SimulationParameters
-from .skeleton import check_finite, mirror_transforms
+from .skeleton import mirror_transforms
 
 # Classes of motion; "recorded" is motion capture, the others are made by a generator.  New ones are
 # added at the end: stores hold indices into this list.
@@ -112,8 +112,6 @@ class Clip(ClipDocument):
         shape = (self.n_frames, self.outfit.skeleton.n_joints, 3, 4)
         values: NDArray[np.float32]
         values = read_parts(self.path, {"joints": shape}, np.float32)["joints"]
-        with reading(self.path):
-            check_finite(values, "joints")
         if self.is_mirrored:
             return mirror_transforms(values, self.outfit.skeleton.mirror())
         return values

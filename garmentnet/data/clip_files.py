@@ -23,8 +23,6 @@ from numpy.typing import NDArray
 from ssdr.io.arrays.array_files import read_arrays, write_arrays
 from ssdr.io.file_errors import reading
 
-from .skeleton import check_finite
-
 Split = Literal["train", "validation", "test"]
 # Number of frames whose vertices are compressed together: about 1 s, 100 KiB for 2,000 vertices.
 _TOGETHER = 32
@@ -142,9 +140,6 @@ class StoredFrames:
         first, rest = (index[0], index[1:]) if isinstance(index, tuple) else (index, ())
         frames = np.asarray(np.arange(len(self))[first])
         block = self._frames(frames)
-        with reading(self._path):
-            start = first if isinstance(first, int) else 0
-            check_finite(block.reshape(-1, *self.shape[1:]), "vertices", start)
         if self._permutation is not None:
             block = block[..., self._permutation, :] * np.array([-1, 1, 1], dtype=np.float32)
         return block[(slice(None),) * frames.ndim + rest]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ssdr.common.checks import check_mask
 from ssdr.model.skinning import Skinning
 
 from .skeleton import Skeleton
@@ -40,8 +41,15 @@ class Outfit:
     body: Skinning
     skeleton: Skeleton
     fps: float
-    pinned: NDArray[np.bool_]
-    mirror_vertices: NDArray[np.int32] | None = None
+    pinned: Any = None
+    mirror_vertices: Any = None
+
+    def __post_init__(self) -> None:
+        put, mirror = object.__setattr__, self.mirror_vertices
+        put(self, "rest", np.asarray(self.rest, np.float32))
+        put(self, "faces", np.asarray(self.faces, np.int32))
+        put(self, "pinned", check_mask(self.pinned, "pinned", len(self.rest)))
+        put(self, "mirror_vertices", None if mirror is None else np.asarray(mirror, np.int32))
 
     @property
     def n_vertices(self) -> int:

@@ -21,13 +21,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import ssdr
-from ssdr.common.checks import check_mask
 from ssdr.common.errors import InputError, check_choice
 from ssdr.io.arrays.array_files import read_arrays, write_arrays
 from ssdr.io.atomic import atomic_path, remove, write_bytes
 from ssdr.io.file_errors import check, reading
 from ssdr.mesh.sequence import MeshSequence
-from ssdr.model.skinning import Skinning
 
 from ..io.tables import from_table
 from .clip import CLASSES, MIRRORED, Clip, ClipDocument, spread
@@ -64,10 +62,8 @@ class ClipStore(Outfit):
     ... )
     >>> skeleton = Skeleton(("root",), [-1], [[0, 0, 0]])
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     store = ClipStore.create(
-    ...         Path(folder) / "a.clips", rest=triangle, faces=[[0, 1, 2]], body=body,
-    ...         skeleton=skeleton,
-    ...     )
+    ...     outfit = Outfit(triangle, [[0, 1, 2]], body, skeleton, fps=30.0)
+    ...     store = ClipStore.create(Path(folder) / "a.clips", outfit)
     ...     clip = store.add(
     ...         "still", vertices=[triangle] * 5, joints=[np.eye(3, 4)[None]] * 5,
     ...         classes=[0] * 5, split="train", motion="still", seed=0,
@@ -83,33 +79,8 @@ class ClipStore(Outfit):
         return f"ClipStore({str(self.path)!r}, {len(self.names())} clips, V={self.n_vertices})"
 
     @classmethod
-    def create(
-        cls,
-        path: str | os.PathLike[str],
-        *,
-        rest: ArrayLike,
-        faces: ArrayLike,
-        body: Skinning,
-        skeleton: Skeleton,
-        fps: float = 30.0,
-        mirror_vertices: ArrayLike | None = None,
-        pinned: ArrayLike | None = None,
-    ) -> ClipStore:
+    def create(cls, path: str | os.PathLike[str], outfit: Outfit) -> ClipStore:
         """Make an empty store, or open an existing one of the same garment and body.
-
-        Parameters
-        ----------
-        path : path
-        rest : (V, 3) array
-            The garment on the body at rest, metres.
-        faces : (T, 3) int array
-        body : Skinning
-        skeleton : Skeleton
-            Skeleton whose joints have the names of the body's bones.
-        fps : float
-        mirror_vertices : (V,) int array, optional
-        pinned : (V,) bool array, optional
-            Mask of the vertices that follow the body; by default none does.
 
         Raises
         ------
@@ -117,48 +88,25 @@ class ClipStore(Outfit):
             If an array does not fit, or `path` is something else or a store of another
             garment, body or frame rate.
         """
-        target = Path(path)
+        target, body, skeleton = Path(path), outfit.body, outfit.skeleton
         target.parent.mkdir(parents=True, exist_ok=True)
-        garment = MeshSequence(np.asarray(rest, dtype=np.float32)[None], faces, fps)
+        MeshSequence(outfit.rest[None], outfit.faces, outfit.fps)
         if body.names() != skeleton.names:
             raise InputError("skeleton", f"the body's joints {body.names()}", skeleton.names)
-        count = garment.n_vertices
-        mask = check_mask(pinned, "pinned", count)
-        mirror = None
-        if mirror_vertices is not None:
-            mirror = np.asarray(mirror_vertices, dtype=np.int32)
-            if not is_mirror(mirror, garment.faces, count):
-                expected = f"a permutation of {count}, its own inverse, of triangles to triangles"
-                raise InputError("mirror_vertices", expected, "another")
-        outfit = Outfit(
-            rest=np.asarray(garment.vertices[0]),
-            faces=garment.faces,
-            body=body,
-            skeleton=skeleton,
-            fps=garment.fps,
-            pinned=np.zeros(count, bool) if mask is None else mask,
-            mirror_vertices=mirror,
-        )
-        if target.exists():
-            return cls._same(target, outfit)
-        arrays = {k: x for k in _ARRAYS if (x := getattr(outfit, k)) is not None}
-        arrays |= {"parents": skeleton.parents, "joint_rest": skeleton.rest, "fps": outfit.fps}
-        arrays |= {"version": _VERSION, "classes": np.array(CLASSES)}
-        try:
+        count, mirror = outfit.n_vertices, outfit.mirror_vertices
+        if mirror is not None and not is_mirror(mirror, outfit.faces, count):
+            expected = f"a permutation of {count}, its own inverse, of triangles to triangles"
+            raise InputError("mirror_vertices", expected, "another")
+        if not target.exists():
+            arrays = {k: x for k in _ARRAYS if (x := getattr(outfit, k)) is not None}
+            arrays |= {"parents": skeleton.parents, "joint_rest": skeleton.rest, "fps": outfit.fps}
+            arrays |= {"version": _VERSION, "classes": np.array(CLASSES)}
             with atomic_path(target, flush=False) as temporary:
                 (temporary / "clips").mkdir(parents=True)
                 (temporary / _LIST).touch()
                 write_arrays(temporary / OUTFIT, arrays)
                 ssdr.save(body, temporary / "body.npz")
-        except OSError:
-            # Another process may have made the store in the meantime.
-            if not (target / OUTFIT).is_file():
-                raise
-        return cls._same(target, outfit)
-
-    @classmethod
-    def _same(cls, path: Path, outfit: Outfit) -> ClipStore:
-        there = cls.open(path)
+        there = cls.open(target)
         if not there.is_like(outfit):
             expected = "a new folder or a store of this garment and body"
             raise InputError("path", expected, there.path)

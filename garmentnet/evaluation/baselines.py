@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import solve
 from scipy.spatial import cKDTree
 
 import ssdr
@@ -18,7 +17,7 @@ from ssdr import Skinning
 
 from ..data.clip import Clip
 from ..data.store import ClipStore
-from ..networks.features import HEADING, PoseFeatures, transforms_in_frame
+from ..networks.features import HEADING, Normaliser, PoseFeatures, transforms_in_frame
 from ..paper.bones import TorchSkinning, VirtualBones, apply_frame, remove_frame
 from ..paper.low import BoneCode
 from .methods import Method
@@ -34,9 +33,6 @@ _MEAN_FRAMES = 4000
 
 # Penalties per frame that are tried, from a negligible to a dominant one.
 _PENALTIES = 10.0 ** np.arange(-6, 2)
-# Smallest deviation by which an input is divided, and largest value of one that is.
-_FLOOR, _CLAMP = 0.01, 5.0
-Array = NDArray[np.float64]
 
 
 class MeanShape(Method):
@@ -101,64 +97,6 @@ class BodySkinned(Method):
         return np.asarray(ssdr.skin(s.rest, s.indices, s.weights, m), np.float32)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class LinearFit:
-    """An affine map of inputs that are scaled and clamped.
-
-    Attributes
-    ----------
-    centre, scale : (D,) float64
-    matrix : (D, O) float64
-    mean : (O,) float64
-    error : float
-        Root of the mean squared length of the residuals on the pairs for validation.
-
-    Examples
-    --------
-    >>> x = np.linspace(-1, 1, 50)[:, None]
-    >>> fit = LinearFit.of([(x, 3 * x + 2)], [(x, 3 * x + 2)])
-    >>> fit(np.array([[0.5]])).round(3).tolist()
-    [[3.5]]
-    """
-
-    centre: Array
-    scale: Array
-    matrix: Array
-    mean: Array
-    error: float
-
-    @classmethod
-    def of(
-        cls, learned: Sequence[tuple[Array, Array]], held: Sequence[tuple[Array, Array]]
-    ) -> LinearFit:
-        """The map with the least error on pairs (F, D), (F, O) that are held back from the fit.
-
-        Without any the smallest penalty is taken.
-        """
-        x, y = (np.concatenate([pair[k] for pair in learned]) for k in (0, 1))
-        centre, scale = x.mean(axis=0), np.maximum(x.std(axis=0), _FLOOR)
-        first = cls(centre, scale, np.zeros((x.shape[1], y.shape[1])), y.mean(axis=0), math.inf)
-        z = first._scaled(x)
-        gram, right = z.T @ z, z.T @ (y - first.mean)
-        best = first
-        for penalty in len(z) * _PENALTIES:
-            factor = cho_factor(gram + penalty * np.eye(len(gram)))
-            found = dataclasses.replace(first, matrix=np.asarray(cho_solve(factor, right)))
-            gaps = [found(a) - b for a, b in held]
-            squares = np.concatenate([np.square(g).sum(axis=1) for g in gaps] or [np.zeros(1)])
-            error = math.sqrt(float(squares.mean()))
-            if error < best.error:
-                best = dataclasses.replace(found, error=error)
-        return best
-
-    def _scaled(self, x: Array) -> Array:
-        return np.asarray(((x - self.centre) / self.scale).clip(-_CLAMP, _CLAMP))
-
-    def __call__(self, x: Array) -> Array:
-        """Outputs (F, O) of inputs (F, D)."""
-        return np.asarray(self._scaled(x) @ self.matrix + self.mean)
-
-
 class Ridge(Method):
     """Baseline that predicts the bones from the pose of a single frame by ridge regression.
 
@@ -186,8 +124,19 @@ class Ridge(Method):
         # Fitting the bones of a clip takes most of the time.
         length = sum(bones.store.clip(n).n_frames for n in names)
         every = max(1, round(length / _FRAMES))
-        known = [self._pair(bones, n) for n in names[::every]]
-        self.fit = LinearFit.of(known, [self._pair(bones, n) for n in validation])
+        known, held = ([self._pair(bones, n) for n in c] for c in (names[::every], validation))
+        o, least = HEADING, math.inf
+        self.normaliser = Normaliser.fit([x for x, _ in known], floor=o.floor, clamp=o.clamp)
+        x = np.concatenate([self.normaliser(x) for x, _ in known]).astype(float)
+        y = np.concatenate([y for _, y in known])
+        self.mean = y.mean(axis=0)
+        for penalty in len(x) * _PENALTIES:
+            gram = x.T @ x + penalty * np.eye(x.shape[1])
+            matrix = solve(gram, x.T @ (y - self.mean), assume_a="pos")
+            gaps = [self.normaliser(a) @ matrix + self.mean - b for a, b in held]
+            error = sum(float(np.square(g).sum()) for g in gaps)
+            if error < least:
+                self.matrix, least = matrix, error
 
     def _pair(self, bones: VirtualBones, name: str) -> tuple[Any, Any]:
         x, frame, _ = self.features(bones.store.clip(name).joints)
@@ -196,7 +145,7 @@ class Ridge(Method):
 
     def predict(self, clip: Clip) -> NDArray[np.float32]:
         x, frame, _ = self.features(clip.joints)
-        y = self.fit(x).reshape(len(x), *self.code.shape)
+        y = (self.normaliser(x) @ self.matrix + self.mean).reshape(len(x), *self.code.shape)
         low = self.lbs(self.code(torch.from_numpy(y).float())).double().numpy()
         return np.asarray(apply_frame(frame, low + self.high), np.float32)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,13 +12,12 @@ import ssdr
 from ..data.clip import Clip
 from ..data.store import ClipStore
 from ..networks.checkpoint import Checkpoint
-from ..networks.network import NetworkOutput
 from ..paper.bones import VirtualBones
 
 Array = NDArray[np.float32]
 
 
-class Method(ABC):
+class Method:
     """A prediction of the garment's vertices from the body's motion.
 
     A further baseline is a subclass with a ``name`` and :meth:`predict`, and a line in
@@ -28,12 +26,12 @@ class Method(ABC):
 
     name: str
 
-    @abstractmethod
     def predict(self, clip: Clip) -> Array:
         """Vertices ``(F, V, 3)`` in the world, metres, float32.
 
         Of the clip, a method may read only the motion ``joints`` and the ``parameters``.
         """
+        raise NotImplementedError
 
     def split(self, clip: Clip, bones: VirtualBones) -> tuple[Array, Array]:
         """Low- and high-frequency part of the prediction, each ``(F, V, 3)``.
@@ -57,27 +55,17 @@ class Network(Method):
     def __init__(self, name: str, checkpoint: Checkpoint) -> None:
         self.name, self.checkpoint = name, checkpoint
 
-    def predict(self, clip: Clip) -> Array:
-        return self.checkpoint.predict(clip.joints, clip.parameters)
-
     def split(self, clip: Clip, bones: VirtualBones) -> tuple[Array, Array]:
         """The outputs of the two modules."""
         motions = self.checkpoint.motions(clip.joints, clip.parameters)
         low = np.concatenate([m.to_world(m.low) for m in motions])
-        return low, np.concatenate([_detail(m) for m in motions])
+        return low, np.concatenate([m.vertices() for m in motions]) - low
 
 
 class BonesThemselves(Method):
     """The bound for every network: skinning with the fitted bones, plus the simulated detail."""
 
     name = "bones themselves"
-
-    def __init__(self, bones: VirtualBones) -> None:
-        self.bones = bones
-
-    def predict(self, clip: Clip) -> Array:
-        low, high = self.split(clip, self.bones)
-        return low + high
 
     def split(self, clip: Clip, bones: VirtualBones) -> tuple[Array, Array]:
         """The skinned bones and the clip's own high part."""
@@ -117,10 +105,3 @@ class Chaos(Method):
         own = np.asarray(clip.sequence.frames(slice(None)))
         other = self.store.clip(self.twins[clip.name]).sequence.frames(slice(None))
         return np.asarray(own + (other - own) / math.sqrt(2), np.float32)
-
-
-def _detail(motion: NetworkOutput) -> Array:
-    if motion.high is None:
-        return np.zeros(motion.low.shape, np.float32)
-    turned = motion.high.double().cpu().numpy() @ motion.frame[..., :3].transpose(0, 2, 1)
-    return np.asarray(turned, np.float32)

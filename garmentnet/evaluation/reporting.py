@@ -10,6 +10,8 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ssdr.common.errors import InputError
 from ssdr.io.atomic import write_bytes
 
@@ -80,13 +82,10 @@ def report(
     reading = [n for n in networks if n.checkpoint.reads_parameters]
     sections = _sections(store, base, bool(reading), clips)
     bones = virtual_bones(store, config.bones, subject=first.subject, progress=progress)
-    bound, chaos = BonesThemselves(bones), Chaos(store)
+    bound, chaos = BonesThemselves(), Chaos(store)
     methods: list[Method] = [bound, *networks]
     if baselines:
         names, held = (choose_clips(store, config, s, base)[0] for s in ("train", "validation"))
-        if not held:
-            expected = f"validation clips of {base} for the baselines"
-            raise InputError("store", expected, str(store.path))
         methods += fit_baselines(bones, names, held)
     document: dict[str, Any] = {
         "parameters": dataclasses.asdict(base),
@@ -110,7 +109,7 @@ def report(
     for network in networks:
         for name in motions[:pictures]:
             clip, file = store.clip(name), folder / f"{network.name}-{name}.png"
-            draw_clip(clip, network.predict(clip), file)
+            draw_clip(clip, np.add(*network.split(clip, bones)), file)
     text = "\n".join(lines) + "\n"
     write_bytes(folder / "report.json", json.dumps(document).encode())
     write_bytes(folder / "report.md", text.encode())

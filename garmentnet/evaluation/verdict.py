@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 from ..data.store import ClipStore
 from ..io.files import Progress, silent
-from ..networks.checkpoint import Checkpoint, load_checkpoint
+from ..networks.checkpoint import load_checkpoint
 from ..paper.bones import virtual_bones
 from ..paper.train import choose_clips
 from .baselines import BodySkinned, MeanShape, Ridge, fit_baselines
@@ -26,15 +25,9 @@ ADVICE = {
 }
 
 
-def validation_errors(
-    path: Path,
-    store: ClipStore,
-    *,
-    start: Checkpoint | None = None,
-    progress: Progress = silent,
-) -> dict[str, float]:
-    """Overall errors on validation clips, mm, of a network and of body skinning, ridge regression
-    and the mean shape, by name; none without validation clips.
+def verdict(path: Path, store: ClipStore, *, progress: Progress = silent) -> str:
+    """Errors on validation clips of a network and of plain methods, in one line; two if it loses,
+    with what to do; empty without validation clips.
 
     Parameters
     ----------
@@ -42,8 +35,6 @@ def validation_errors(
         A checkpoint of one network.
     store : ClipStore
         What it was trained on.
-    start : Checkpoint, optional
-        Where the training started.
     progress : callable, optional
         Called with a method's name and the fraction that is done.
     """
@@ -51,24 +42,13 @@ def validation_errors(
     config = checkpoint.networks[0].config
     names, held = (choose_clips(store, config, split)[0] for split in ("train", "validation"))
     if not held:
-        return {}
-    bones = virtual_bones(store, config.bones, subject=None if start is None else start.subject)
+        return ""
+    bones = virtual_bones(store, config.bones)
     methods = [Network("network", checkpoint), *fit_baselines(bones, names, held)]
     rows = evaluate(bones, methods, held[:_CLIPS], progress=progress)
-    return {row.name: row.all.overall.rmse for row in rows}
-
-
-def verdict(errors: Mapping[str, float]) -> str:
-    """What to say of :func:`validation_errors`: one line, or two if the network loses, with what to
-    do; empty without errors.
-    """
-    if not errors:
-        return ""
-    own = errors["network"]
-    text = "validation, RMSE over all vertices: " + ", ".join(
-        f"{name} {error:.1f} mm" for name, error in errors.items()
-    )
-    best = min(errors, key=lambda name: errors[name])
-    if errors[best] < own:
+    errors = {row.name: row.all.overall.rmse for row in rows}
+    found = ", ".join(f"{name} {error:.1f} mm" for name, error in errors.items())
+    text, best = f"validation, RMSE over all vertices: {found}", min(errors, key=errors.__getitem__)
+    if best != "network":
         text += f"\nthe network errs more than {best}: {ADVICE[best]}"
     return text

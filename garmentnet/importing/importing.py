@@ -23,6 +23,7 @@ from ssdr.model.transforms import rest_diagonal
 from ..collision.body_tree import is_closed
 from ..data.clip import spread
 from ..data.clip_files import Split
+from ..data.outfit import Outfit
 from ..data.parameters import SimulationParameters
 from ..data.skin_weights import BodyBound, find_body_bound
 from ..data.store import ClipStore
@@ -116,11 +117,7 @@ def import_clips(
     store = ClipStore.open(target) if target.exists() else None
     if store is None:
         # Before anything is read, which may take long.
-        try:
-            target.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            found = f"{target.parent} ({error.strerror})"
-            raise InputError("path", "a store in a folder that can be made", found) from error
+        target.parent.mkdir(parents=True, exist_ok=True)
         check_writable(target)
     else:
         store.sweep()
@@ -176,14 +173,10 @@ def _check_mesh(argument: str, mesh: MeshSequence, faces: NDArray[np.int32], cou
 
     Its triangles may face either way.
     """
-    if mesh.n_vertices == count and np.array_equal(*(np.sort(x) for x in (mesh.faces, faces))):
-        return
-    own, first = (mesh.n_vertices, len(mesh.faces)), (count, len(faces))
-    raise InputError(
-        argument,
-        f"the mesh of the first clip, {first[0]} vertices and {first[1]} triangles",
-        "as many in another order" if own == first else f"{own[0]} and {own[1]}",
-    )
+    if mesh.n_vertices != count or not np.array_equal(np.sort(mesh.faces), np.sort(faces)):
+        expected = f"the mesh of the first clip, {count} vertices and {len(faces)} triangles"
+        found = f"{mesh.n_vertices} and {len(mesh.faces)}, or in another order"
+        raise InputError(argument, expected, found)
 
 
 def _rest_of(
@@ -233,14 +226,7 @@ def _create(
     if rig.is_lying():
         up = "y" if o.rig.up == "z" else "z"
         say(f"warning: the skeleton is longest along z; if it should stand, --rig-up {up}")
-    return ClipStore.create(
-        path,
-        rest=rest,
-        faces=faces,
-        body=rig.body,
-        skeleton=rig.skeleton,
-        fps=cloth.fps,
-    )
+    return ClipStore.create(path, Outfit(rest, faces, rig.body, rig.skeleton, cloth.fps))
 
 
 def _parts(name: str, count: int, o: ImportOptions) -> list[tuple[str, Split, slice]]:

@@ -32,7 +32,7 @@ from ..data.subject import Subject
 from ..io.tables import from_table
 from ..io.tensors import load_arrays, save_arrays, tensors_of
 from ..paper.ensemble import Kernel
-from .features import Normaliser, transforms_in_frame
+from .features import Normaliser
 from .network import MotionNetwork, NetworkOutput, Predictor
 
 # Tensors with fewer numbers stay in single precision, since halving them saves almost nothing.
@@ -126,7 +126,6 @@ class Checkpoint(Predictor):
         *,
         parameters: SimulationParameters | None = None,
         detail: bool = True,
-        frames: Any = None,
     ) -> tuple[NetworkOutput, Any]:
         """As :meth:`MotionNetwork.run`; equation 3 of the paper for an ensemble.
 
@@ -149,25 +148,17 @@ class Checkpoint(Predictor):
             theta = parameters.normalised()
         first = self.networks[0]
         if self.kernel is None or parameters is None:
-            return first.run(joints, state, parameters=theta, detail=detail, frames=frames)
-        states = list(state or (None,) * len(self.networks))
-        transforms: Any = 0.0
-        high: Any = 0.0
-        frame: Any = None
-        for k, w in enumerate(self.weights(parameters).tolist()):
-            if w == 0:
-                continue
-            motion, states[k] = self.networks[k].run(
-                joints, states[k], detail=detail, frames=frames
-            )
-            frame = motion.frame
-            transforms = transforms + w * motion.transforms
-            high = None if high is None or motion.high is None else high + w * motion.high
-        chosen = np.asarray(joints) if frames is None else np.asarray(joints)[frames]
-        body = torch.from_numpy(transforms_in_frame(chosen, frame)).float().to(first.device)
-        # LBS is linear in the transforms, so Σ Ψ̄ LBS(M_i) = LBS(Σ Ψ̄ M_i) is skinned once.
-        low = first.skinning(torch.cat([transforms, body], dim=-3))
-        return NetworkOutput(transforms, low, high, frame), tuple(states)
+            return first.run(joints, state, parameters=theta, detail=detail)
+        pairs = zip(self.networks, state or (None,) * len(self.networks), strict=True)
+        outputs, states = zip(*(n.run(joints, s, detail=detail) for n, s in pairs), strict=True)
+        weights = self.weights(parameters).tolist()
+
+        def mixed(name: str) -> Any:
+            # LBS is linear in the transforms, so Σ Ψ̄ LBS(M_i) = LBS(Σ Ψ̄ M_i).
+            return sum(w * getattr(m, name) for w, m in zip(weights, outputs, strict=True))
+
+        high = None if outputs[0].high is None else mixed("high")
+        return NetworkOutput(mixed("transforms"), mixed("low"), high, outputs[0].frame), states
 
 
 def save_checkpoint(checkpoint: Checkpoint, path: Path | str, *, half: bool = False) -> Path:
@@ -244,9 +235,6 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
 def load_weights(network: MotionNetwork, start: Checkpoint, part: str) -> None:
     """Copy weights and statistics from a checkpoint into a module of a network.
 
-    The network may read the motion of joints that `start` does not read; the weights of these
-    inputs begin at 0.
-
     Parameters
     ----------
     network : MotionNetwork
@@ -263,21 +251,13 @@ def load_weights(network: MotionNetwork, start: Checkpoint, part: str) -> None:
     if not np.array_equal(source.subject.garment.rest, network.subject.garment.rest):
         raise InputError("start", "a checkpoint with the same virtual bones", "others")
     options, known = network.config.features, source.config.features
-    if options != dataclasses.replace(known, joint_motion=options.joint_motion):
+    if options != known:
         raise InputError("start", f"a network of the same configuration, {options}", known)
-    state, old = getattr(source, part).state_dict(), source.normaliser
-    count, first = len(old.mean), "gru.weight_ih_l0"
-    more = network.normaliser.mean[count:], network.normaliser.deviation[count:]
     try:
-        if part == "low" or network.config.high.source == "body":
-            none = state[first].new_zeros(len(state[first]), len(more[0]))
-            left, right = state[first].split([count, network.condition], dim=1)
-            state[first] = torch.cat([left, none, right], dim=1)
-        getattr(network, part).load_state_dict(state)
+        getattr(network, part).load_state_dict(getattr(source, part).state_dict())
     except RuntimeError as error:
         raise InputError("start", "a network of the same configuration", str(error)) from error
-    mean, deviation = map(np.append, (old.mean, old.deviation), more)
-    network.normaliser = Normaliser(mean, deviation, old.clamp)
+    network.normaliser = source.normaliser
 
 
 def _network(subject: Subject, record: NetworkRecord, part: dict[str, Tensor]) -> MotionNetwork:

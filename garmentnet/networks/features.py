@@ -222,19 +222,11 @@ class Normaliser:
         A feature that hardly changes in training would otherwise become huge on a motion where
         it does.
         """
-        count = 0
-        first: Any = 0.0
-        total: Any = 0.0
-        square: Any = 0.0
-        for f in features:
-            # Relative to the first frame: the difference of large sums would lose digits.
-            first = f[0] if count == 0 else first
-            count, total = count + len(f), total + (f - first).sum(axis=0)
-            square = square + ((f - first) ** 2).sum(axis=0)
-        mean = total / count
-        square, mean = square / count - mean**2, first + mean
-        deviation = np.sqrt(np.maximum(square, 0.0))
-        deviation = np.maximum(deviation, floor)
+        known = [(len(f), f.mean(axis=0), f.var(axis=0)) for f in features]
+        count, means, variances = (np.array(column) for column in zip(*known, strict=True))
+        mean = np.average(means, axis=0, weights=count)
+        spread = np.average(variances + (means - mean) ** 2, axis=0, weights=count)
+        deviation = np.maximum(np.sqrt(spread), floor)
         return cls(mean, np.where(deviation > 0, deviation, 1.0), clamp)
 
     def __call__(self, features: Array) -> NDArray[np.float32]:

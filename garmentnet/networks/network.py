@@ -24,13 +24,8 @@ from .features import Normaliser, PoseFeatures, PoseReader, transforms_in_frame
 FRAMES_AT_ONCE = 120
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class NetworkState:
-    """State of a network between two frames; the hidden states are ``(1, 1, H)``."""
-
-    pose: NDArray[np.float64] | None = None
-    low: Tensor | None = None
-    high: Tensor | None = None
+# Of a network between two frames: pose, and hidden states (1, 1, H) of both modules.
+State = tuple[NDArray[np.float64] | None, Tensor | None, Tensor | None]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -79,25 +74,22 @@ class Predictor:
     run: Callable[..., tuple[NetworkOutput, Any]]
 
     def motions(
-        self, joints: Any, parameters: Any = None, *, detail: bool = True, frames: Any = None
+        self, joints: Any, parameters: Any = None, *, detail: bool = True
     ) -> list[NetworkOutput]:
-        """Outputs for a motion, or some of its frames, in parts of at most `FRAMES_AT_ONCE`."""
+        """Outputs for a motion in parts of at most `FRAMES_AT_ONCE`."""
         count = np.shape(joints)[1] if np.ndim(joints) == 4 else 1  # the features check it
         joints, state, out = check_joints(joints, count), None, []
         for start in range(0, len(joints), FRAMES_AT_ONCE):
-            part, some = joints[start : start + FRAMES_AT_ONCE], None
-            if frames is not None:
-                some = np.asarray(frames, np.int64) - start
-                some = some[(some >= 0) & (some < len(part))]
-            motion, state = self.run(part, state, parameters=parameters, detail=detail, frames=some)
+            part = joints[start : start + FRAMES_AT_ONCE]
+            motion, state = self.run(part, state, parameters=parameters, detail=detail)
             out.append(motion)
         return out
 
     def predict(
-        self, joints: Any, parameters: Any = None, *, detail: bool = True, frames: Any = None
+        self, joints: Any, parameters: Any = None, *, detail: bool = True
     ) -> NDArray[np.float32]:
-        """World positions ``(F, V, 3)`` of a motion, or of some of its frames, ascending."""
-        parts = self.motions(joints, parameters, detail=detail, frames=frames)
+        """World positions ``(F, V, 3)`` of a motion."""
+        parts = self.motions(joints, parameters, detail=detail)
         return np.concatenate([m.vertices() for m in parts])
 
     def step(
@@ -215,54 +207,43 @@ class MotionNetwork(nn.Module, PoseReader, Predictor):
         """Input ``(N, T, D)`` of the high-frequency module's GRU."""
         if self.config.high.source == "body":
             return x
-        motion = z.flatten(-2)
-        if not self.condition:
-            return motion
-        return torch.cat([motion, x[..., -self.condition :]], dim=-1)
+        return torch.cat([z.flatten(-2), x[..., self.features.size :]], dim=-1)
 
     @torch.no_grad()
     def run(
         self,
         joints: Any,
-        state: NetworkState | None = None,
+        state: State | None = None,
         *,
         parameters: Any = None,
         detail: bool = True,
-        frames: Any = None,
-    ) -> tuple[NetworkOutput, NetworkState]:
+    ) -> tuple[NetworkOutput, State]:
         """Predict consecutive frames; return them and the state after the last.
 
         Parameters
         ----------
         joints : (F, J, 3, 4) array
             World transforms of the body's joints from its rest pose.
-        state : NetworkState, optional
+        state : tuple, optional
             State after the frame before; None if the motion starts here, from rest.
         parameters : (3,) array, optional
             Normalised simulation parameters, for a network that reads them.
         detail : bool
             Whether to run the high-frequency module.
-        frames : (f,) int array, optional
-            Frames whose mesh is computed, all by default; the state passes through every frame.
 
         Raises
         ------
         InputError
             If the joints are not those of the body, not finite or not rigid.
         """
-        state = state or NetworkState()
-        features, frame, pose = self.features(joints, state.pose)
+        pose, low_state, high_state = state or (None, None, None)
+        features, frame, pose = self.features(joints, pose)
         x = torch.from_numpy(self.inputs(features, parameters)).to(self.device)
-        chosen = np.arange(len(frame)) if frames is None else np.asarray(frames, np.int64)
-        frame = frame[chosen]
-        local = transforms_in_frame(np.asarray(joints)[chosen], frame)
-        body = torch.from_numpy(local).float().to(self.device)
-        index = torch.from_numpy(chosen).to(self.device)
+        body = torch.from_numpy(transforms_in_frame(joints, frame)).float().to(self.device)
         transforms, low, high, low_state, high_state = self(
-            x, body, state.low, state.high, index, detail=detail
+            x, body, low_state, high_state, detail=detail
         )
-        new = NetworkState(pose, low_state, high_state)
-        return NetworkOutput(transforms, low, high, frame), new
+        return NetworkOutput(transforms, low, high, frame), (pose, low_state, high_state)
 
     def forward(
         self,
@@ -270,7 +251,6 @@ class MotionNetwork(nn.Module, PoseReader, Predictor):
         body: Tensor,
         low_state: Tensor | None,
         high_state: Tensor | None,
-        index: Tensor | None = None,
         *,
         detail: bool = True,
     ) -> tuple[Tensor, Tensor, Tensor | None, Tensor, Tensor | None]:
@@ -283,24 +263,19 @@ class MotionNetwork(nn.Module, PoseReader, Predictor):
         body : (F, J, 3, 4)
             Joints of the body in the moving frame, of the chosen frames.
         low_state, high_state : (1, 1, H), optional
-        index : (F,) int, optional
-            Frames whose mesh is computed; all by default.
         detail : bool
         """
         z, low_state = self.low(x[None], low_state)
-        some = z[0] if index is None else z[0, index]
-        transforms = self.low.code(some, body)
+        transforms = self.low.code(z[0], body)
         blend = self.skinning.blend(torch.cat([transforms, body], dim=-3))
         low, high = moved(blend, self.skinning.rest), None
         if detail and self.high is not None:
             inputs = self.high_inputs(x[None], z)
             if isinstance(self.high, DetailBasis):
                 numbers, high_state = self.high(inputs, high_state)
-                numbers = numbers[0] if index is None else numbers[0, index]
-                own = turn(blend[..., self.free], self.high.local(numbers))
+                own = turn(blend[..., self.free], self.high.local(numbers[0]))
             else:
-                at = None if index is None else index[None]
-                own, high_state = self.high(inputs, low[None], high_state, at)
+                own, high_state = self.high(inputs, low[None], high_state)
                 own = own[0][:, self.free]
             high = self._detail(own, blend)
         return transforms, low, high, low_state, high_state

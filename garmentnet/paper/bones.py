@@ -13,7 +13,6 @@ import functools
 import hashlib
 import json
 import logging
-import time
 from collections.abc import Callable, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -23,12 +22,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
+from torch.nn.functional import normalize
 
 import ssdr
 from ssdr import MeshSequence, Skinning
 from ssdr.common.errors import FormatError, InputError
-from ssdr.io.atomic import write_bytes
-from ssdr.io.file_errors import reading
 from ssdr.laplacian import LaplacianSmoother
 
 from ..configs.config import BoneOptions
@@ -185,18 +183,11 @@ def virtual_bones(
     place = store.path.with_name(store.path.name + ".bones") / key
     if subject is not None:
         return VirtualBones(place, store, subject.garment, options, record, subject.bound)
-    place.mkdir(parents=True, exist_ok=True)
-    skinning_file, report_file = place / "bones.npz", place / "bones.json"
-    if not (skinning_file.is_file() and report_file.is_file()):
-        skinning, found = _decompose(store, names, options, progress)
-        ssdr.save(skinning, skinning_file)
-        write_bytes(report_file, json.dumps(record | found, indent=1).encode())
-    skinning = ssdr.load_skinning(skinning_file).skinning
-    if skinning.n_vertices != store.n_vertices or skinning.n_bones != options.count:
-        raise FormatError(f"{skinning_file}: bones of another garment, {skinning!r}")
-    with reading(report_file):
-        known: dict[str, Any] = json.loads(report_file.read_text("utf-8"))
-    bones = VirtualBones(place, store, skinning, options, known)
+    file = place / "bones.npz"
+    if not file.is_file():
+        place.mkdir(parents=True, exist_ok=True)
+        ssdr.save(_decompose(store, names, options, progress), file)
+    bones = VirtualBones(place, store, ssdr.load_skinning(file).skinning, options, record)
     return dataclasses.replace(bones, bound=_body_bound(bones, names))
 
 
@@ -219,14 +210,11 @@ def _decompose(
     names: Sequence[str],
     options: BoneOptions,
     progress: Progress,
-) -> tuple[Skinning, dict[str, Any]]:
-    began = time.perf_counter()
+) -> Skinning:
     smoother = LaplacianSmoother(store.rest, store.faces, options.length)
-    parts = [
-        np.asarray(smoother.smooth(clip.sequence.frames(here)), np.float32)
-        for clip, here in store.sample(names, options.frames)
-    ]
-    frames = np.concatenate(parts)
+    sample = store.sample(names, options.frames)
+    parts = [smoother.smooth(clip.sequence.frames(here)) for clip, here in sample]
+    frames = np.concatenate(parts).astype(np.float32)
 
     result = ssdr.decompose(
         MeshSequence(frames, store.faces, store.fps),
@@ -238,14 +226,8 @@ def _decompose(
     )
     s = result.skinning
     still = np.tile(np.eye(3, 4), (1, s.n_bones, 1, 1))
-    skinning = dataclasses.replace(s, transforms=still, fps=store.fps, keyframes=None)
-    report = {
-        "rmse": result.rmse,
-        "seconds": time.perf_counter() - began,
-        "stop_reason": result.stop_reason,
-    }
     _logger.info("%d bones, RMSE %.3g m on %d frames", s.n_bones, result.rmse, len(frames))
-    return skinning, report
+    return dataclasses.replace(s, transforms=still, fps=store.fps, keyframes=None)
 
 
 def _digest(store: ClipStore, names: Sequence[str]) -> str:
@@ -254,10 +236,6 @@ def _digest(store: ClipStore, names: Sequence[str]) -> str:
     for name in names:
         h.update(read_document(store.clip(name).path))
     return h.hexdigest()[:16]
-
-
-# Columns shorter than this are divided by it instead of their length: no division by 0.
-_SHORT = 1e-8
 
 
 class TorchSkinning(nn.Module):
@@ -308,9 +286,6 @@ class TorchSkinning(nn.Module):
             If the transforms are not those of as many bones.
         """
         lead = transforms.shape[:-3]
-        if transforms.shape[-3:] != (self.n_bones, 3, 4):
-            expected = f"shape (..., {self.n_bones}, 3, 4)"
-            raise InputError("transforms", expected, tuple(transforms.shape))
         flat = transforms.transpose(-1, -2).reshape(-1, self.n_bones, 12).transpose(1, 2)
         blended = flat.reshape(-1, self.n_bones) @ self.weights.T
         return blended.view(*lead, 4, 3, -1)
@@ -333,8 +308,8 @@ def surface_frame(blend: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
     Detail turns with them: d = x a + y b + z c.
     """
-    a, b = _unit(blend[..., 0, :, :], -2), blend[..., 1, :, :]
-    b = _unit(b - (a * b).sum(-2, keepdim=True) * a, -2)
+    a, b = normalize(blend[..., 0, :, :], dim=-2), blend[..., 1, :, :]
+    b = normalize(b - (a * b).sum(-2, keepdim=True) * a, dim=-2)
     return a, b, torch.linalg.cross(a, b, dim=-2)
 
 
@@ -356,10 +331,6 @@ def turn_back(blend: Tensor, detail: Tensor) -> Tensor:
     """Detail ``(..., V, 3)`` in the frame of the surface; the inverse of :func:`turn`."""
     d = detail.transpose(-1, -2)
     return torch.stack([(column * d).sum(-2) for column in surface_frame(blend)], dim=-1)
-
-
-def _unit(x: Tensor, dim: int) -> Tensor:
-    return x / x.square().sum(dim, keepdim=True).sqrt().clamp(min=_SHORT)
 
 
 def matrix_from_euler(degrees: Tensor) -> Tensor:
@@ -390,8 +361,8 @@ def matrix_from_sixd(sixd: Tensor) -> Tensor:
     >>> matrix_from_sixd(torch.tensor([2.0, 0, 0, 1, 3, 0])).tolist()
     [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     """
-    a, other = _unit(sixd[..., :3], -1), sixd[..., 3:]
-    b = _unit(other - (a * other).sum(-1, keepdim=True) * a, -1)
+    a, other = normalize(sixd[..., :3], dim=-1), sixd[..., 3:]
+    b = normalize(other - (a * other).sum(-1, keepdim=True) * a, dim=-1)
     return torch.stack([a, b, torch.linalg.cross(a, b, dim=-1)], dim=-1)
 
 

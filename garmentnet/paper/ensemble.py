@@ -9,10 +9,9 @@ Q_s = ⟨r_i, r_j⟩, because Σ w = 1.
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -91,22 +90,9 @@ def gram(predictions: Sequence[Any], truth: Any) -> Array:
     return np.asarray(r @ r.T / (truth.shape[0] * truth.shape[1]))
 
 
-class Mixed(NamedTuple):
-    """A mixture of pivots that can be compared with a simulation.
-
-    pivots, theta  (K, P), (P,)  normalised parameters of the pivots, and those to be mixed for
-    q              (K, K)        Gram matrix of the pivots' residuals there; see :func:`gram`
-    """
-
-    pivots: Array
-    theta: Array
-    q: Array
-
-    @classmethod
-    def of(cls, pivots: Sequence[int], parameters: Any, theta: Any, q: Array) -> Mixed:
-        """The mixture of some networks, given the parameters and the Gram matrix of all."""
-        p = list(pivots)
-        return cls(np.asarray(parameters, float)[p], np.asarray(theta, float), q[np.ix_(p, p)])
+# Normalised parameters (K, P) of pivots and (P,) of a set, and the Gram matrix (K, K) of the
+# pivots' residuals on its frames.
+Mixture = tuple[Array, Array, Array]
 
 
 def convex_fit(q: Array) -> tuple[Array, float]:
@@ -125,29 +111,37 @@ def convex_fit(q: Array) -> tuple[Array, float]:
     unit = np.sqrt(max(float(np.trace(q)) / len(q), _TINY))
     w, _ = nnls(np.vstack([root / unit, np.ones(len(q))]), np.append(np.zeros(len(q)), 1.0))
     w = w / w.sum()
-    return w, _root(q, w)
+    return w, math.sqrt(max(0.0, float(w @ q @ w)))
 
 
-def extremes(parameters: Any) -> list[int]:
-    """Indices of sets with a highest or lowest parameter; only the first if all are equal.
+def extremes(parameters: Any, count: int) -> list[int]:
+    """Indices of sets with a highest or lowest parameter, the first of `count` pivots.
+
+    Raises
+    ------
+    InputError
+        If `count` is less than their number, or more than that of the sets.
 
     Examples
     --------
-    >>> extremes([[0.0, 1.0], [0.5, 1.0], [1.0, 1.0]])
+    >>> extremes([[0.0, 1.0], [0.5, 1.0], [1.0, 1.0]], 2)
     [0, 2]
     """
     p = np.asarray(parameters, float)
     spread = p.max(axis=0) > p.min(axis=0)
     at_end = (np.isclose(p, p.max(axis=0)) | np.isclose(p, p.min(axis=0))) & spread
-    return np.flatnonzero(at_end.any(axis=1)).tolist() or [0]
+    found: list[int] = np.flatnonzero(at_end.any(axis=1)).tolist() or [0]
+    if not len(found) <= count <= len(p):
+        expected = f"{len(found)} or more, the sets with an extreme, and at most {len(p)}"
+        raise InputError("ensemble.pivots", expected, count)
+    return found
 
 
 def select_pivots(grams: Sequence[Array], parameters: Any, count: int) -> list[int]:
     """Choose K pivots as the paper does: the extremes, then the worst fitted, one at a time.
 
     The network of a set that is no pivot is compared, on that set, with the best convex mixture of
-    the pivots' predictions.  If K is smaller than the number of extremes, of which the paper does
-    not speak, those extremes are chosen that fit all other networks best.
+    the pivots' predictions.
 
     Parameters
     ----------
@@ -155,7 +149,7 @@ def select_pivots(grams: Sequence[Array], parameters: Any, count: int) -> list[i
         Gram matrix of all networks on the frames of each set; see :func:`gram`.
     parameters : (S, P) array
     count : int
-        Number K of pivots, 1 to S.
+        Number K of pivots.
 
     Returns
     -------
@@ -165,7 +159,7 @@ def select_pivots(grams: Sequence[Array], parameters: Any, count: int) -> list[i
     Raises
     ------
     InputError
-        If `count` is not from 1 to S.
+        As :func:`extremes`.
 
     Examples
     --------
@@ -173,37 +167,26 @@ def select_pivots(grams: Sequence[Array], parameters: Any, count: int) -> list[i
     >>> select_pivots(grams, [[0.0], [0.4], [1.0]], 2)
     [0, 2]
     """
-    n = len(grams)
-    if not 1 <= count <= n:
-        raise InputError("count", f"an integer from 1 to {n}", count)
+    chosen = extremes(parameters, count)
 
-    def misfit(s: int, pivots: Sequence[int]) -> float:
+    def misfit(s: int) -> float:
         # r_i − r_s = G_i − G_s: the simulation cancels.
-        q, p = grams[s], list(pivots)
+        q, p = grams[s], chosen
         between = q[np.ix_(p, p)] - q[p, s][:, None] - q[s, p][None] + q[s, s]
         return convex_fit(between)[1]
 
-    start = extremes(parameters)
-    if count < len(start):
-
-        def total(pivots: Iterable[int]) -> float:
-            pivots = tuple(pivots)
-            return sum(misfit(s, pivots) ** 2 for s in range(n) if s not in pivots)
-
-        return list(min(itertools.combinations(start, count), key=total))
-    chosen = list(start)
     while len(chosen) < count:
-        rest = [s for s in range(n) if s not in chosen]
-        chosen.append(max(rest, key=lambda s: misfit(s, chosen)))
+        rest = [s for s in range(len(grams)) if s not in chosen]
+        chosen.append(max(rest, key=misfit))
     return chosen
 
 
-def fit_kernel(learned: Sequence[Mixed], *, steps: int = 600, seed: int = 0) -> Kernel:
+def fit_kernel(learned: Sequence[Mixture], *, steps: int = 600, seed: int = 0) -> Kernel:
     """Train the kernel, leaving the pivot of one training parameter set out at a time.
 
     Parameters
     ----------
-    learned : sequence of Mixed
+    learned : sequence of tuple
         One or more; see :func:`left_out`.
     steps : int
         Number of steps of Adam.
@@ -218,7 +201,7 @@ def fit_kernel(learned: Sequence[Mixed], *, steps: int = 600, seed: int = 0) -> 
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        made = Kernel(len(learned[0].theta))
+        made = Kernel(len(learned[0][1]))
     optimiser = torch.optim.Adam(made.parameters(), lr=1e-2, weight_decay=1e-3)
     sets = [[torch.from_numpy(x) for x in mixed] for mixed in learned]
     for _ in range(steps):
@@ -232,14 +215,8 @@ def fit_kernel(learned: Sequence[Mixed], *, steps: int = 600, seed: int = 0) -> 
     return made
 
 
-def left_out(grams: Sequence[Array], parameters: Any, pivots: Sequence[int]) -> list[Mixed]:
+def left_out(grams: Sequence[Array], parameters: Any, pivots: Sequence[int]) -> list[Mixture]:
     """For each training set the mixture of the pivots other than itself, if there are any."""
-    others = ([i for i in pivots if i != s] for s in range(len(grams)))
-    return [
-        Mixed.of(some, parameters, parameters[s], grams[s]) for s, some in enumerate(others) if some
-    ]
-
-
-def _root(q: Array, w: Array) -> float:
-    """RMSE of a mixture, metres: √(wᵀ Q w)."""
-    return math.sqrt(max(0.0, float(w @ q @ w)))
+    theta = np.asarray(parameters, float)
+    others = [[i for i in pivots if i != s] for s in range(len(grams))]
+    return [(theta[p], theta[s], grams[s][np.ix_(p, p)]) for s, p in enumerate(others) if p]

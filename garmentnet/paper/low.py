@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch import Tensor, nn
 
-from ssdr.common.errors import InputError
 from ssdr.model.rigid import sixd_from_matrix
 
 from ..networks.features import relative, transforms_in_frame
@@ -122,8 +121,6 @@ class BoneCode(nn.Module):
     def numbers(self, transforms: Any, joints: Any = None) -> NDArray[np.float64]:
         """Rotation and translation ``(F, B, C)``, not normalised; arguments as of :meth:`fit`."""
         m = np.asarray(transforms, dtype=np.float64)
-        if m.shape[1:] != (self.shape[0], 3, 4):
-            raise InputError("transforms", f"shape (F, {self.shape[0]}, 3, 4)", m.shape)
         if self.followed is not None:
             m = relative(m, _bases(joints)[:, self.followed.cpu().numpy()])
         r = m[..., :3]
@@ -273,15 +270,11 @@ class LowFrequencyObjective(TrainingObjective):
         self._bending = _SkinnedNorm(laplacian @ skinned, bent).to(network.device)
 
         self._width = basis.rank + 2
-        followed = network.low.code.followed
-        self._followed = None if followed is None else followed[followed >= 0].unique()
 
         def prepared(track: Track) -> Track:
             rows = torch.from_numpy(targets.rows(track.name))
-            if self._followed is not None:
-                # Bits of single precision in columns of half precision: all frames are in memory.
-                joints = track.joints()[:, self._followed.cpu()].flatten(1)
-                rows = torch.cat([rows, joints.view(torch.float16)], dim=1)
+            if network.low.code.followed is not None:
+                rows = torch.cat([rows.float(), track.joints().flatten(1)], dim=1)
             return dataclasses.replace(track, extra=rows)
 
         self.tracks = [prepared(t) for t in tracks]
@@ -289,13 +282,8 @@ class LowFrequencyObjective(TrainingObjective):
 
     def _squares(self, z: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
         """Mean squared distance of the vertices, and of their Laplacians, in each frame."""
-        rows = rows.to(self.network.device)
-        rows, behind = rows[:, : self._width].float(), rows[:, self._width :].contiguous()
-        joints = None
-        if self._followed is not None:
-            joints = rows.new_zeros(len(rows), self.network.subject.skeleton.n_joints, 3, 4)
-            some = (len(rows), len(self._followed), 3, 4)
-            joints[:, self._followed] = behind.view(torch.float32).view(some)
+        rows = rows.to(self.network.device).float()
+        rows, joints = rows[:, : self._width], rows[:, self._width :].unflatten(1, (-1, 3, 4))
         transforms = self.network.low.code(z, joints)
         shape = torch.cat([torch.ones_like(rows[:, :1]), rows[:, :-2]], dim=1)
         position, bending = (t(transforms, shape) for t in (self._position, self._bending))

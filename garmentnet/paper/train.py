@@ -39,7 +39,7 @@ from ..training.detail import DetailObjective
 from ..training.loop import fit
 from ..training.targets import LowTargets
 from .bones import VirtualBones, parameter_roles, virtual_bones
-from .ensemble import fit_kernel, gram, left_out, select_pivots
+from .ensemble import extremes, fit_kernel, gram, left_out, select_pivots
 from .high import HighFrequencyObjective
 from .low import LowFrequencyObjective
 
@@ -279,8 +279,7 @@ def train_ensemble(
     store : ClipStore
     config : Config
     folder : path
-        Folder with a subfolder for each network, ``ensemble.safetensors``, and ``ensemble.json``:
-        `sets`, the training parameter sets, and `pivots`, their indices.
+        Folder with a subfolder for each network and ``ensemble.safetensors``.
     start : Checkpoint, optional
         Network from whose weights every network starts; by default these are random.
     progress
@@ -294,7 +293,7 @@ def train_ensemble(
     Raises
     ------
     InputError
-        If there is only one training set.
+        If there is only one training set, or ``ensemble.pivots`` is too small or too large.
     """
     folder, o = Path(folder), config.ensemble
     roles = parameter_roles(store)
@@ -305,6 +304,8 @@ def train_ensemble(
         raise InputError(
             "data.condition", "false for pivots, which have parameters of their own", True
         )
+    theta, count = np.stack([p.normalised() for p in sets]), o.pivots or len(sets)
+    extremes(theta, count)  # an error comes before hours of training
     networks = []
     for parameters in sets:
         values = dataclasses.astuple(parameters)
@@ -319,45 +320,30 @@ def train_ensemble(
         path = train(store, own, folder / name, start=start, progress=show)
         networks.append(load_checkpoint(path).networks[0])
 
-    theta = np.stack([p.normalised() for p in sets])
     grams = []
     for k, p in enumerate(sets):
-        grams.append(compare_networks(store, networks, p, "train", o.frames))
+        grams.append(compare_networks(store, networks, store.names("train", p), o.frames))
         progress("comparing networks", (k + 1) / len(sets))
-    pivots = select_pivots(grams, theta, o.pivots or len(sets))
+    pivots = select_pivots(grams, theta, count)
     kernel = fit_kernel(left_out(grams, theta, pivots), steps=o.steps, seed=config.train.seed)
-    report = {"sets": [dataclasses.asdict(p) for p in sets], "pivots": pivots}
-    write_bytes(folder / "ensemble.json", json.dumps(report, indent=1).encode())
     chosen = tuple(networks[k] for k in pivots)
     whole = Checkpoint(chosen, tuple(sets[k] for k in pivots), kernel)
     return save_checkpoint(whole, folder / "ensemble.safetensors")
 
 
 def compare_networks(
-    store: ClipStore,
-    networks: Sequence[MotionNetwork],
-    parameters: SimulationParameters,
-    split: str,
-    frames: int,
+    store: ClipStore, networks: Sequence[MotionNetwork], names: Sequence[str], frames: int
 ) -> Array:
-    """Gram matrix ``(S, S)`` of all networks' residuals on one set's clips of a split.
+    """Gram matrix ``(S, S)`` of all networks' residuals on the named clips.
 
     Networks predict at most four clips from their first frame; `frames` evenly spread frames are
     compared.
-
-    Raises
-    ------
-    InputError
-        If the set has no clip of the split.
     """
-    names = store.names(split, parameters)
-    if not names:
-        raise InputError("store", f"{split} motions of {parameters}", str(store.path))
     (some,) = spread([len(names)], _CLIPS)
     total, used = np.zeros((len(networks), len(networks))), 0
     for clip, here in store.sample([names[k] for k in some], frames):
         upto = clip.joints[: here[-1] + 1]
-        answers = [n.predict(upto, frames=here) for n in networks]
+        answers = [n.predict(upto)[here] for n in networks]
         total += gram(answers, clip.sequence.frames(here)) * len(here)
         used += len(here)
     return total / used

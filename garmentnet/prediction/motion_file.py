@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ssdr.common.errors import FormatError, InputError
+from ssdr.common.errors import InputError
 from ssdr.io.arrays.array_files import read_arrays
 from ssdr.io.file_errors import check, reading
 
@@ -59,14 +59,8 @@ def read_motion(path: Path | str, subject: Subject) -> tuple[NDArray[np.float64]
             return rig.matched(subject.skeleton, subject.body).joints, None
         except InputError as error:
             raise InputError("motion", error.expected, f"{error.got} ({file.name})") from error
-    if file.suffix.lower() != ".npz":
-        raise FormatError(
-            f"{file}: a motion is a .fbx, .glb or .usd with the rig, a .npz with joints, "
-            "or a clip of a store"
-        )
     arrays = read_arrays(file, required=("joints",), optional=("fps",))
     with reading(file):
-        check(
-            arrays.get("fps", subject.fps) == subject.fps, f"not the network's {subject.fps:g} fps"
-        )
+        fps = subject.fps
+        check(arrays.get("fps", fps) == fps, f"not the network's {fps:g} fps")
         return check_joints(arrays["joints"], subject.skeleton.n_joints), None

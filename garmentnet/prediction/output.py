@@ -161,25 +161,17 @@ def _film(p: Prediction, truth: Clip | None, size: int, every: int) -> Film:
         "fps": p.cloth.fps / every,
         "elevation": _ELEVATION,
     }
-    if truth is None:
-        return Film.of(scene(p.cloth.vertices), size=(side, side), **options)
-    # Someone who stands is narrow.
-    width = size * 3 // 4
-    true = truth.sequence.frames(slice(None))
-
-    def text(t: int) -> str:
-        figures = error_text(true[t : t + 1], p.cloth.vertices[t : t + 1], truth.outfit)
-        return f"{caption(t, p.cloth.fps, truth.classes)}  ·  RMSE {figures}"
-
-    return Film.of(
-        scene(p.cloth.vertices),
-        reference=scene(true),
-        size=(width - width % 2, side),
-        titles=("truth", "prediction"),
-        captions=[text(t) for t in order],
-        unit=MILLIMETRES,
-        **options,
-    )
+    width = side
+    if truth is not None:
+        width = size * 3 // 4 // 2 * 2  # someone who stands is narrow
+        true = truth.sequence.frames(slice(None))
+        captions = []
+        for t in order:
+            figures = error_text(true[t : t + 1], p.cloth.vertices[t : t + 1], truth.outfit)
+            captions.append(f"{caption(t, p.cloth.fps, truth.classes)}  ·  RMSE {figures}")
+        options |= {"reference": scene(true), "captions": captions, "unit": MILLIMETRES}
+        options["titles"] = "truth", "prediction"
+    return Film.of(scene(p.cloth.vertices), size=(width, side), **options)
 
 
 def _save_bones(p: Prediction, file: Path) -> str:

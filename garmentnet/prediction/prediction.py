@@ -13,7 +13,7 @@ import ssdr
 from ssdr import MeshSequence, Skinning
 from ssdr.common.errors import InputError
 
-from ..collision.outward import push_of
+from ..collision.outward import PushedOut, push_of
 from ..data.parameters import SimulationParameters, warn_beyond
 from ..io.tables import from_table
 from ..networks.checkpoint import Checkpoint
@@ -32,10 +32,8 @@ class Prediction:
     joints : (F, J, 3, 4) array
     root : (F, 3) array
         Positions of the root joint, metres.
-    moved : float
-        Fraction of the cloth's vertices that the push-out moved by more than 5 mm, over all frames.
-    farthest : float
-        Largest displacement of a vertex by the push-out, metres.
+    pushed : PushedOut or None
+        What the push-out did; None without it.
 
     The push-out changes `cloth` alone, not `skinning`.
     """
@@ -45,8 +43,7 @@ class Prediction:
     skinning: Skinning
     joints: NDArray[np.float64]
     root: NDArray[np.float64]
-    moved: float = 0.0
-    farthest: float = 0.0
+    pushed: PushedOut | None = None
 
 
 def chosen_parameters(
@@ -117,20 +114,17 @@ def predict(
     SsdrWarning
         If the parameters lie outside the trained range.
     """
-    if not isinstance(parameters, SimulationParameters | None):
-        raise InputError("parameters", "SimulationParameters", repr(parameters))
     check_set(checkpoint, parameters)
+    motions = checkpoint.motions(joints, parameters, detail=detail)
     if checkpoint.reads_parameters and parameters is not None:
         warn_beyond(parameters, checkpoint.parameters)
-    motions = checkpoint.motions(joints, parameters, detail=detail)
     cloth = np.concatenate([part.vertices() for part in motions])
     transforms = np.concatenate([part.world_transforms() for part in motions])
     subject, m = checkpoint.subject, np.asarray(joints, np.float64)
     garment, rig = subject.garment, subject.body
-    moved, farthest, count = 0.0, 0.0, garment.n_bones
-    if push_out and (push := push_of(subject)):
-        pushed = push(cloth, m)
-        cloth, moved, farthest = pushed.vertices, pushed.moved, pushed.farthest
+    push, count = push_of(subject) if push_out else None, garment.n_bones
+    pushed = push(cloth, m) if push else None
+    cloth = pushed.vertices if pushed else cloth
     body = np.asarray(ssdr.skin(rig.rest, rig.indices, rig.weights, m), np.float32)
     rest, bones, weights = subject.skin(smooth=True)
     tree, virtual = subject.skeleton, [f"virtual_{b:02d}" for b in range(count)]
@@ -153,6 +147,5 @@ def predict(
         skinning=skinning,
         joints=m,
         root=tree.positions(m)[:, 0],
-        moved=moved,
-        farthest=farthest,
+        pushed=pushed,
     )

@@ -53,16 +53,15 @@ def export_onnx(checkpoint: Checkpoint, path: Path | str) -> Path:
         raise InputError("model", "one network, such as reads the parameters", "an ensemble")
     onnx = require("onnx", "garmentnet[onnx]", "an ONNX file")
     frame = Frame(checkpoint.networks[0]).eval()
-    names = frame.names()
-    outputs = ["vertices", *(f"{n}_out" for n in names if n.endswith("_state"))]
-    start = tuple(frame.start().values())
+    start = frame.start()
+    outputs = ["vertices", *(f"{n}_out" for n in start if n.endswith("_state"))]
     with warnings.catch_warnings(), torch.no_grad(), tempfile.TemporaryDirectory() as folder:
         # Of shapes that are constants here, and of an exporter that makes graphs ten times as slow.
         warnings.simplefilter("ignore")
         whole = Path(folder) / "whole.onnx"
         torch.onnx.export(
-            frame, start, whole, input_names=names, output_names=outputs, opset_version=_OPSET,
-            dynamo=False,
+            frame, tuple(start.values()), whole, input_names=list(start), output_names=outputs,
+            opset_version=_OPSET, dynamo=False,
         )  # fmt: skip
         model = onnx.load(whole)
     entry = model.metadata_props.add()
@@ -83,8 +82,6 @@ def _document(checkpoint: Checkpoint) -> dict[str, Any]:
         "joints_at_rest": s.skeleton.rest.tolist(),
         "faces": np.asarray(s.garment.faces).tolist(),
         "parameters": {k: list(r) for k, r in RANGES.items()} if reads else {},
-        "garment_id": s.garment_id,
-        "body_id": s.body_id,
     }
 
 
@@ -96,40 +93,27 @@ class Frame(nn.Module):
     network : MotionNetwork
     """
 
-    mean: Tensor
-    scale: Tensor
-    middle: Tensor
-    span: Tensor
-
     def __init__(self, network: MotionNetwork) -> None:
         super().__init__()
         self.network, normaliser = network, network.normaliser
-        for name, x in (("mean", normaliser.mean), ("scale", 1 / normaliser.deviation)):
-            self.register_buffer(name, torch.from_numpy(np.asarray(x, np.float32)))
-        low, high = np.log(np.array(list(RANGES.values()), np.float32)).T
-        self.register_buffer("middle", torch.from_numpy((low + high) / 2))
-        self.register_buffer("span", torch.from_numpy((high - low) / 2))
-
-    def names(self) -> list[str]:
-        """Names of the inputs, in their order."""
-        n = self.network
-        return [
-            "pose", "reset", "pose_state", "low_state",
-            *["high_state"] * (n.high is not None), *["parameters"] * bool(n.condition),
-        ]  # fmt: skip
+        low, high = np.log(list(RANGES.values())).T
+        self.mean, self.scale, self.middle, self.span = (
+            torch.tensor(x, dtype=torch.float32)
+            for x in (normaliser.mean, 1 / normaliser.deviation, (low + high) / 2, (high - low) / 2)
+        )
 
     def start(self) -> dict[str, Tensor]:
         """Inputs of the right shapes, by name: the body at rest, where a motion begins."""
         n = self.network
-        every = {
+        found = {
             "pose": torch.eye(3, 4).repeat(n.subject.skeleton.n_joints, 1, 1),
             "reset": torch.ones(1),
             "pose_state": torch.zeros(n.features.state_size),
             "low_state": torch.zeros(n.config.low.hidden),
-            "high_state": torch.zeros(n.config.high.hidden),
-            "parameters": torch.ones(3),
         }
-        return {name: every[name] for name in self.names()}
+        if n.high is not None:
+            found["high_state"] = torch.zeros(n.config.high.hidden)
+        return found | ({"parameters": torch.ones(3)} if n.condition else {})
 
     def forward(self, pose: Tensor, reset: Tensor, pose_state: Tensor, *more: Tensor) -> Any:
         """Vertices ``(V, 3)``, metres, and the states for the next frame."""

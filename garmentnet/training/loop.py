@@ -140,11 +140,9 @@ def fit(
             # Without validation clips the last weights are kept.
             if math.isnan(rmse) or rmse < best:
                 waited, best_weights = 0, _copy(module)
-            if math.isnan(rmse):
-                rmse = None
-            else:
-                best = min(best, rmse)
-        epoch = {"epoch": number, "loss": value, "rmse": rmse, "trained": trained}
+            best = min(best, rmse)  # which NaN is not
+        known = None if rmse is None or math.isnan(rmse) else rmse
+        epoch = {"epoch": number, "loss": value, "rmse": known, "trained": trained}
         epoch["learning_rate"] = rate
         history.append(epoch | {"seconds": time.perf_counter() - began})
         saved = {"history": history, "best": best, "waited": waited}
@@ -182,15 +180,12 @@ def _restore(
 ) -> tuple[dict[str, Tensor], dict[str, Any]]:
     arrays, record = load_arrays(file, "training")
     best_weights = tensors_of(arrays, "best.")
-    try:
-        module.load_state_dict(tensors_of(arrays, "now."))
-        slots: dict[int, dict[str, Tensor]] = {}
-        for key, value in tensors_of(arrays, "adam.").items():
-            number, name = key.split(".")
-            slots.setdefault(int(number), {})[name] = value
-        groups = optimiser.state_dict()["param_groups"]
-        optimiser.load_state_dict({"state": slots, "param_groups": groups})
-        rng.bit_generator.state = record["rng"]
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        raise InputError("folder", "states of this run", f"{file}: {error}") from error
+    module.load_state_dict(tensors_of(arrays, "now."))
+    slots: dict[int, dict[str, Tensor]] = {}
+    for key, value in tensors_of(arrays, "adam.").items():
+        number, name = key.split(".")
+        slots.setdefault(int(number), {})[name] = value
+    groups = optimiser.state_dict()["param_groups"]
+    optimiser.load_state_dict({"state": slots, "param_groups": groups})
+    rng.bit_generator.state = record["rng"]
     return best_weights, record

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from garmentnet.data.outfit import Outfit
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.data.skeleton import Skeleton
 from garmentnet.data.store import ClipStore
@@ -138,15 +139,8 @@ def make_store(path, *, frames=90, train=8, others=(), seed=0) -> ClipStore:
     """Clips with base parameters, and shorter ones under `others`: (parameters, role)."""
     rest, faces, mirror = skirt()
     rig, skeleton = body()
-    store = ClipStore.create(
-        Path(path),
-        rest=rest,
-        faces=faces,
-        body=rig,
-        skeleton=skeleton,
-        fps=FPS,
-        mirror_vertices=mirror,
-    )
+    outfit = Outfit(rest, faces, rig, skeleton, FPS, mirror_vertices=mirror)
+    store = ClipStore.create(path, outfit)
     rng = np.random.default_rng(seed)
 
     def add(name, split, motion_name, parameters, moved, role="train", **more):

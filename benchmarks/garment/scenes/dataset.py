@@ -24,7 +24,7 @@ from .cloth import Cloth
 from .motion_sources import MotionSource
 from .retarget import retarget
 from .scene_file import DataSet, SceneDescription
-from .simulator import simulate
+from .simulator import outfit_of, simulate
 
 # Step of stored coordinates, metres: rounding to its multiples moves no vertex by more than 0.2 mm.
 STEP = 2.3e-4
@@ -134,16 +134,7 @@ def make_data_set(
         raise InputError("workers", "at least 1", workers)
     body = data_set.make_body()
     garment = data_set.make_garment(body)
-    store = ClipStore.create(
-        path,
-        rest=garment.rest,
-        faces=garment.faces,
-        body=body.skinning,
-        skeleton=body.skeleton,
-        fps=data_set.fps,
-        mirror_vertices=garment.mirror,
-        pinned=garment.pinned,
-    )
+    store = ClipStore.create(path, outfit_of(body, garment, data_set.fps))
     scenes = data_set.scenes(recorded)
     lead = data_set.solver.approach + data_set.solver.settle
     # The simulator runs without the GIL, so that threads use all cores.

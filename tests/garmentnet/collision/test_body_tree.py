@@ -88,15 +88,13 @@ CLOTH = LEVEL[None]
 NAN = np.where(np.arange(9)[:, None] == 1, np.nan, CLOTH)
 PUSH = OutwardPush(BODY, FACES, len(LEVEL))
 REFUSED = [
-    (lambda: PUSH(NAN, STILL), r"vertices: .*frame 0"),
-    (lambda: PUSH(CLOTH, STILL * np.nan), r"joints: .*frame 0"),
+    (lambda: PUSH(NAN, STILL), "vertices: expected finite"),
+    (lambda: PUSH(CLOTH, STILL * np.nan), "joints: expected finite"),
     (lambda: PUSH(CLOTH[0], STILL), r"vertices: .*shape"),
     (lambda: PUSH(CLOTH, STILL[0]), r"joints: .*shape"),
-    (lambda: BodyTree(rigid(V, F[1:])).signed_distance(CLOTH, STILL), r"body: .*closed"),
     (lambda: OutwardPush(rigid(V, F[1:]), FACES, len(LEVEL)), r"body: .*closed"),
     (lambda: OutwardPush(BODY, FACES, len(LEVEL), pinned=np.zeros(4, bool)), "pinned"),
     (lambda: OutwardPush(BODY, [[0, 1, -1]], len(LEVEL)), "faces"),
-    (lambda: OutwardPush(BODY, FACES, len(LEVEL), pinned=np.ones(9, bool)), "pinned"),
 ]
 
 

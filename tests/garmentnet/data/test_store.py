@@ -15,6 +15,7 @@ import pytest
 
 import ssdr
 from garmentnet.data.clip import MIRRORED, Clip
+from garmentnet.data.outfit import Outfit
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.data.store import ClipStore
 from helpers import cloth_scenes
@@ -37,13 +38,17 @@ GARMENT = np.array([[1, 0, 0], [-1, 0, 0], [1, 1, 0], [-1, 1, 0], [0, 2, 0]], dt
 FACES = np.array([[0, 3, 1], [0, 2, 3], [2, 4, 3]])
 SYMMETRIC_FACES = np.array([[2, 4, 3], [0, 2, 4], [1, 4, 3]])
 MIRROR = np.array([1, 0, 3, 2, 4])
-OUTFIT: dict[str, Any] = {"faces": FACES, "body": body(), "skeleton": SKELETON}
-WORN = OUTFIT | {"faces": SYMMETRIC_FACES, "pinned": [False, False, False, False, True]}
+WORN = {"faces": SYMMETRIC_FACES, "pinned": [False, False, False, False, True]}
+
+
+def outfit(rest: Any = GARMENT, **changes: Any) -> Outfit:
+    given = {"faces": FACES, "body": body(), "skeleton": SKELETON, "fps": 30.0}
+    return Outfit(rest, **(given | changes))
 
 
 @pytest.fixture
 def store(tmp_path: Path) -> ClipStore:
-    return ClipStore.create(tmp_path / "clips", rest=GARMENT, mirror_vertices=MIRROR, **WORN)
+    return ClipStore.create(tmp_path / "clips", outfit(mirror_vertices=MIRROR, **WORN))
 
 
 def arguments(rng: np.random.Generator, frames: int = 70, **changes: Any) -> dict[str, Any]:
@@ -126,12 +131,12 @@ def test_mirrored_twice_is_the_clip(store: ClipStore, rng: np.random.Generator) 
 
 
 def test_mirror_needs_symmetry(tmp_path: Path, rng: np.random.Generator) -> None:
-    plain = ClipStore.create(tmp_path / "plain", rest=GARMENT, **OUTFIT)
+    plain = ClipStore.create(tmp_path / "plain", outfit())
     with pytest.raises(InputError, match="symmetric"):
         plain.add("a", **arguments(rng, 2)).mirrored()
     for bad in ([1, 0, 3, 2, 2], [1, 2, 3, 4, 0], MIRROR):
         with pytest.raises(InputError, match="mirror_vertices"):
-            ClipStore.create(tmp_path / "other", rest=GARMENT, **OUTFIT, mirror_vertices=bad)
+            ClipStore.create(tmp_path / "other", outfit(mirror_vertices=bad))
     assert not (tmp_path / "other").exists()
 
 
@@ -194,7 +199,7 @@ def test_half_written_clips_are_not_seen(
 def test_the_same_bytes_twice(tmp_path: Path) -> None:
     def make(name: str) -> dict[str, bytes]:
         rng = np.random.default_rng(3)
-        made = ClipStore.create(tmp_path / name, rest=GARMENT, **OUTFIT)
+        made = ClipStore.create(tmp_path / name, outfit())
         made.add("a", **arguments(rng))
         folder = made.path / "clips"
         return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*.*")}
@@ -290,27 +295,6 @@ def test_foreign_folders(tmp_path: Path, store: ClipStore) -> None:
 
 
 def test_create_again_opens_the_same_garment(store: ClipStore) -> None:
-    assert ClipStore.create(store.path, rest=GARMENT, **WORN).names() == ()
+    assert ClipStore.create(store.path, outfit(**WORN)).names() == ()
     with pytest.raises(InputError, match="this garment"):
-        ClipStore.create(store.path, rest=GARMENT * 2, **WORN)
-
-
-def test_two_processes_make_the_same_store_at_once(tmp_path, monkeypatch):
-    """The second to finish finds the store of the first, not a folder that is in its way."""
-    path, save = tmp_path / "new.clips", ssdr.save
-
-    def meanwhile(other: np.ndarray) -> None:
-        def last_step(*args: Any) -> None:
-            save(*args)
-            monkeypatch.setattr(ssdr, "save", save)
-            ClipStore.create(path, rest=other, **OUTFIT)
-
-        monkeypatch.setattr(ssdr, "save", last_step)
-
-    meanwhile(GARMENT)
-    assert ClipStore.create(path, rest=GARMENT, **OUTFIT).is_like(ClipStore.open(path))
-    shutil.rmtree(path)
-    meanwhile(2 * GARMENT)
-    with pytest.raises(InputError, match="this garment and body"):
-        ClipStore.create(path, rest=GARMENT, **OUTFIT)
-    assert [p.name for p in tmp_path.iterdir()] == ["new.clips"]
+        ClipStore.create(store.path, outfit(GARMENT * 2, **WORN))

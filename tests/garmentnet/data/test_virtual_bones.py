@@ -8,6 +8,7 @@ import pytest
 
 from garmentnet.configs.config import BoneOptions
 from garmentnet.data.clip_files import read_document, write_clip
+from garmentnet.data.outfit import Outfit
 from garmentnet.data.skin_weights import find_body_bound
 from garmentnet.data.store import ClipStore
 from garmentnet.paper.bones import virtual_bones
@@ -23,7 +24,7 @@ def copy(toy_store, toy_bones, tmp_path):
     store = ClipStore.open(shutil.copytree(toy_store.path, tmp_path / "store"))
     home = tmp_path / "store.bones" / toy_bones.folder.name
     home.mkdir(parents=True)
-    for name in ("bones.npz", "bones.json"):
+    for name in ("bones.npz",):
         shutil.copy(toy_bones.folder / name, home)
     bones = virtual_bones(store, toy_bones.options)
     assert bones.folder == home
@@ -67,13 +68,6 @@ def test_bones_are_fitted_when_they_are_asked_for(copy):
     assert list((copy.folder / "clips").glob(f"{name}-*"))
 
 
-@pytest.mark.parametrize("text", ["{", "no"])
-def test_a_damaged_report_is_named(copy, text):
-    (copy.folder / "bones.json").write_text(text)
-    with pytest.raises(FormatError, match=r"bones\.json"):
-        again(copy)
-
-
 def test_other_clips_of_the_same_name_have_other_bones(copy):
     # As after a store was made anew with other settings.
     clip = copy.store.clip(NAME)
@@ -87,7 +81,7 @@ def test_other_clips_of_the_same_name_have_other_bones(copy):
 def test_what_the_body_carries_is_found_in_rounded_clips(toy_store, tmp_path, rng, step, off):
     """Two rings are skinned, one by all joints and from other places than at rest."""
     outfit = {k: getattr(toy_store, k) for k in ("rest", "faces", "body", "skeleton", "fps")}
-    store = ClipStore.create(tmp_path / "a.clips", **outfit)
+    store = ClipStore.create(tmp_path / "a.clips", Outfit(**outfit))
     clip = toy_store.clip(NAME)
     vertices = clip.sequence.frames(slice(None)).copy()
     bound = np.arange(32)

@@ -7,13 +7,13 @@ import torch
 
 from garmentnet.evaluation.baselines import BodySkinned, MeanShape, Ridge
 from garmentnet.evaluation.scores import evaluate
-from garmentnet.evaluation.verdict import ADVICE, validation_errors, verdict
+from garmentnet.evaluation.verdict import ADVICE, verdict
 from garmentnet.networks.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 
 
 def test_errors_are_those_of_evaluate_and_a_loss_is_said(toy_run, toy_store, toy_bones, tmp_path):
     file = toy_run / "checkpoint.safetensors"
-    text = verdict(validation_errors(file, toy_store))
+    text = verdict(file, toy_store)
     found = {m[1]: float(m[2]) for m in re.finditer(r"(?:: |, )([a-z -]+) ([0-9.]+) mm", text)}
     assert list(found) == ["network", MeanShape.name, BodySkinned.name, Ridge.name]
     held = toy_store.names("validation")
@@ -28,6 +28,6 @@ def test_errors_are_those_of_evaluate_and_a_loss_is_said(toy_run, toy_store, toy
     bad = save_checkpoint(
         Checkpoint(broken.networks, broken.parameters, None), tmp_path / "bad.safetensors"
     )
-    said = verdict(validation_errors(bad, toy_store))
+    said = verdict(bad, toy_store)
     best = min(list(found)[1:], key=found.__getitem__)
     assert f"the network errs more than {best}: {ADVICE[best]}" in said

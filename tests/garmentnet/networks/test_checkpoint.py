@@ -9,6 +9,7 @@ import pytest
 import torch
 from safetensors.torch import save as save_bytes
 
+from garmentnet.data.outfit import Outfit
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.data.skeleton import Skeleton
 from garmentnet.data.store import ClipStore
@@ -94,7 +95,7 @@ def test_another_garment_or_skeleton(toy_network, tmp_path):
         ("body", {"skeleton": tall}),
         ("fps", {"fps": 60.0}),
     ):
-        other = ClipStore.create(tmp_path / text, **(given | change))
+        other = ClipStore.create(tmp_path / text, Outfit(**(given | change)))
         with pytest.raises(InputError, match=text):
             toy_network.subject.check_fits(other)
 

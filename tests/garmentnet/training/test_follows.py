@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from garmentnet.configs.config import load_config, override
+from garmentnet.data.outfit import Outfit
 from garmentnet.data.store import ClipStore
 from garmentnet.networks.checkpoint import load_checkpoint
 from garmentnet.paper.bones import virtual_bones
@@ -22,9 +23,8 @@ def sleeve(tmp_path_factory):
     knee = np.clip((rest[:, 1] - 0.4) / 0.2, 0, 1)[:, None]
     legs = np.tile([[2, 3]], (len(rest), 1))
     rig = made.figure(body)
-    store = ClipStore.create(
-        tmp_path_factory.mktemp("sleeve") / "store", rest=rest, faces=faces, body=rig, skeleton=body
-    )
+    path, outfit = tmp_path_factory.mktemp("sleeve") / "store", Outfit(rest, faces, rig, body, 30.0)
+    store = ClipStore.create(path, outfit)
     for seed, split in enumerate(("train", "train", "validation")):
         m = made.motion(2.0, seed=seed)
         wave = 0.004 * np.sin(20 * rest[:, 1] + np.arange(len(m))[:, None] / 5)

@@ -6,7 +6,6 @@ from hypothesis import strategies as st
 
 from benchmarks.garment.rules import inverse_distance, nearest
 from garmentnet.paper.ensemble import (
-    Mixed,
     convex_fit,
     extremes,
     fit_kernel,
@@ -19,8 +18,9 @@ from ssdr.common.errors import InputError
 
 def error_of(mixed, rule):
     """RMSE of the weights that a rule gives the pivots of a mixture."""
-    w = rule(mixed.pivots, mixed.theta)
-    return np.sqrt(max(w @ mixed.q @ w, 0.0))
+    pivots, theta, q = mixed
+    w = rule(pivots, theta)
+    return np.sqrt(max(w @ q @ w, 0.0))
 
 
 def test_gram_is_the_error_of_a_mixture():
@@ -30,8 +30,7 @@ def test_gram_is_the_error_of_a_mixture():
     w = np.array([0.2, 0.5, 0.3])
     mixed = sum(a * g for a, g in zip(w, answers, strict=True))
     expected = np.sqrt(((mixed - truth) ** 2).sum(-1).mean())
-    found = Mixed.of(range(3), np.zeros((3, 1)), [0.0], gram(answers, truth))
-    assert np.isclose(error_of(found, lambda pivots, theta: w), expected)
+    assert np.isclose(np.sqrt(w @ gram(answers, truth) @ w), expected)
 
 
 @settings(max_examples=25)
@@ -62,17 +61,17 @@ def line(n=6, noise=0.0, seed=0):
 
 def test_extremes_and_pivots():
     theta, _, _, grams, _ = line()
-    assert {0, 5} <= set(extremes(theta))
-    assert extremes(np.zeros((4, 3))) == [0]
+    assert {0, 5} <= set(extremes(theta, 6))
+    assert extremes(np.zeros((4, 3)), 1) == [0]
     own = theta.copy()
     own[:, 1] = 0  # one parameter: both ends, and every other set lies between
-    assert extremes(own) == [0, 5]
+    assert extremes(own, 2) == [0, 5]
     assert select_pivots(grams, own, 2) == [0, 5]
-    assert len(select_pivots(grams, own, 1)) == 1
     six = select_pivots(grams, own, 6)
     assert sorted(six) == [0, 1, 2, 3, 4, 5]
-    with pytest.raises(InputError, match="count"):
-        select_pivots(grams, own, 7)
+    for count in (1, 7):
+        with pytest.raises(InputError, match="2 or more, the sets with an extreme, and at most 6"):
+            select_pivots(grams, own, count)
 
 
 def test_worst_fitted_set_is_next():
@@ -98,8 +97,10 @@ def test_g_learns_which_parameter_matters():
     kernel = fit_kernel(sets, steps=400)
     learned = [error_of(m, kernel.weights) for m in sets]
     plain = [error_of(m, inverse_distance) for m in sets]
-    assert np.array_equal(sets[2].q, np.delete(np.delete(grams[2], 2, 0), 2, 1))
-    assert np.array_equal(sets[2].pivots, np.delete(theta, 2, 0))
+    pivots, own, q = sets[2]
+    assert np.array_equal(q, np.delete(np.delete(grams[2], 2, 0), 2, 1))
+    assert np.array_equal(pivots, np.delete(theta, 2, 0))
+    assert np.array_equal(own, theta[2])
     # The ends cannot be reached from inside by any convex mixture; the rest can.
     assert np.mean(learned[1:-1]) < 0.6 * np.mean(plain[1:-1])
     place = np.array([0.1, -0.9])
