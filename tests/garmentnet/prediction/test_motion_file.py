@@ -43,7 +43,5 @@ def test_the_motion_of_a_rig_with_the_same_joints(toy_network, joints, tmp_path)
     assert clip is None
     names = ("other", *tree.names[1:])
     ssdr.save(dataclasses.replace(moving, bone_names=names), tmp_path / "o.glb")
-    with pytest.raises(
-        InputError, match=r"motion: .*none such: .*root \(o\.glb\)"
-    ):
+    with pytest.raises(InputError, match=r"motion: .*none such: .*root \(o\.glb\)"):
         read_motion(tmp_path / "o.glb", subject)
