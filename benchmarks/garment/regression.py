@@ -22,7 +22,7 @@ import ssdr
 from garmentnet.configs.config import Config, load_config, override
 from garmentnet.data.clip import MIRRORED, Clip
 from garmentnet.evaluation.baselines import body_skinning
-from garmentnet.evaluation.methods import Array, Method
+from garmentnet.evaluation.methods import Array, VertexMethod
 from garmentnet.io.files import Progress, kept, silent
 from garmentnet.networks.features import PoseReader, transforms_in_frame
 from garmentnet.networks.gru import GRULinear
@@ -151,7 +151,7 @@ class _Scaled(nn.Module):
 
 
 @dataclasses.dataclass(eq=False)
-class Regression(Method):
+class Regression(VertexMethod):
     """Prediction by a trained baseline."""
 
     name: str

@@ -197,7 +197,7 @@ def check_joints(joints: ArrayLike, n_joints: int) -> NDArray[np.float64]:
     return m
 
 
-def check_finite(values: NDArray[np.floating], what: str, first: int = 0) -> None:
+def check_finite(values: NDArray[np.floating], what: str) -> None:
     """Check that every number is finite.
 
     Parameters
@@ -205,8 +205,6 @@ def check_finite(values: NDArray[np.floating], what: str, first: int = 0) -> Non
     values : (F, ...) array
     what : str
         Name of the array, for the error.
-    first : int
-        Number of its first frame.
 
     Raises
     ------
@@ -219,4 +217,4 @@ def check_finite(values: NDArray[np.floating], what: str, first: int = 0) -> Non
     """
     bad = ~np.isfinite(values).reshape(len(values), -1).all(axis=1)
     if bad.any():
-        raise InputError(what, "finite numbers", f"NaN or Inf in frame {first + bad.argmax()}")
+        raise InputError(what, "finite numbers", f"NaN or Inf in frame {bad.argmax()}")

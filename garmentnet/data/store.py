@@ -218,7 +218,7 @@ class ClipStore(Outfit):
         return tuple(named)
 
     def refused(self) -> str:
-        """How many clips the quality gate refused, which and why, in a sentence; empty if none."""
+        """Sentence on clips that the quality gate refused: how many, which and why; or nothing."""
         every = list(self.clips(accepted=None, perturbed=None))
         found = [f"{c.name} ({c.quality.get('reason')})" for c in every if not c.accepted]
         text = (

@@ -20,7 +20,7 @@ from ..data.store import ClipStore
 from ..networks.features import HEADING, Normaliser, PoseFeatures, transforms_in_frame
 from ..paper.bones import TorchSkinning, VirtualBones, apply_frame, remove_frame
 from ..paper.low import BoneCode
-from .methods import Method
+from .methods import Method, VertexMethod
 
 _INFLUENCES = 8  # joints per vertex, as many as engines support
 _NEIGHBOURS = 8  # body vertices from which a weight is interpolated
@@ -35,7 +35,7 @@ _MEAN_FRAMES = 4000
 _PENALTIES = 10.0 ** np.arange(-6, 2)
 
 
-class MeanShape(Method):
+class MeanShape(VertexMethod):
     """Baseline whose garment is the mean of the training frames, moved with the root and heading.
 
     Parameters
@@ -83,7 +83,7 @@ def body_skinning(store: ClipStore) -> Skinning:
     )
 
 
-class BodySkinned(Method):
+class BodySkinned(VertexMethod):
     """Baseline that skins the garment's rest pose by the body's joints."""
 
     name = "body-skinned"
@@ -97,7 +97,7 @@ class BodySkinned(Method):
         return np.asarray(ssdr.skin(s.rest, s.indices, s.weights, m), np.float32)
 
 
-class Ridge(Method):
+class Ridge(VertexMethod):
     """Baseline that predicts the bones from the pose of a single frame by ridge regression.
 
     The input is the pose relative to the root as 6D rotations, the output the rotations and centres

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,26 +18,33 @@ from ..paper.bones import VirtualBones
 Array = NDArray[np.float32]
 
 
-class Method:
-    """A prediction of the garment's vertices from the body's motion.
+class Method(ABC):
+    """A prediction of the garment from the body's motion, in two parts.
+
+    Of a clip, it may read only the motion ``joints`` and the ``parameters``.
+    """
+
+    name: str
+
+    @abstractmethod
+    def split(self, clip: Clip, bones: VirtualBones) -> tuple[Array, Array]:
+        """Low- and high-frequency part of the prediction, each ``(F, V, 3)``, metres, float32."""
+
+
+class VertexMethod(Method):
+    """A method that predicts vertices, which are split like the data.
 
     A further baseline is a subclass with a ``name`` and :meth:`predict`, and a line in
     :func:`garmentnet.evaluation.baselines.fit_baselines`.
     """
 
-    name: str
-
+    @abstractmethod
     def predict(self, clip: Clip) -> Array:
-        """Vertices ``(F, V, 3)`` in the world, metres, float32.
-
-        Of the clip, a method may read only the motion ``joints`` and the ``parameters``.
-        """
-        raise NotImplementedError
+        """Vertices ``(F, V, 3)`` in the world, metres, float32."""
 
     def split(self, clip: Clip, bones: VirtualBones) -> tuple[Array, Array]:
-        """Low- and high-frequency part of the prediction, each ``(F, V, 3)``.
+        """Smoothed vertices, and what they leave.
 
-        By default the prediction is split like the data: its smoothed vertices are the low part.
         Vertices bound to the body are placed by the body, since every method knows them.
         """
         vertices = self.predict(clip)
@@ -78,7 +86,7 @@ class BonesThemselves(Method):
         return low, high
 
 
-class Chaos(Method):
+class Chaos(VertexMethod):
     """Floor of every network's error: how far two simulations drift apart that start nearly alike.
 
     Its RMSE is that floor, other figures are not.  Two such runs differ by √2 times their distance

@@ -26,8 +26,9 @@ ADVICE = {
 
 
 def verdict(path: Path, store: ClipStore, *, progress: Progress = silent) -> str:
-    """Errors on validation clips of a network and of plain methods, in one line; two if it loses,
-    with what to do; empty without validation clips.
+    """Comparison of a trained network with plain methods on validation clips, in one line.
+
+    If the network loses, a second line says what to do.  Without validation clips it is empty.
 
     Parameters
     ----------

@@ -117,7 +117,11 @@ def import_clips(
     store = ClipStore.open(target) if target.exists() else None
     if store is None:
         # Before anything is read, which may take long.
-        target.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            found = f"{target.parent} ({error.strerror})"
+            raise InputError("path", "a store in a folder that can be made", found) from error
         check_writable(target)
     else:
         store.sweep()
@@ -175,7 +179,9 @@ def _check_mesh(argument: str, mesh: MeshSequence, faces: NDArray[np.int32], cou
     """
     if mesh.n_vertices != count or not np.array_equal(np.sort(mesh.faces), np.sort(faces)):
         expected = f"the mesh of the first clip, {count} vertices and {len(faces)} triangles"
-        found = f"{mesh.n_vertices} and {len(mesh.faces)}, or in another order"
+        own = mesh.n_vertices, len(mesh.faces)
+        alike = own == (count, len(faces))
+        found = "as many in another order" if alike else f"{own[0]} and {own[1]}"
         raise InputError(argument, expected, found)
 
 

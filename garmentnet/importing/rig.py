@@ -5,13 +5,13 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ssdr import Skinning, kabsch, skin
 from ssdr.common.errors import InputError
+from ssdr.mesh.edges import triangle_edges
 from ssdr.model.rigid import nearest_rotation
 from ssdr.model.transforms import parents_first, rest_diagonal
 
@@ -50,16 +50,16 @@ class MovingBody:
         return bool(z > 1.2 * max(x, y))
 
     def facing(self, rest: NDArray[np.floating], faces: NDArray[np.integer]) -> NDArray[np.bool_]:
-        """Mask ``(T,)`` of the connected pieces of a garment at rest that face the body."""
+        """Mask ``(T,)`` of triangles whose piece of the garment at rest faces the body.
+
+        A piece is what edges connect; the mean over its triangles decides for all of them.
+        """
         a, b, c = np.asarray(rest, np.float64)[faces].swapaxes(0, 1)
         middle = (a + b + c) / 3
         away = middle - self.body.rest[cKDTree(self.body.rest).query(middle)[1]]
         away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
-        links = sparse.coo_array(
-            (np.ones(2 * len(faces)), (faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel())),
-            (len(rest),) * 2,
-        )
-        piece = connected_components(links, directed=False)[1][faces[:, 0]]
+        edges = triangle_edges(faces, len(rest))
+        piece = trimesh.graph.connected_component_labels(edges, len(rest))[faces[:, 0]]
         return np.bincount(piece, (np.cross(b - a, c - a) * away).sum(axis=1))[piece] < 0
 
     def check_cloth(self, vertices: NDArray[np.floating], argument: str = "cloth") -> None:
@@ -86,10 +86,10 @@ class MovingBody:
             )
 
     def matched(self, skeleton: Skeleton, body: Skinning) -> MovingBody:
-        """Rig with this motion for a skeleton whose joints this one has, and for its body.
+        """This motion on another rig: a skeleton with some or all of these joints, and its body.
 
-        Other joints, such as those of a dressed character, are left out.  The rest poses may differ
-        by a rigid motion.
+        Further joints of this one, such as those of a dressed character, are left out.  The rest
+        poses may differ by a rigid motion.
 
         Raises
         ------

@@ -24,7 +24,7 @@ from .features import Normaliser, PoseFeatures, PoseReader, transforms_in_frame
 FRAMES_AT_ONCE = 120
 
 
-# Of a network between two frames: pose, and hidden states (1, 1, H) of both modules.
+# State of a network between two frames: pose, and hidden states (1, 1, H) of both modules.
 State = tuple[NDArray[np.float64] | None, Tensor | None, Tensor | None]
 
 
@@ -88,7 +88,7 @@ class Predictor:
     def predict(
         self, joints: Any, parameters: Any = None, *, detail: bool = True
     ) -> NDArray[np.float32]:
-        """World positions ``(F, V, 3)`` of a motion."""
+        """Vertices ``(F, V, 3)`` of the garment in the world, metres, for a motion of its body."""
         parts = self.motions(joints, parameters, detail=detail)
         return np.concatenate([m.vertices() for m in parts])
 

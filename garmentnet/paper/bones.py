@@ -161,7 +161,29 @@ def virtual_bones(
     if subject is not None:
         if subject.garment_id != store.garment_id:
             raise InputError("subject", f"the garment of {store.path}", "another")
-        options = dataclasses.replace(options, count=subject.garment.n_bones, motions="")
+        options = dataclasses.replace(options, count=subject.garment.n_bones)
+    place, record = _home(store, options)
+    file = place / "bones.npz"
+    foreign = None if subject is None or _holds(file, subject.garment) else subject
+    if foreign is not None:
+        options = dataclasses.replace(options, motions="")
+        place, record = _home(store, options, foreign.garment)
+    if not record["clips"]:
+        of = f" of motions {options.motions}" if options.motions else ""
+        raise InputError("store", f"training clips{of} of a training set", str(store.path))
+    if foreign is not None:
+        return VirtualBones(place, store, foreign.garment, options, record, foreign.bound)
+    if not file.is_file():
+        place.mkdir(parents=True, exist_ok=True)
+        ssdr.save(_decompose(store, record["clips"], options, progress), file)
+    bones = VirtualBones(place, store, ssdr.load_skinning(file).skinning, options, record)
+    return dataclasses.replace(bones, bound=_body_bound(bones, record["clips"]))
+
+
+def _home(
+    store: ClipStore, options: BoneOptions, bones: Skinning | None = None
+) -> tuple[Path, dict[str, Any]]:
+    """Folder of the bones with these options, or of given ones, and what its name stands for."""
     roles = parameter_roles(store)
     names = [
         c.name
@@ -169,26 +191,23 @@ def virtual_bones(
         if roles[c.parameters] == "train"
         and any(fnmatchcase(n, options.motions or "*") for n in (c.motion, c.name))
     ]
-    if not names:
-        of = f" of motions {options.motions}" if options.motions else ""
-        raise InputError("store", f"training clips{of} of a training set", str(store.path))
     record = dataclasses.asdict(options) | {
         "garment": store.garment_id,
         "clips": names,
         "source": _digest(store, names),
     }
-    if subject is not None:
-        record["bones"] = mesh_identity(subject.garment.rest, subject.garment.indices)
+    if bones is not None:
+        record["bones"] = mesh_identity(bones.rest, bones.indices)
     key = hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()[:12]
-    place = store.path.with_name(store.path.name + ".bones") / key
-    if subject is not None:
-        return VirtualBones(place, store, subject.garment, options, record, subject.bound)
-    file = place / "bones.npz"
+    return store.path.with_name(store.path.name + ".bones") / key, record
+
+
+def _holds(file: Path, bones: Skinning) -> bool:
+    """Whether a file has these bones: what was fitted to clips with them need not be done again."""
     if not file.is_file():
-        place.mkdir(parents=True, exist_ok=True)
-        ssdr.save(_decompose(store, names, options, progress), file)
-    bones = VirtualBones(place, store, ssdr.load_skinning(file).skinning, options, record)
-    return dataclasses.replace(bones, bound=_body_bound(bones, names))
+        return False
+    known = ssdr.load_skinning(file).skinning
+    return mesh_identity(known.rest, known.indices) == mesh_identity(bones.rest, bones.indices)
 
 
 def _body_bound(bones: VirtualBones, names: Sequence[str]) -> BodyBound | None:

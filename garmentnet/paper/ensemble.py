@@ -115,7 +115,13 @@ def convex_fit(q: Array) -> tuple[Array, float]:
 
 
 def extremes(parameters: Any, count: int) -> list[int]:
-    """Indices of sets with a highest or lowest parameter, the first of `count` pivots.
+    """Indices of the parameter sets in which a parameter is highest or lowest: the first pivots.
+
+    Parameters
+    ----------
+    parameters : (S, P) array
+    count : int
+        Number of pivots that are wanted in all.
 
     Raises
     ------

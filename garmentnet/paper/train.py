@@ -334,7 +334,7 @@ def train_ensemble(
 def compare_networks(
     store: ClipStore, networks: Sequence[MotionNetwork], names: Sequence[str], frames: int
 ) -> Array:
-    """Gram matrix ``(S, S)`` of all networks' residuals on the named clips.
+    """Gram matrix ``(S, S)`` of the residuals of S networks on some clips.
 
     Networks predict at most four clips from their first frame; `frames` evenly spread frames are
     compared.

@@ -220,8 +220,10 @@ def check_floats(
         array = np.array(array, dtype=np.float64, order="C")
     elif array.dtype not in (np.dtype(np.float32), np.dtype(np.float64)):
         array = array.astype(np.float64)
-    if not np.isfinite(array).all():
-        raise InputError(argument, "finite numbers", "NaN or Inf")
+    finite = np.isfinite(array)
+    if not finite.all():
+        first = tuple(int(k) for k in np.unravel_index(finite.argmin(), finite.shape))
+        raise InputError(argument, "finite numbers", f"NaN or Inf at {first}")
     return np.ascontiguousarray(array)
 
 

@@ -119,7 +119,10 @@ class Film:
 
     @staticmethod
     def step(fps: float) -> int:
-        """Step between the frames shown of a sequence: at most 30 a second, as viewers can play."""
+        """Step from one drawn frame to the next, so that a film has at most 30 frames a second.
+
+        Viewers slow down faster ones.
+        """
         return max(1, math.ceil(fps / 30 - 1e-9))
 
     def pictures(self, callback: Callable[[float], object] | None = None) -> Iterator[Image.Image]:

@@ -88,8 +88,11 @@ CLOTH = LEVEL[None]
 NAN = np.where(np.arange(9)[:, None] == 1, np.nan, CLOTH)
 PUSH = OutwardPush(BODY, FACES, len(LEVEL))
 REFUSED = [
-    (lambda: PUSH(NAN, STILL), "vertices: expected finite"),
-    (lambda: PUSH(CLOTH, STILL * np.nan), "joints: expected finite"),
+    (lambda: PUSH(NAN, STILL), r"vertices: expected finite numbers, got NaN or Inf at \(0, 1, 0\)"),
+    (
+        lambda: PUSH(CLOTH, STILL * np.nan),
+        r"joints: expected finite numbers, got NaN or Inf at \(0, 0, 0, 0\)",
+    ),
     (lambda: PUSH(CLOTH[0], STILL), r"vertices: .*shape"),
     (lambda: PUSH(CLOTH, STILL[0]), r"joints: .*shape"),
     (lambda: OutwardPush(rigid(V, F[1:]), FACES, len(LEVEL)), r"body: .*closed"),

@@ -1,5 +1,6 @@
 """What is kept beside a store: made once, checked as it is read, never of other clips."""
 
+import dataclasses
 import json
 import shutil
 
@@ -24,8 +25,7 @@ def copy(toy_store, toy_bones, tmp_path):
     store = ClipStore.open(shutil.copytree(toy_store.path, tmp_path / "store"))
     home = tmp_path / "store.bones" / toy_bones.folder.name
     home.mkdir(parents=True)
-    for name in ("bones.npz",):
-        shutil.copy(toy_bones.folder / name, home)
+    shutil.copy(toy_bones.folder / "bones.npz", home)
     bones = virtual_bones(store, toy_bones.options)
     assert bones.folder == home
     bones.transforms(NAME)
@@ -115,3 +115,16 @@ def test_bones_of_named_clips_alone(toy_store):
         bones = virtual_bones(toy_store, BoneOptions(motions=motions, **some))
         assert expected <= {name.split("-")[0] for name in bones.report["clips"]}
         assert motions != "base-*" or all(n.startswith("base-") for n in bones.report["clips"])
+
+
+def test_bones_of_a_network_that_the_store_has_share_what_was_fitted(copy):
+    store, options, subject = copy.store, copy.options, copy.subject
+    same = virtual_bones(store, options, subject=subject)
+    assert same.folder == copy.folder
+    assert np.array_equal(same.skinning.rest, subject.garment.rest)
+    # Without the clips that they were made from they are elsewhere, and the same.
+    other = dataclasses.replace(options, motions="elsewhere-*")
+    there = virtual_bones(store, other, subject=subject)
+    assert there.folder != copy.folder
+    assert there.skinning is subject.garment
+    assert set(there.report["clips"]) == set(copy.report["clips"])
