@@ -4,6 +4,7 @@ SHELL := /bin/bash
 
 PYTHON ?=
 VENV := .venv
+export VENV
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 OUT := out
@@ -30,7 +31,7 @@ help:
 setup: $(READY)
 
 $(READY): pyproject.toml garmentnet/pyproject.toml .ci/constraints.txt .ci/setup.sh
-	@PYTHON="$(PYTHON)" VENV="$(VENV)" .ci/setup.sh
+	@PYTHON="$(PYTHON)" .ci/setup.sh
 
 demo: $(READY)
 	@OUT="$(OUT)" .ci/demo.sh

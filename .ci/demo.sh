@@ -4,8 +4,9 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 out=${OUT:-out}
 mkdir -p "$out"
-sample=$(.venv/bin/python -c 'from ssdr import samples; print(samples.path("dancer"))')
-.venv/bin/ssdr decompose "$sample" --bones 24 --influences 4 \
+bin=${VENV:-.venv}/bin
+sample=$("$bin/python" -c 'from ssdr import samples; print(samples.path("dancer"))')
+"$bin/ssdr" decompose "$sample" --bones 24 --influences 4 \
     -o "$out/sample.glb" -o "$out/sample.npz" -o "$out/sample.png" -o "$out/sample.html"
 printf '\nDone. In %s:\n' "$(cd "$out" && pwd)"
 printf '  %-12s %s\n' sample.html "a double click shows model and input side by side" \

@@ -6,7 +6,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 root=$PWD
-python=$root/.venv/bin/python
+python=$(cd "${VENV:-.venv}" && pwd)/bin/python
 say() { printf 'release: %s\n' "$*"; }
 
 # From a copy: what earlier builds and runs left beside the sources must not get into a wheel.

@@ -21,12 +21,24 @@ settings.load_profile("suite")
 collect_ignore = ["garmentnet", "benchmarks/garment", "gallery"]
 if importlib.util.find_spec("torch"):
     collect_ignore = []
+# what extras may change, which CI tests where all of them are installed
+WITH_EXTRAS = (
+    "garmentnet", "benchmarks", "gallery", "ssdr/mesh/test_executor.py",
+    "ssdr/io/gltf/test_compression.py", "ssdr/model/test_lbs.py", "ssdr/test_other_libraries.py",
+)  # fmt: skip
 pytest.register_assert_rewrite("helpers.measures", "helpers.stretches", "helpers.surfaces")
 
 
 def pytest_report_header() -> str:
     """What is left out without a line for each test."""
     return f"not installed, so not collected: {', '.join(collect_ignore)}" if collect_ignore else ""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if item.path.relative_to(Path(__file__).parent).as_posix().startswith(WITH_EXTRAS):
+            item.add_marker("extra")
 
 
 @pytest.fixture(scope="session")
