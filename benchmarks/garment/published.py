@@ -111,11 +111,10 @@ def train_chen(
     folder.mkdir(parents=True, exist_ok=True)
     network = copy.deepcopy(model.networks[0])
     o = network.config
-    inputs = network.low.code.mean.numel() + network.condition
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(o.train.seed)
         network.high = TransformerDetail(
-            inputs, len(network.free), hidden=hidden, rank=o.high.rank
+            network.high.gru.input_size, len(network.free), hidden=hidden, rank=o.high.rank
         ).to(network.device)
     fit(
         DetailObjective(network, tracks, validation),

@@ -239,7 +239,8 @@ def train_regression(
         objective = CoefficientObjective(
             net, size, hidden=width, dropout=share, tracks=coded, validation=others
         )
-        learn(objective, name=part, epochs=o.epochs, learning_rate=o.learning_rate)
+        epochs = 0 if finished.is_file() else o.epochs
+        learn(objective, name=part, epochs=epochs, learning_rate=o.learning_rate)
         nets[part] = net, basis
     finished.touch()
     return Regression(variant.name, reader, space, nets)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import math
 import os
 import sys
 from collections.abc import Callable
@@ -49,6 +50,7 @@ _SLEEVES = {"gown": ("features.joints=[]",), "t_shirt": ("features.joints=[]",)}
 _BONES, _MANY = (20, 40, 80, 150, 250, 500), 200
 # Equal data for all methods of a table: the paper's 40,000 frames.
 _EQUAL = "data.frames=40000"
+_PART = "_[0-9][0-9]"  # end of the names of a recording's parts
 # Few recordings: a short training from the weights of a network that has seen none of them.
 _TUNED = ("train.learning_rate=3e-4", "train.epochs=40", "train.high_epochs=4")
 # What the dress that ships differs in, and how it goes on from the one that shipped before.
@@ -69,7 +71,8 @@ def _text(record: dict[str, Any], part: str) -> str:
         known = record["ratios"].get(row["name"])
         ratio = interval_cell(known[part]) if known else ""
         cells = [f"{s['rmse']:.2f}", f"{s['hausdorff']:.1f}", f"{s['sted']:.4f}"]
-        left = [f"{100 * s['rmse'] / row['all']['detail']:.0f} %"] * (part == "high")
+        detail = row["all"]["detail"] or math.nan
+        left = [f"{100 * s['rmse'] / detail:.0f} %"] * (part == "high")
         lines.append([row["name"], *cells, *left, ratio])
     head = ["RMSE, mm", "Hausdorff", "STED", *["left"] * (part == "high"), "RMSE ratio"]
     return markdown([part, *head], lines)
@@ -183,10 +186,10 @@ def _capture(run: Reproduction) -> str:
     if len(recordings) < 2:
         raise InputError("motion", "a folder with two or more BVH files", recordings)
     # What their names have in common selects them all.
-    recorded = os.path.commonprefix(recordings) + "*"  # noqa: RUF071
+    recorded = os.path.commonprefix(recordings) + "*" + _PART  # noqa: RUF071
     found: dict[str, list[float]] = {}
     for name in recordings:
-        test = [c.name for c in clips if c.motion.startswith(name)]
+        test = [c.name for c in clips if c.motion[:-3] == name]
         for row in _left_out(run, name, recorded, test)["rows"]:
             if row["name"] != Chaos.name:  # not every recording is repeated
                 found.setdefault(row["name"], []).append(row["all"]["overall"]["rmse"])
@@ -197,11 +200,11 @@ def _capture(run: Reproduction) -> str:
 def _left_out(run: Reproduction, name: str, recorded: str, test: list[str]) -> dict[str, Any]:
     """Scores on one recording of methods that learned from the dances and the other recordings."""
     store = "dress"
-    config = run.config("rooted", f"data.leave_out={name}*")
+    config = run.config("rooted", f"data.leave_out={name}{_PART}")
 
     def shipped() -> Method:
         start = load_checkpoint("dress")
-        few = (f"data.motions={recorded}", f"data.leave_out={name}*", *_TUNED)
+        few = (f"data.motions={recorded}", f"data.leave_out={name}{_PART}", *_TUNED)
         tuned = override(start.networks[0].config, [*run.settings, *few])
         trained = run.network(store, f"tuned-{name}", tuned, start)
         return Network("the dress that ships, fine-tuned", trained)

@@ -27,6 +27,7 @@ class Garment:
 
     def __init__(self, session, about, armature):
         self.session, self.about, self.armature = session, about, armature
+        self.placed = armature.matrix_world.inverted()  # a scale of 0.01, say, is no joint's
         missing = [j for j in about["joints"] if j not in armature.pose.bones]
         if missing:
             raise SystemExit(f"{armature.name} lacks the joints {', '.join(missing)}")
@@ -47,7 +48,8 @@ class Garment:
         armature, out = self.armature.evaluated_get(graph), []
         for name in self.about["joints"]:
             posed, rest = armature.pose.bones[name], self.armature.data.bones[name]
-            m = np.array(armature.matrix_world @ posed.matrix @ rest.matrix_local.inverted())
+            m = armature.matrix_world @ posed.matrix @ rest.matrix_local.inverted()
+            m = np.array(m @ self.placed)
             out.append(np.c_[TURN @ m[:3, :3] @ TURN.T, TURN @ m[:3, 3]])
         return np.stack(out)
 

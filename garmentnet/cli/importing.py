@@ -30,11 +30,11 @@ def import_clips(
     parameters: Parameters = "",
     test: Annotated[
         list[str] | None,
-        typer.Option(help="Clip for testing; else the last tenth of each. Repeatable."),
+        typer.Option(help="Clip for testing; else the last tenth of the clips. Repeatable."),
     ] = None,
     validation: Annotated[
         list[str] | None,
-        typer.Option(help="Clip for validation; else a tenth of each. Repeatable."),
+        typer.Option(help="Clip for validation; else the tenth before those. Repeatable."),
     ] = None,
     rest: Annotated[
         Path | None, typer.Option(help="Garment as it was cut, on the body in its bind pose.")

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from ssdr.common.errors import InputError
+from ssdr.io.outputs import check_file
 
 from .progress import log, progress_bar
 
@@ -125,15 +126,14 @@ def predict(
     """Dress a motion: from a checkpoint and a motion to meshes, a film or pictures."""
     from ..networks.checkpoint import load_checkpoint
     from ..prediction.motion_file import read_motion
-    from ..prediction.output import check_output, save_prediction
+    from ..prediction.output import check_outputs, save_prediction
     from ..prediction.prediction import chosen_parameters
     from ..prediction.prediction import predict as run
 
-    for path in output:
-        check_output(path, [motion, checkpoint])
     model = load_checkpoint(checkpoint)
     chosen = chosen_parameters(model, entered_parameters(parameters))
     joints, clip = read_motion(motion, model.subject)
+    check_outputs(output, [motion, checkpoint], frames=len(joints))
     result = run(model, joints, chosen, detail=detail, push_out=push_out, name=motion.stem)
     shown = chosen or model.parameters[0]
     of = f" of {shown}" if shown else ""
@@ -165,6 +165,7 @@ def export(
 
     if output.suffix.lower() != ".onnx":
         raise InputError("--output", "a file .onnx", str(output))
+    check_file(output, "--output", others=[model])
     path = export_onnx(load_checkpoint(model), output)
     typer.echo(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
 

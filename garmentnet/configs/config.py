@@ -22,6 +22,7 @@ _PRESETS = Path(__file__).parent
 Count = Annotated[int, Meta(ge=1)]
 Number = Annotated[int, Meta(ge=0)]
 Amount = Annotated[float, Meta(ge=0, le=1e9)]  # finite
+Positive = Annotated[float, Meta(gt=0, le=1e9)]
 Share = Annotated[float, Meta(ge=0, lt=1)]
 
 
@@ -93,7 +94,7 @@ class HighOptions:
     dropout: Share = 0.5
     edge_dropout: Share = 0.8
     collision: Amount = 0.1
-    frames: Count = 4
+    frames: Annotated[int, Meta(ge=2)] = 4  # a single one has no variance to normalise by
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,16 +104,16 @@ class TrainOptions:
     seed: Number = 0
     batch: Count = 8
     window: Count = 30
-    learning_rate: Amount = 1e-3
-    high_learning_rate: Amount = 1e-3
+    learning_rate: Positive = 1e-3
+    high_learning_rate: Positive = 1e-3
     weight_decay: Amount = 0.0
-    gradient_norm: Amount = 1.0
+    gradient_norm: Positive = 1.0
     epochs: Count = 48
     high_epochs: Number = 12
     validate_every: Count = 2
     patience: Count = 10
     threads: Number = 0
-    device: str = "auto"
+    device: Annotated[str, Meta(pattern=r"^(auto|cpu|mps|cuda(:\d+)?)$")] = "auto"
 
 
 @dataclasses.dataclass(frozen=True)

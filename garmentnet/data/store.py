@@ -32,11 +32,12 @@ from .clip import CLASSES, MIRRORED, Clip, ClipDocument, spread
 from .clip_files import Split, read_document, write_clip
 from .outfit import Outfit, is_mirror
 from .parameters import SimulationParameters
-from .skeleton import Skeleton, check_finite
+from .skeleton import Skeleton, check_finite, check_joints
 
 _VERSION = 2
 # Of garment and skeleton, and of the names of all clips, which are in the folder `clips`.
 OUTFIT, _LIST = "outfit.npz", "clips.txt"
+_ASYMMETRY = 0.02  # of a skeleton's size, up to which joints mirror each other
 _ARRAYS = ("rest", "faces", "pinned", "mirror_vertices")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.\-]*\Z")
 
@@ -97,6 +98,10 @@ class ClipStore(Outfit):
         if mirror is not None and not is_mirror(mirror, outfit.faces, count):
             expected = f"a permutation of {count}, its own inverse, of triangles to triangles"
             raise InputError("mirror_vertices", expected, "another")
+        far = np.abs(skeleton.rest[skeleton.mirror()] * [-1, 1, 1] - skeleton.rest).max()
+        if mirror is not None and far > _ASYMMETRY * np.ptp(skeleton.rest, axis=0).max():
+            expected = "a skeleton that mirrors itself in x, its joints named _l and _r"
+            raise InputError("mirror_vertices", expected, f"a joint {far:.3g} m off")
         if not target.exists():
             arrays = {k: x for k in _ARRAYS if (x := getattr(outfit, k)) is not None}
             arrays |= {"parents": skeleton.parents, "joint_rest": skeleton.rest, "fps": outfit.fps}
@@ -303,10 +308,9 @@ class ClipStore(Outfit):
         if v.ndim != 3 or v.shape[1:] != (self.n_vertices, 3) or len(v) < 1:
             raise InputError("vertices", f"shape (F, {self.n_vertices}, 3)", f"shape {v.shape}")
         frames = len(v)
-        m = np.asarray(joints, dtype=np.float32)
-        shape = (frames, self.skeleton.n_joints, 3, 4)
-        if m.shape != shape or not np.isfinite(m).all():
-            raise InputError("joints", f"finite numbers of shape {shape}", f"shape {m.shape}")
+        m = check_joints(joints, self.skeleton.n_joints).astype(np.float32)
+        if len(m) != frames:
+            raise InputError("joints", f"{frames} frames, as there are vertices", len(m))
         recorded = np.full(frames, CLASSES.index("recorded"))
         c = np.asarray(recorded if classes is None else classes, dtype=np.int8)
         if c.shape != (frames,) or c.min() < 0 or c.max() >= len(CLASSES):

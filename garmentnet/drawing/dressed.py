@@ -21,6 +21,7 @@ from ..data.outfit import Outfit
 
 MILLIMETRES = ("mm", 1000.0)
 # Azimuth of the camera from the front, degrees: shows both the front and the depth of a skirt.
+_SHOWN = 5  # frames of a sheet
 _AZIMUTH = 32.0
 _SMOOTH = 0.25  # s, deviation of the Gaussian that smooths the path of the camera
 _HORIZONTAL = np.array([1.0, 0.0, 1.0])
@@ -98,7 +99,6 @@ def outfit_sheet(
     root: ArrayLike,
     *,
     truth: Clip | None = None,
-    frames: int = 5,
 ) -> Image.Image:
     """Picture of some frames side by side, each seen from a little beside the body's front.
 
@@ -114,8 +114,6 @@ def outfit_sheet(
         Positions of the root joint.
     truth : Clip, optional
         The simulated clip of the same motion.
-    frames : int
-        Number of frames, evenly spread.
     """
 
     def facing(vertices: Any) -> MeshSequence:
@@ -124,7 +122,7 @@ def outfit_sheet(
         turned = facing_the_camera(scene.vertices, root, joints)
         return dataclasses.replace(scene, vertices=turned)
 
-    chosen = spread_frames(frames, cloth.n_frames)
+    chosen = spread_frames(_SHOWN, cloth.n_frames)
     classes = None if truth is None else truth.classes
     options: dict[str, Any] = {
         "frames": chosen,

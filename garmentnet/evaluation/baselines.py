@@ -102,29 +102,39 @@ class Ridge(VertexMethod):
 
     The input is the pose relative to the root as 6D rotations, the output the rotations and centres
     of the bones.  Of several penalties the one with the least error on the validation clips is
-    taken.  The mean detail of the training clips is added.
+    taken; without these on the last training clip, which is then not learned unless it is the only
+    one.  A mean detail is added.
 
     Parameters
     ----------
     bones : VirtualBones
     names, validation : sequence of str
         Clips.
+    high : (V, 3) array
+        Mean detail of the training clips.
     """
 
     name = "ridge"
 
     def __init__(
-        self, bones: VirtualBones, names: Sequence[str], validation: Sequence[str]
+        self,
+        bones: VirtualBones,
+        names: Sequence[str],
+        validation: Sequence[str],
+        high: NDArray[np.float64],
     ) -> None:
         self.features = PoseFeatures(bones.store.skeleton, HEADING, bones.store.fps)
         garment = bones.skinning
         self.code = BoneCode(garment.centroids(), "sixd")
         self.lbs = TorchSkinning.of(garment)
-        self.high = MeanShape(bones, names).high
+        self.high = high
         # Fitting the bones of a clip takes most of the time.
         length = sum(bones.store.clip(n).n_frames for n in names)
         every = max(1, round(length / _FRAMES))
-        known, held = ([self._pair(bones, n) for n in c] for c in (names[::every], validation))
+        if not validation:
+            names, validation = names[:-1] or names, names[-1:]
+        learned = names[::every]
+        known, held = ([self._pair(bones, n) for n in c] for c in (learned, validation))
         o, least = HEADING, math.inf
         self.normaliser = Normaliser.fit([x for x, _ in known], floor=o.floor, clamp=o.clamp)
         x = np.concatenate([self.normaliser(x) for x, _ in known]).astype(float)
@@ -154,5 +164,5 @@ def fit_baselines(
     bones: VirtualBones, names: Sequence[str], validation: Sequence[str]
 ) -> list[Method]:
     """The mean shape, skinning by the body and the ridge, fitted to the named clips."""
-    ridge = Ridge(bones, names, validation)
-    return [MeanShape(bones, names), BodySkinned(bones.store), ridge]
+    mean = MeanShape(bones, names)
+    return [mean, BodySkinned(bones.store), Ridge(bones, names, validation, mean.high)]

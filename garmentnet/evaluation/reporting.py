@@ -69,18 +69,26 @@ def report(
     Raises
     ------
     InputError
-        If a checkpoint is of another garment or body, the store lacks test clips, or a pattern
-        matches none.
+        If a checkpoint is of another garment, body, split by frequency or parameters than the
+        first, the store lacks test clips, or a pattern matches none.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     networks = [Network(_name(p, paths), load_checkpoint(p)) for p in paths]
-    for network in networks:
-        network.checkpoint.subject.check_fits(store)
     first = networks[0].checkpoint
     config, base = first.networks[0].config, _base(first, store)
+    for network in networks:
+        of = network.checkpoint
+        of.subject.check_fits(store)
+        theirs = of.networks[0].config.bones.length, _base(of, store)
+        if theirs != (config.bones.length, base):
+            wanted = f"bones.length {config.bones.length} and {base}, as of the first"
+            raise InputError("checkpoints", wanted, f"{theirs[0]} and {theirs[1]}")
     reading = [n for n in networks if n.checkpoint.reads_parameters]
-    sections = _sections(store, base, bool(reading), clips)
+    test: Sequence[str] = store.names("test", base)
+    if config.data.leave_out:
+        test = choose_clips(store, config, "test", base)[0]
+    sections = _sections(store, base, test, bool(reading), clips)
     bones = virtual_bones(store, config.bones, subject=first.subject, progress=progress)
     bound, chaos = BonesThemselves(), Chaos(store)
     methods: list[Method] = [bound, *networks]
@@ -105,14 +113,14 @@ def report(
             found = document["groups"][title.removeprefix(_MOTIONS)]
             found["limbs"] = limbs
             lines += [limbs_table(limbs), ""]
+    text = "\n".join(lines) + "\n"
+    write_bytes(folder / "report.json", json.dumps(document).encode())
+    write_bytes(folder / "report.md", text.encode())
     motions = [n for title in sections if title.startswith(_MOTIONS) for n in sections[title]]
     for network in networks:
         for name in motions[:pictures]:
             clip, file = store.clip(name), folder / f"{network.name}-{name}.png"
             draw_clip(clip, np.add(*network.split(clip, bones)), file)
-    text = "\n".join(lines) + "\n"
-    write_bytes(folder / "report.json", json.dumps(document).encode())
-    write_bytes(folder / "report.md", text.encode())
     return text
 
 
@@ -133,12 +141,16 @@ def group_of(clip: Clip) -> str:
 
 
 def _sections(
-    store: ClipStore, base: SimulationParameters, unseen_parameters: bool, patterns: Sequence[str]
+    store: ClipStore,
+    base: SimulationParameters,
+    test: Sequence[str],
+    unseen_parameters: bool,
+    patterns: Sequence[str],
 ) -> dict[str, list[str]]:
     """Names of the clips of each section of the report, by its title."""
     found: dict[str, list[str]] = {}
-    for clip in store.clips("test", base):
-        found.setdefault(_MOTIONS + group_of(clip), []).append(clip.name)
+    for name in test:
+        found.setdefault(_MOTIONS + group_of(store.clip(name)), []).append(name)
     if not found:
         raise InputError("store", f"test clips of {base}", str(store.path))
     roles = parameter_roles(store)

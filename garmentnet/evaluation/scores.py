@@ -177,7 +177,7 @@ class _Scorer:
     def __init__(self, bones: VirtualBones) -> None:
         store = bones.store
         self.bones = bones
-        self.free = ~np.asarray(store.pinned, bool)
+        self.free = ~bones.subject.carried
         inner = store.faces[self.free[store.faces].all(axis=1)]
         if len(inner) == 0:
             raise InputError("store", "a garment with free triangles", "one that is pinned")

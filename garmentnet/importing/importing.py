@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 import os
 import re
@@ -14,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssdr import MeshSequence
-from ssdr.common.errors import InputError
+from ssdr.common.errors import InputError, is_real
+from ssdr.io import list_meshes
 from ssdr.io.atomic import check_writable
 from ssdr.model.lbs import skin
 from ssdr.model.rigid import kabsch
@@ -32,7 +34,6 @@ from .rig import MovingBody, rig_of
 from .scene_files import Say, Source, read_cloth, read_rig
 
 _SMALL = 0.12  # size of a garment, relative to the body's, below which its unit is doubted
-_SHORTEST = 20  # fewest frames of a clip that is cut
 _PIN_FRAMES, _MOST_PINS = 240, 0.6  # frames in which pins are looked for; their largest share
 _LEAST_KEPT = 0.1  # share of the pins of a single clip that the next one must have
 # Vertices that show where the body is; radians, in the mean, up to which a pose is the bind pose.
@@ -55,8 +56,14 @@ class ImportOptions:
     parameters : SimulationParameters
         Parameters with which the cloths were simulated.
     test, validation : sequence of str
-        Names of the clips of these splits.  If none is named for testing, the last tenth of every
-        clip is used; if none is named for validation, the tenth before that, or else the last.
+        Names of the clips of these splits.  If none is named for testing, the last tenth of the
+        others in a call is, at least one; if none for validation, the tenth before it.  One is left
+        for training.
+
+    Raises
+    ------
+    InputError
+        If the frame rate or a scale is no positive number, or the offset no number.
     """
 
     fps: float | None = None
@@ -66,6 +73,14 @@ class ImportOptions:
     parameters: SimulationParameters = dataclasses.field(default_factory=SimulationParameters)
     test: Sequence[str] = ()
     validation: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        scales = {"cloth_scale": self.cloth.scale, "rig_scale": self.rig.scale}
+        for name, value in (scales | {"fps": 1.0 if self.fps is None else self.fps}).items():
+            if not (is_real(value) and value > 0):
+                raise InputError(name, "a positive number", value)
+        if not is_real(self.offset):
+            raise InputError("offset", "a number of seconds", self.offset)
 
 
 def import_clips(
@@ -79,7 +94,7 @@ def import_clips(
     """Add simulated cloths and their rigs to a store, which is made if it does not exist.
 
     Clips are named after the cloths' files.  A clip that is in the store already is not added
-    again, so that a call that was interrupted can be repeated.
+    again and keeps its split, so that a call that was interrupted can be repeated.
 
     Parameters
     ----------
@@ -100,11 +115,13 @@ def import_clips(
     ------
     InputError
         If a rig has no skeleton or another than the first, a cloth has other triangles, the two
-        have no common frames or are apart, or the store has a clip of that name from other files.
+        have no common frames or are apart, a file has several animations of other names, or the
+        store has a clip of that name from other files, or in another split than the one named.
     SsdrError
         If a file cannot be read.
     """
     o, target = options or ImportOptions(), Path(path)
+    say = functools.cache(say)  # of what is read more than once
     names = [_clip_name(Path(cloth).stem) for cloth, _ in pairs]
     if not names or not all(names) or len(set(names)) < len(names):
         expected = "one file or more, of different names with letters a to z or digits"
@@ -127,12 +144,14 @@ def import_clips(
         store.sweep()
         if o.fps not in (None, store.fps):
             raise InputError("fps", f"{store.fps:g}, as the store has", o.fps)
+    splits = _splits(names, o, store, say)
     for (cloth_file, rig_file), name in zip(pairs, names, strict=True):
         files = Path(cloth_file), Path(rig_file)
         try:
             cloth, rig = _read(*files, o, o.fps if store is None else store.fps, say)
-            _parts(name, cloth.n_frames, o)
-            if store is not None:
+            if store is None:
+                rig = rig.trimmed()
+            else:
                 _check_mesh("cloth", cloth, store.faces, len(store.rest))
                 rig = rig.matched(store.skeleton, store.body)
             vertices = np.asarray(cloth.vertices, np.float32)
@@ -146,7 +165,7 @@ def import_clips(
                 raise InputError("rest", "the garment at rest that the store has", "another")
         if store is None:
             store = _create(target, cloth, rig, o, cut, say)
-        _add(store, name, vertices, rig.joints, o, files, say)
+        _add(store, name, splits[name], vertices, rig.joints, o, files, say)
     assert store is not None  # there is one pair at least
     return store
 
@@ -189,7 +208,9 @@ def _rest_of(
     path: Path, cloth: MeshSequence, rig: MovingBody, o: ImportOptions, say: Say
 ) -> NDArray[Any]:
     """Rest pose of the garment from its file, checked against the cloth and the body."""
-    mesh = read_cloth(path, o.cloth, None, say)
+    # A garment as it was cut is often alone in its file, in a format that gives meshes no names.
+    named = o.cloth if list_meshes(path) else dataclasses.replace(o.cloth, mesh="")
+    mesh = read_cloth(path, named, None, say)
     _check_mesh("rest", mesh, cloth.faces, cloth.n_vertices)
     bind = np.tile(np.eye(3, 4), (1, rig.joints.shape[1], 1, 1))
     dataclasses.replace(rig, joints=bind).check_cloth(mesh.vertices[:1], "rest")
@@ -235,18 +256,26 @@ def _create(
     return ClipStore.create(path, Outfit(rest, faces, rig.body, rig.skeleton, cloth.fps))
 
 
-def _parts(name: str, count: int, o: ImportOptions) -> list[tuple[str, Split, slice]]:
-    """Parts into which a clip of `count` frames is cut, each with name, split and frames."""
+def _splits(
+    names: list[str], o: ImportOptions, store: ClipStore | None, say: Say
+) -> dict[str, Split]:
+    """Split of every clip of a call; those that the store has keep theirs."""
+    there = {n: store.clip(n).split for n in names if store is not None and n in store}
     named: dict[Split, Sequence[str]] = {"test": o.test, "validation": o.validation}
-    for split, names in named.items():
-        if name in names:
-            return [(name, split, slice(0, count))]
-    cut = [split for split, names in named.items() if not names]
-    if cut and count < _SHORTEST:
-        raise InputError("cloth", f"{_SHORTEST} frames or more", f"{count} in {name}")
-    ends = [count - k * (count // 10) for k in range(len(cut) + 1)]
-    last = [(f"{name}-{s}", s, slice(b, a)) for s, a, b in zip(cut, ends, ends[1:], strict=False)]
-    return [(f"{name}-train" if cut else name, "train", slice(0, ends[-1])), *last]
+    splits = {n: split for split, some in named.items() for n in some}
+    for name, split in there.items():
+        if splits.get(name, split) != split:
+            expected = f"the split in which the store has {name} ({split})"
+            raise InputError("test, validation", expected, "another, for which make a new store")
+    left = [n for n in names if n not in splits]
+    tenth, unnamed = max(1, len(left) // 10), [split for split, some in named.items() if not some]
+    for k, split in enumerate(unnamed):
+        if len(left) > len(unnamed) - k:
+            splits |= dict.fromkeys(left[-tenth:], split)
+            del left[-tenth:]
+        elif store is None or not store.names(split):
+            say(f"no clip is left for {split}: --{split} NAME names one")
+    return {n: there.get(n) or splits.get(n, "train") for n in names}
 
 
 def _pins(
@@ -273,41 +302,29 @@ def _pins(
     return found if few else None
 
 
-def _check_splits(store: ClipStore, name: str, parts: list[tuple[str, Split, slice]]) -> None:
-    """Raise an error if a store has this clip in other splits: it would have its frames twice."""
-    there = {clip.name: clip.split for clip in store.clips(accepted=None) if clip.motion == name}
-    if there.items() - {(part, split) for part, split, _ in parts}:
-        text = ", ".join(f"{part} for {split}" for part, split in there.items())
-        expected = f"the splits in which the store has {name} ({text})"
-        raise InputError("test, validation", expected, "others, for which make a new store")
-
-
 def _add(
     store: ClipStore,
     name: str,
+    split: Split,
     vertices: NDArray[np.float32],
     joints: NDArray[np.float64],
     o: ImportOptions,
     files: tuple[Path, Path],
     say: Say,
 ) -> None:
-    made = {"cloth": files[0].name, "rig": files[1].name, "parameter_set": "imported"}
-    parts = _parts(name, len(vertices), o)
-    _check_splits(store, name, parts)
-    quality: dict[str, Any] | None = None
-    for part, split, frames in parts:
-        v, m = vertices[frames], joints[frames].astype(np.float32)
-        provenance = made | {"sha256": hashlib.sha256(v.tobytes() + m.tobytes()).hexdigest()}
-        if part in store:
-            there = store.clip(part)
-            if (there.provenance, there.parameters) != (provenance, o.parameters):
-                raise InputError("path", f"a store whose clip {part} is of {files[0]}", store.path)
-            continue
-        if quality is None:  # of the whole clip: a part may be too short to hold a second
-            bound = _pins(store, name, vertices, joints, say)
-            quality = judge(store, joints, vertices, bound=bound)
+    m = joints.astype(np.float32)
+    provenance = {"cloth": files[0].name, "rig": files[1].name, "parameter_set": "imported"}
+    provenance["sha256"] = hashlib.sha256(vertices.tobytes() + m.tobytes()).hexdigest()
+    if name in store:
+        there = store.clip(name)
+        if (there.provenance, there.parameters) != (provenance, o.parameters):
+            found = f"one that was imported with other files or options ({there.parameters})"
+            raise InputError("path", f"a store whose clip {name} is of {files[0]}", found)
+    else:
+        bound = _pins(store, name, vertices, joints, say)
+        quality = judge(store, joints, vertices, bound=bound)
         known: dict[str, Any] = {"parameters": o.parameters, "provenance": provenance}
         known |= {"split": split, "motion": name, "quality": quality}
-        store.add(part, vertices=v, joints=m, **known)
-    text = ", ".join(f"{f.stop - f.start} {split}" for _, split, f in parts)
-    say(f"{name}, with {files[1].name}: {vertices.shape[1]} vertices; frames: {text}")
+        store.add(name, vertices=vertices, joints=m, **known)
+    frames, count, _ = vertices.shape
+    say(f"{name}, with {files[1].name}: {count} vertices, {frames} frames for {split}")

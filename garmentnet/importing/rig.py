@@ -11,7 +11,6 @@ from scipy.spatial import cKDTree
 
 from ssdr import Skinning, kabsch, skin
 from ssdr.common.errors import InputError
-from ssdr.mesh.edges import triangle_edges
 from ssdr.model.rigid import nearest_rotation
 from ssdr.model.transforms import parents_first, rest_diagonal
 
@@ -21,6 +20,7 @@ from ..data.skeleton import Skeleton
 _ROUNDING = 0.02
 # Distance, relative to the skeleton's size, below which two joints at rest coincide.
 _SAME_PLACE = 2e-3
+_EXACT = 1e-4  # metres, or entries of a rotation, by which bones differ that are one joint
 _LOOKED_AT = 8  # number of frames in which the cloth must be at the body
 _FAR = 0.25  # largest median distance from the body, relative to the larger size of the two
 _SMALLEST, _LARGEST = 0.05, 5.0  # bounds of a cloth's size, relative to the body's
@@ -52,14 +52,13 @@ class MovingBody:
     def facing(self, rest: NDArray[np.floating], faces: NDArray[np.integer]) -> NDArray[np.bool_]:
         """Mask ``(T,)`` of triangles whose piece of the garment at rest faces the body.
 
-        A piece is what edges connect; the mean over its triangles decides for all of them.
+        The mean over the triangles of a piece, of one winding, decides for all of them.
         """
         a, b, c = np.asarray(rest, np.float64)[faces].swapaxes(0, 1)
         middle = (a + b + c) / 3
         away = middle - self.body.rest[cKDTree(self.body.rest).query(middle)[1]]
         away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
-        edges = triangle_edges(faces, len(rest))
-        piece = trimesh.graph.connected_component_labels(edges, len(rest))[faces[:, 0]]
+        piece = _pieces(faces)
         return np.bincount(piece, (np.cross(b - a, c - a) * away).sum(axis=1))[piece] < 0
 
     def check_cloth(self, vertices: NDArray[np.floating], argument: str = "cloth") -> None:
@@ -88,16 +87,17 @@ class MovingBody:
     def matched(self, skeleton: Skeleton, body: Skinning) -> MovingBody:
         """This motion on another rig: a skeleton with some or all of these joints, and its body.
 
-        Further joints of this one, such as those of a dressed character, are left out.  The rest
-        poses may differ by a rigid motion.
+        Further joints of this one, such as those of a dressed character, are left out, also between
+        a joint and its parent.  The rest poses may differ by a rigid motion.
 
         Raises
         ------
         InputError
-            If joints are missing, or parents or rest pose differ.
+            If joints are missing, or parents or rest pose differ, or that of a body with as many
+            vertices.
         """
         own = self.skeleton
-        theirs, ours = (_parents(s) for s in (skeleton, own))
+        theirs, ours = (_parents(s, skeleton.names) for s in (skeleton, own))
         if missing := sorted(joint for joint, _ in theirs.items() - ours.items()):
             expected = "the joints and parents of the first clip"
             raise InputError("rig", expected, f"none such: {', '.join(missing)}")
@@ -107,19 +107,50 @@ class MovingBody:
         if np.abs(rest - skeleton.rest).max() > near:
             turn = kabsch(skeleton.rest, rest)
         gap = np.linalg.norm(skeleton.rest @ turn[:, :3].T + turn[:, 3] - rest, axis=1)
-        if gap.max() > near:
-            text = f"{skeleton.names[int(gap.argmax())]} {gap.max():.3g} m from its place"
-            raise InputError("rig", "the bind pose of the first clip", text)
+        off = {skeleton.names[int(gap.argmax())]: gap.max()}
+        there, mine = body.rest @ turn[:, :3].T + turn[:, 3], self.body
+        if len(body.faces) and len(mine.faces) and len(there) == mine.n_vertices:
+            # The place of a joint at an end does not show its turn, the skin does.  Its vertices
+            # may be in another order.
+            off["the skin"] = np.max(cKDTree(mine.rest).query(there)[0])
+        for what, far in off.items():
+            if far > near:
+                text = f"{what} {far:.3g} m from its place"
+                raise InputError("rig", "the bind pose of the first clip", text)
         m = self.joints[:, order]
         shift = m[..., :3] @ turn[:, 3] + m[..., 3]
         moved = np.concatenate([m[..., :3] @ turn[:, :3], shift[..., None]], axis=-1)
         return MovingBody(skeleton, body, moved)
+
+    def trimmed(self) -> MovingBody:
+        """This rig from the lowest joint on that is above all joints which move the body.
+
+        What is above it may stand still, as the root of engines does: a network that looks from
+        there would read where in the world the body is.
+        """
+        body, parents = self.body, self.skeleton.parents
+        below = np.eye(len(parents), dtype=bool)  # or the joint itself
+        for j in range(len(parents) - 1, 0, -1):
+            below[parents[j]] |= below[j]
+        moving = np.unique(body.indices[body.weights > 0])
+        lowest = int(np.flatnonzero(below[:, moving].all(axis=1))[-1])
+        kept = np.flatnonzero(below[lowest])
+        place = np.zeros(len(parents), dtype=np.int32)
+        place[kept] = np.arange(len(kept))
+        above, names = place[parents[kept]], tuple(self.skeleton.names[j] for j in kept)
+        above[0] = -1
+        skeleton = Skeleton(names, above, self.skeleton.rest[kept])
+        fewer = {"transforms": body.transforms[:, kept], "bone_names": names}
+        body = dataclasses.replace(body, indices=place[body.indices], **fewer)
+        return MovingBody(skeleton, body, self.joints[:, kept])
 
 
 def rig_of(model: Skinning) -> MovingBody:
     """Skeleton, body and motion of a skinning.
 
     The skeleton is the largest tree of bones; roots of other trees become children of its root.
+    A bone of another tree that has the name of a joint of the largest, but for a number, and moves
+    as it does is that joint: some files have joints once for every mesh.
     Meshes without a skin are left out, and so are bones without relatives that move nothing.
 
     Raises
@@ -131,21 +162,24 @@ def rig_of(model: Skinning) -> MovingBody:
         text = f"{', '.join(model.names()[:5])} without parents"
         raise InputError("rig", "a skeleton: joints with parents", text)
     parents = np.array(model.parents)
-    moves = model.sparse_weights().toarray() > 0  # (V, B)
     root = np.arange(model.n_bones)
     while (parents[root] >= 0).any():
         root = np.where(parents[root] >= 0, parents[root], root)
     size = np.bincount(root, minlength=model.n_bones)
     main = int(size.argmax())
+    same, every = _same_joints(model, root == main)
+    model = dataclasses.replace(model, indices=same[model.indices])
+    parents = np.where(parents >= 0, same[parents], -1)
+    moves = model.sparse_weights().toarray() > 0  # (V, B)
     shared = (moves & (moves.sum(axis=1) > 1)[:, None]).any(axis=0)
     hung = (parents < 0) & (np.arange(model.n_bones) != main)
     alone = (size == 1) & hung & ~shared
     parents[hung] = main
-    order = np.array([b for b in parents_first(parents) if not alone[b]])
+    order = np.array([b for b in parents_first(parents) if not alone[b] and same[b] == b])
     place = np.zeros(model.n_bones, dtype=np.int32)
     place[order] = np.arange(len(order))
     rest = np.asarray(model.joint_positions, np.float64)[order]
-    names = tuple(np.array(model.names(), dtype=object)[order])
+    names = tuple(every[b] for b in order)
     above = np.where(parents[order] >= 0, place[parents[order]], -1)
     transforms = np.asarray(model.transforms, np.float64)[:, order]
     return MovingBody(
@@ -183,9 +217,13 @@ def _body(
     solid = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
     used, triangles = np.unique(triangles[solid], return_inverse=True)
     chosen, triangles = first[used], triangles.reshape(-1, 3)
-    a, b, c = rest[chosen][triangles].swapaxes(0, 1)
-    if np.einsum("tc,tc->", a, np.cross(b, c)) < 0:  # six times the volume
-        triangles = triangles[:, ::-1]
+    piece = _pieces(triangles)
+    corners = rest[chosen][triangles].astype(np.float64)
+    # From its middle, that of a piece with holes has the sign of the closed one.
+    middle = [np.bincount(piece, x) / np.bincount(piece) for x in corners.mean(axis=1).T]
+    a, b, c = (corners - np.transpose(middle)[piece, None]).swapaxes(0, 1)
+    volume = np.bincount(piece, np.einsum("tc,tc->t", a, np.cross(b, c)))
+    triangles = np.where(volume[piece, None] < 0, triangles[:, ::-1], triangles)
     indices = np.where(model.weights > 0, place[model.indices], 0)
     return dataclasses.replace(
         bare,
@@ -210,6 +248,36 @@ def _rigid(
     return np.concatenate([rotation, shift[..., None]], axis=-1)
 
 
-def _parents(skeleton: Skeleton) -> dict[str, str]:
-    names = skeleton.names
-    return {n: names[p] if p >= 0 else "" for n, p in zip(names, skeleton.parents, strict=True)}
+def _pieces(faces: NDArray[np.integer]) -> NDArray[np.int64]:
+    """Piece ``(T,)`` of each triangle: triangles of one winding that edges join."""
+    start, end = faces.astype(np.int64).ravel(), np.roll(faces, -1, axis=1).ravel()
+    size = faces.max() + 1
+    _, i, j = np.intersect1d(start * size + end, end * size + start, return_indices=True)
+    pairs = np.stack([i, j], axis=1) // 3
+    return np.asarray(trimesh.graph.connected_component_labels(pairs, len(faces)))
+
+
+def _parents(skeleton: Skeleton, kept: tuple[str, ...]) -> dict[str, str]:
+    """Of every joint its nearest ancestor among those that are kept, or an empty name."""
+    above, names = {"": ""}, skeleton.names
+    for name, p in zip(names, skeleton.parents, strict=True):
+        parent = names[p] if p >= 0 else ""
+        above[name] = parent if parent in kept else above[parent]
+    return above
+
+
+def _same_joints(model: Skinning, main: NDArray[np.bool_]) -> tuple[NDArray[np.int64], list[str]]:
+    """Joint that each bone ``(B,)`` is, itself or one of the main tree, and the names of all.
+
+    A joint has the shortest of its names: readers number those that are taken.  They must agree, as
+    a floor that stands as still as the root is no joint.
+    """
+    same, names = np.arange(model.n_bones), list(model.names())
+    place, moves = np.asarray(model.joint_positions), np.asarray(model.transforms)
+    for b in np.flatnonzero(~main):
+        near = np.flatnonzero(main & (np.abs(place - place[b]).max(axis=1) < _EXACT))
+        for j in near:
+            short, long = sorted((names[j], names[b]), key=len)
+            if long.startswith(short) and np.allclose(moves[:, j], moves[:, b], atol=_EXACT):
+                same[b], names[j] = j, short
+    return same, names

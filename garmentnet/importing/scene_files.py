@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 import ssdr
-from ssdr import MeshSequence, Skinning
+from ssdr import Clip, MeshSequence, Skinning
 from ssdr.common.errors import InputError
 from ssdr.io.spaces import in_space, transformed
 from ssdr.mesh.surface import METRES_Y_UP, Up
+from ssdr.model.shapes import skinning_and_shapes
 
 Say = Callable[[str], None]
 Model = TypeVar("Model", MeshSequence, Skinning)
@@ -56,7 +59,8 @@ class Source:
 def read_cloth(path: Path, source: Source, rate: float | None, say: Say) -> MeshSequence:
     """An animated mesh at `rate` frames a second, or at the file's own rate.
 
-    Copies of a vertex at the seams of a glTF file are merged.
+    Copies of a vertex at the seams of a glTF file are merged.  Of several animations the one with
+    the file's name is read.
 
     Parameters
     ----------
@@ -69,14 +73,17 @@ def read_cloth(path: Path, source: Source, rate: float | None, say: Say) -> Mesh
     Raises
     ------
     InputError
-        If the file has another rate and its format states no times.
+        If the file has another rate and its format states no times, or several animations of which
+        none, or more than one, has the name.
     SsdrError
         As :func:`ssdr.load`.
     """
-    weld = path.suffix.lower() in _GLTF
+    suffix, options = path.suffix.lower(), source.options()
+    if suffix in _SAMPLED:
+        options["clip"] = _animation(ssdr.list_clips(path), path, path.stem)
 
     def read(fps: float | None) -> MeshSequence:
-        return source.ready(ssdr.load(path, fps=fps, weld=weld, **source.options()))
+        return source.ready(ssdr.load(path, fps=fps, weld=suffix in _GLTF, **options))
 
     return _at_rate(read, path, rate, say)
 
@@ -84,20 +91,31 @@ def read_cloth(path: Path, source: Source, rate: float | None, say: Say) -> Mesh
 def read_rig(path: Path, source: Source, rate: float | None, take: str, say: Say) -> Skinning:
     """A skinned body at `rate` frames a second, or at the file's own rate.
 
-    If the file has several clips, the one with the name `take` is read, or the first without such a
-    name.  Other arguments and errors are those of :func:`read_cloth`.
+    Of several animations the one with the name `take` is read.  Blend shapes are left out, but for
+    what they add in all frames.  Other arguments and errors are those of :func:`read_cloth`.
     """
     alone: dict[str, Any] = {"joints_alone": True} if path.suffix.lower() in _SAMPLED else {}
 
     def read(fps: float | None) -> Skinning:
-        model = ssdr.load_skinning(path, fps=fps, **source.options(), **alone).skinning
-        names = [clip.name for clip in model.clips]
-        if len(names) > 1:
-            model = model.select(take if take in names else 0)
-            say(f"{path.name}: clip {model.clips[0].name} of {', '.join(names)}")
+        found = ssdr.load_skinning(path, fps=fps, **source.options(), **alone)
+        model, shapes = skinning_and_shapes(found.select(_animation(found.clips, path, take)))
+        if shapes is not None:
+            say(f"{path.name}: {len(shapes)} blend shapes left out, but for what all frames have")
+            held = np.tensordot(shapes.amounts.min(axis=0), shapes.displacements, 1)
+            model = dataclasses.replace(model, rest=model.rest + held)
         return source.ready(model)
 
     return _at_rate(read, path, rate, say)
+
+
+def _animation(clips: Sequence[Clip], path: Path, take: str) -> int:
+    """Number of a file's only animation or of the one whose name, after the last "|", is `take`."""
+    names = [clip.name for clip in clips]
+    alike = [n for n in names if n.rpartition("|")[2].casefold() == take.casefold()]
+    found = names if len(names) == 1 else [take] if take in names else alike
+    if len(found) != 1:
+        raise InputError(path.name, f"one animation with the name {take}", ", ".join(names))
+    return names.index(found[0])
 
 
 def _at_rate(

@@ -44,7 +44,7 @@ def load_arrays(path: Path, kind: str) -> tuple[dict[str, NDArray[Any]], Any]:
         holds numbers that are not finite in single precision.
     """
     ships = SHIPPED / f"{path}.safetensors"
-    path = ships if ships.is_file() and not path.exists() else path
+    path = ships if ships.is_file() and not path.is_file() else path
     if not path.is_file():
         raise InputError("checkpoint", "a file", str(path))
     with reading(path):

@@ -177,7 +177,9 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path | str, *, half: bool = Fa
     if subject.bound is not None:
         arrays |= {f"bound.{k}": getattr(subject.bound, k) for k in _BOUND}
     if half:
-        arrays |= {k: _compact(v) for k, v in arrays.items() if not k.startswith("skeleton.")}
+        # All but the numbers that the body's hash is of.
+        own = ("skeleton.", "body.rest", "body.weights")
+        arrays |= {k: _compact(v) for k, v in arrays.items() if not k.startswith(own)}
     records: list[NetworkRecord] = []
     pairs = zip(checkpoint.networks, checkpoint.parameters, strict=True)
     for k, (network, trained_on) in enumerate(pairs):
@@ -248,8 +250,6 @@ def load_weights(network: MotionNetwork, start: Checkpoint, part: str) -> None:
         If `start` does not fit the network.
     """
     source = start.networks[0]
-    if not np.array_equal(source.subject.garment.rest, network.subject.garment.rest):
-        raise InputError("start", "a checkpoint with the same virtual bones", "others")
     options, known = network.config.features, source.config.features
     if options != known:
         raise InputError("start", f"a network of the same configuration, {options}", known)

@@ -276,6 +276,6 @@ class MotionNetwork(nn.Module, PoseReader, Predictor):
                 own = turn(blend, self._spread(self.high.local(numbers[0])))
             else:
                 own, high_state = self.high(inputs, low[None], high_state)
-                own = self._spread(own[0][:, self.free])
+                own = own[0]
             high = own + moved(blend, self.gap, turned=True)
         return transforms, low, high, low_state, high_state

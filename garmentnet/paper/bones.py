@@ -298,11 +298,6 @@ class TorchSkinning(nn.Module):
         """Columns ``(..., 4, 3, V)`` of the vertices' transforms, of those ``(..., B, 3, 4)``.
 
         Vertices come last, so that what follows works on whole rows of memory.
-
-        Raises
-        ------
-        InputError
-            If the transforms are not those of as many bones.
         """
         lead = transforms.shape[:-3]
         flat = transforms.transpose(-1, -2).reshape(-1, self.n_bones, 12).transpose(1, 2)

@@ -91,6 +91,8 @@ def choose_clips(
     elif chosen is None and not config.data.condition:
         chosen = store.parameters()[0] if store.parameters() else None
     o = config.data
+    if o.leave_out and not any(fnmatchcase(c.motion, o.leave_out) for c in store.clips()):
+        raise InputError("data.leave_out", "a pattern of motions of the store", o.leave_out)
 
     def used(clip: Clip) -> bool:
         if not (clip.parameters == chosen if chosen else roles[clip.parameters] == "train"):
@@ -211,18 +213,19 @@ def train(
     tracks = load_tracks(network, bones, learned)
     validation = load_tracks(network, bones, held)
 
-    targets = LowTargets(bones, network.features, learned)
-    low_loss = LowFrequencyObjective(network, targets, tracks, validation)
-    learn = functools.partial(fit, options=o, folder=folder, progress=progress)
-    history = {"low": learn(low_loss, name="low", epochs=o.epochs, learning_rate=o.learning_rate)}
+    begun = None
     if o.high_epochs:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(o.seed + 1)
             network.add_high()
         network.to(device)
-        begun = None if start is None or start.networks[0].high is None else start
-        if begun is not None:
-            load_weights(network, begun, "high")
+        if start is not None and start.networks[0].high is not None:
+            load_weights(network, begun := start, "high")
+    targets = LowTargets(bones, network.features, learned)
+    low_loss = LowFrequencyObjective(network, targets, tracks, validation)
+    learn = functools.partial(fit, options=o, folder=folder, progress=progress)
+    history = {"low": learn(low_loss, name="low", epochs=o.epochs, learning_rate=o.learning_rate)}
+    if o.high_epochs:
         every = max(1, sum(t.n_frames for t in tracks) // _DETAIL_FRAMES)
         kind = DetailObjective if config.high.kind == "basis" else HighFrequencyObjective
         high_loss = kind(network, tracks[::every], validation, start=begun is not None)
@@ -297,15 +300,16 @@ def train_ensemble(
     """
     folder, o = Path(folder), config.ensemble
     roles = parameter_roles(store)
-    sets = [p for p in store.parameters() if roles[p] == "train"]
+    sets = [p for p in store.parameters() if roles[p] == "train" and store.names("train", p)]
     if len(sets) < 2:
         raise InputError("store", "two or more training sets of parameters", len(sets))
-    if config.data.condition:
-        raise InputError(
-            "data.condition", "false for pivots, which have parameters of their own", True
-        )
+    if config.data.condition or config.data.parameters:
+        expected = "neither for pivots, which have parameters of their own"
+        raise InputError("data.condition, data.parameters", expected, "one of them")
     theta, count = np.stack([p.normalised() for p in sets]), o.pivots or len(sets)
-    extremes(theta, count)  # an error comes before hours of training
+    # Errors come before hours of training.
+    extremes(theta, count)
+    learned = [choose_clips(store, config, "train", p)[0] for p in sets]
     networks = []
     for parameters in sets:
         values = dataclasses.astuple(parameters)
@@ -321,9 +325,9 @@ def train_ensemble(
         networks.append(load_checkpoint(path).networks[0])
 
     grams = []
-    for k, p in enumerate(sets):
-        grams.append(compare_networks(store, networks, store.names("train", p), o.frames))
-        progress("comparing networks", (k + 1) / len(sets))
+    for names in learned:
+        grams.append(compare_networks(store, networks, names, o.frames))
+        progress("comparing networks", len(grams) / len(sets))
     pivots = select_pivots(grams, theta, count)
     kernel = fit_kernel(left_out(grams, theta, pivots), steps=o.steps, seed=config.train.seed)
     chosen = tuple(networks[k] for k in pivots)

@@ -27,7 +27,8 @@ def read_motion(path: Path | str, subject: Subject) -> tuple[NDArray[np.float64]
     path : path
         ``.npz`` with an array ``joints`` ``(F, J, 3, 4)`` and, if it is known, ``fps``; the file of
         a clip in a store; or a ``.fbx``, ``.glb`` or ``.usd*`` whose rig has the joints and the
-        bind pose of the network's.
+        bind pose of the network's, and of whose animations, if there are several, one is named like
+        the file.
 
     Returns
     -------
@@ -39,7 +40,7 @@ def read_motion(path: Path | str, subject: Subject) -> tuple[NDArray[np.float64]
     ------
     InputError
         If there is no such file, a clip is of another garment, body or frame rate than the
-        network, or a rig is another.
+        network, or a rig is another or has several animations, none named like the file.
     FormatError
         If the file is damaged, of an unknown kind, or has the joints of another body or another
         frame rate.

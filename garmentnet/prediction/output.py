@@ -13,6 +13,7 @@ import ssdr
 from ssdr import MeshSequence, Skinning
 from ssdr.common.errors import InputError
 from ssdr.io.formats import FORMATS
+from ssdr.io.outputs import check_file
 from ssdr.model.rigid import nearest_rotation
 from ssdr.show import Film, write_picture
 
@@ -36,26 +37,29 @@ _BONES = (".glb", ".gltf", ".fbx")
 _PAGE = ".html"
 
 
-def check_output(path: Path | str, inputs: Sequence[Path | str] = ()) -> None:
-    """Check that :func:`save_prediction` can write a file of this name.
+def check_outputs(paths: Sequence[Path], inputs: Sequence[Path] = (), *, frames: int = 1) -> None:
+    """Check that :func:`save_prediction` can write so many frames to files of these names.
 
     Raises
     ------
     InputError
-        If there is no such folder or format, or the file is one of `inputs`, which are read.
+        If a format is unknown, or a file cannot be made, is named twice or is one of `inputs`,
+        which are read.
     MissingDependencyError
-        If the format needs a package that is not installed.
+        If a format needs a package that is not installed.
     """
-    file = Path(path)
-    if not file.parent.is_dir():
-        raise InputError("output", "a file in a folder that exists", str(file))
-    suffix = file.suffix.lower()
     meshes = [s for s, f in FORMATS.items() if f.writes_sequences] + list(_BONES)
-    known = sorted({*_FILMS, *_PICTURES, *meshes, _PAGE})
-    if suffix not in known:
-        raise InputError("output", f"a suffix of {', '.join(known)}", str(file))
-    if suffix in meshes:
-        ssdr.io.check_outputs([file], inputs=inputs)
+    known, seen = sorted({*_FILMS, *_PICTURES, *meshes, _PAGE}), list(inputs)
+    for file in paths:
+        suffix = file.suffix.lower()
+        if suffix not in known:
+            raise InputError("output", f"a suffix of {', '.join(known)}", str(file))
+        if frames > 1 and "%" not in file.name and FORMATS.get(suffix) is FORMATS[".obj"]:
+            raise InputError("output", "a number such as %04d, for a file a frame", str(file))
+        if suffix in meshes:
+            ssdr.io.check_outputs([file], inputs=seen)
+        check_file(file, "output", others=seen)
+        seen.append(file)
 
 
 def save_prediction(
@@ -63,7 +67,6 @@ def save_prediction(
     path: Path | str,
     *,
     size: int = 640,
-    frames: int = 5,
     truth: Clip | None = None,
     every: int = 1,
     progress: Progress = silent,
@@ -82,8 +85,6 @@ def save_prediction(
     path : path
     size : int
         Height of a panel of a film, pixels; without the truth its width too.
-    frames : int
-        Number of frames in a sheet.
     truth : Clip, optional
         The simulated clip of the same motion: films show it beside the prediction, sheets with
         the error, and the RMSE over the cloth is stated.
@@ -118,9 +119,9 @@ def save_prediction(
         beside = " of truth and prediction" if truth is not None else ""
         return f"a film{beside}, {len(film.panels.frames)} frames"
     if suffix in _PICTURES:
-        sheet = outfit_sheet(p.body, p.cloth, p.joints, p.root, truth=truth, frames=frames)
+        sheet = outfit_sheet(p.body, p.cloth, p.joints, p.root, truth=truth)
         write_picture(sheet, file)
-        return f"{min(frames, p.cloth.n_frames)} frames"
+        return "pictures of some frames"
     if suffix == _PAGE:
         return _write_page(p, file, truth)
     if suffix in _BONES:

@@ -119,7 +119,7 @@ class Frame(nn.Module):
         """Vertices ``(V, 3)``, metres, and the states for the next frame."""
         n, begins = self.network, reset > 0.5
         states, more = more[: 1 + (n.high is not None)], more[1 + (n.high is not None) :]
-        kept = [(state * (1 - reset))[None, None] for state in states]
+        kept = [torch.where(begins, 0 * reset, state)[None, None] for state in states]
         features, frame, pose_state = n.features.of(pose[None], pose_state, begins)
         x = (features - self.mean) * self.scale
         if n.normaliser.clamp > 0:

@@ -99,7 +99,7 @@ def fit(
     Raises
     ------
     InputError
-        If the loss is not finite, or the state in `folder` is of another run.
+        If the loss or its gradient is not finite, or the state in `folder` is of another run.
     """
     module, state_file = objective.module, folder / f"{name}.state.safetensors"
     optimiser = torch.optim.Adam(
@@ -123,10 +123,10 @@ def fit(
             loss, state = objective.loss(batch, batch.forget(state), rng)
             optimiser.zero_grad(set_to_none=True)
             torch.autograd.backward(loss)
-            nn.utils.clip_grad_norm_(module.parameters(), options.gradient_norm)
+            size = nn.utils.clip_grad_norm_(module.parameters(), options.gradient_norm)
             optimiser.step()
             state = state.detach()
-            losses.append(float(loss.detach()))
+            losses.append(float(loss.detach() + 0 * size))  # NaN if the gradient is not finite
         value = float(np.mean(losses))
         if not math.isfinite(value):
             raise InputError("learning_rate", "a rate at which training stays finite", rate)
@@ -138,7 +138,7 @@ def fit(
                 rmse, trained = objective.validate(), objective.trained()
             waited += 1
             # Without validation clips the last weights are kept.
-            if math.isnan(rmse) or rmse < best:
+            if rmse < best or not objective.validation:
                 waited, best_weights = 0, _copy(module)
             best = min(best, rmse)  # which NaN is not
         known = None if rmse is None or math.isnan(rmse) else rmse

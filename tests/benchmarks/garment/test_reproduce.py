@@ -101,6 +101,7 @@ def test_an_unknown_table(run):
 def test_every_recording_is_left_out(run, short_store, toy_run, monkeypatch):
     (run.data / "dress.clips").symlink_to(short_store.path, target_is_directory=True)
     monkeypatch.setattr(reproduce, "group_of", lambda clip: RECORDED)
+    monkeypatch.setattr(reproduce, "_PART", "???")
     monkeypatch.setattr(reproduce, "_TUNED", ("train.high_epochs=0",))
     # Widths of the network that stands for the one that ships.
     run.settings += ("low.hidden=64", "train.epochs=1", "train.high_epochs=1", "data.frames=100")

@@ -137,6 +137,11 @@ def test_mirror_needs_symmetry(tmp_path: Path, rng: np.random.Generator) -> None
     for bad in ([1, 0, 3, 2, 2], [1, 2, 3, 4, 0], MIRROR):
         with pytest.raises(InputError, match="mirror_vertices"):
             ClipStore.create(tmp_path / "other", outfit(mirror_vertices=bad))
+    names = dataclasses.replace(body(), bone_names=("root", "LeftLeg", "RightLeg"))
+    skeleton = type(SKELETON)(names.names(), SKELETON.parents, SKELETON.rest)
+    other = outfit(mirror_vertices=MIRROR, body=names, skeleton=skeleton, **WORN)
+    with pytest.raises(InputError, match=r"mirror_vertices: .* named _l and _r"):
+        ClipStore.create(tmp_path / "other", other)
     assert not (tmp_path / "other").exists()
 
 
@@ -147,6 +152,7 @@ def test_mirror_needs_symmetry(tmp_path: Path, rng: np.random.Generator) -> None
         ({"vertices": np.full((3, 5, 3), np.nan)}, "vertices"),
         ({"joints": np.zeros((3, 3, 3, 3))}, "joints"),
         ({"joints": np.full((3, 3, 3, 4), np.inf)}, "joints"),
+        ({"joints": np.full((3, 3, 3, 4), 2 * np.eye(3, 4))}, "rigid"),
         ({"classes": [0, 1]}, "classes"),
         ({"classes": [0, 1, 99]}, "classes"),
         ({"split": "all"}, "split"),

@@ -46,6 +46,24 @@ def test_rows_and_clips(checkpoint, toy_store, tmp_path):
         report([checkpoint], toy_store, tmp_path, clips=["base-dance-*"], **options)
 
 
+def test_clips_that_were_left_out_are_scored_and_settings_must_agree(
+    checkpoint, toy_store, tmp_path
+):
+    def changed(name, setting):
+        model = load_checkpoint(checkpoint)
+        model.networks[0].config = override(model.networks[0].config, [setting])
+        return save_checkpoint(model, tmp_path / name)
+
+    options = {"baselines": False, "pictures": 0}
+    path = changed("left.safetensors", "data.leave_out=" + toy_store.clip("base-train-0").motion)
+    report([path], toy_store, tmp_path, **options)
+    (group,) = json.loads((tmp_path / "report.json").read_text())["groups"].values()
+    assert [c["name"] for c in group["rows"][0]["clips"]] == ["base-train-0"]
+    other = changed("other.safetensors", "bones.length=0.05")
+    with pytest.raises(InputError, match=r"checkpoints.*bones\.length 0\.03.*0\.05"):
+        report([checkpoint, other], toy_store, tmp_path, **options)
+
+
 def test_unseen_parameters(checkpoint, toy_store, tmp_path):
     (network,) = load_checkpoint(checkpoint).networks
     # The bones are the network's own: their clips need not be in the store.

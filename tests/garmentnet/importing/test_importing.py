@@ -18,18 +18,12 @@ from garmentnet.cli import app
 from garmentnet.cli.importing import _files
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.data.store import ClipStore
-from garmentnet.importing.importing import ImportOptions, import_clips
+from garmentnet.importing.importing import ImportOptions, _splits, import_clips
 from garmentnet.importing.rig import rig_of
-from garmentnet.importing.scene_files import Source
+from garmentnet.importing.scene_files import Source, read_cloth, read_rig
 from helpers.walking_rig import FPS, FRAMES, JOINTS, NAMES, PARENTS, cloth, motion, rig
 from ssdr import MeshSequence, Skinning
 from ssdr.common.errors import InputError
-
-SPLITS = ("train", "validation", "test")
-
-
-def joints_of(store, name="walk"):
-    return np.concatenate([store.clip(f"{name}-{s}").joints for s in SPLITS])
 
 
 def largest_gap(a, b):
@@ -40,16 +34,14 @@ def largest_gap(a, b):
 def test_a_store_has_the_files_vertices_and_motion(files, tmp_path):
     said: list[str] = []
     store = import_clips([files], tmp_path / "a.clips", say=said.append)
-    assert store.names() == ("walk-test", "walk-train", "walk-validation")
-    assert [store.clip(n).n_frames for n in store.names()] == [6, 48, 6]
+    assert store.names() == ("walk",)
     assert (store.skeleton.names, store.fps) == (NAMES, FPS)
     np.testing.assert_allclose(store.skeleton.rest, JOINTS, atol=1e-6)
-    clips = [store.clip(f"walk-{s}") for s in SPLITS]
-    vertices = np.concatenate([c.sequence.frames(slice(None)) for c in clips])
-    np.testing.assert_allclose(vertices, cloth().vertices, atol=1e-6)
-    np.testing.assert_allclose(joints_of(store), motion(), atol=1e-5)
+    clip = store.clip("walk")
+    np.testing.assert_allclose(clip.sequence.frames(slice(None)), cloth().vertices, atol=1e-6)
+    np.testing.assert_allclose(clip.joints, motion(), atol=1e-5)
     baked = ssdr.load(files[1]).vertices  # by the reader, which knows nothing of the store
-    for t, body in enumerate(np.concatenate([c.body() for c in clips])):
+    for t, body in enumerate(clip.body()):
         assert largest_gap(body, baked[t]) < 1e-5
     # The motion starts in the bind pose, where the cloth is as it was cut.
     np.testing.assert_allclose(store.rest, cloth().vertices[0], atol=1e-6)
@@ -63,13 +55,14 @@ def test_the_rest_pose_is_found_later_in_a_clip_and_elsewhere(pair, tmp_path):
     store = import_clips([back], tmp_path / "a.clips")
     np.testing.assert_allclose(store.rest, cloth(moved).vertices[-1], atol=1e-5)
     cut = MeshSequence(cloth().vertices[:1] * np.float32(1.01), cloth().faces)
-    ssdr.save(cut, tmp_path / "cut.npz")
-    store = import_clips([back], tmp_path / "b.clips", rest=tmp_path / "cut.npz")
+    ssdr.save(cut, tmp_path / "cut.npz")  # which has no named meshes
+    options = ImportOptions(cloth=Source("Mesh"))
+    store = import_clips([back], tmp_path / "b.clips", options, rest=tmp_path / "cut.npz")
     np.testing.assert_allclose(store.rest, cut.vertices[0], atol=1e-6)
 
 
 def test_the_rest_pose_lies_on_the_body_though_the_root_stands_still(pair, tmp_path):
-    """As in rigs of engines, whose first bone stays at the origin."""
+    """As in rigs of engines, whose first bone stays at the origin and is left out."""
     away = np.add(motion(), [[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 3]])
     still = np.concatenate([np.tile(np.eye(3, 4), (FRAMES, 1, 1, 1)), away], axis=1)
     rooted = rig(
@@ -79,7 +72,9 @@ def test_the_rest_pose_lies_on_the_body_though_the_root_stands_still(pair, tmp_p
         joint_positions=np.concatenate([np.zeros((1, 3)), JOINTS]),
     )
     rooted = dataclasses.replace(rooted, indices=rig().indices + 1)
-    store = import_clips([pair("walk", cloth(away), rooted)], tmp_path / "a.clips")
+    pairs = [pair(name, cloth(away), rooted) for name in ("walk", "again")]
+    store = import_clips(pairs, tmp_path / "a.clips")
+    assert (store.skeleton.names, len(store.names())) == (NAMES, 2)
     np.testing.assert_allclose(store.rest, cloth().vertices[0], atol=0.15)
 
 
@@ -94,14 +89,52 @@ def test_joints_that_the_first_rig_has_not_are_left_out(pair, files, tmp_path):
     )
     import_clips([files], tmp_path / "a.clips")
     store = import_clips([pair("other", cloth(), dressed)], tmp_path / "a.clips")
-    assert len(store.names()) == 6
-    np.testing.assert_allclose(joints_of(store, "other"), motion(), atol=1e-5)
+    np.testing.assert_allclose(store.clip("other").joints, motion(), atol=1e-5)
 
 
 def test_a_prop_of_one_joint_is_a_rig():
     one = {"bone_names": NAMES[:1], "parents": [-1], "joint_positions": JOINTS[:1]}
     pole = dataclasses.replace(rig(), indices=0 * rig().indices, transforms=motion()[:, :1], **one)
     assert rig_of(pole).skeleton.names == ("hips",)
+
+
+def test_a_joint_that_a_mesh_has_anew_is_one():
+    """As in glTF, where every mesh has a skin of its own."""
+    anew = rig(
+        motion()[:, [0, 1, 2, 2]],
+        bone_names=("hips", "leg_l", "leg_r_1", "leg_r"),
+        parents=[*PARENTS, -1],
+        joint_positions=JOINTS[[0, 1, 2, 2]],
+    )
+    indices = np.where(rig().indices == 2, 3, rig().indices)
+    found = rig_of(dataclasses.replace(anew, indices=indices))
+    assert (found.skeleton.names, found.body.n_vertices) == (NAMES, 18)
+
+
+def test_pieces_of_the_body_face_outwards():
+    faces, sizes = np.array(rig().faces), []
+    for _ in range(2):
+        body = rig_of(rig(faces=faces)).body
+        sizes.append(np.linalg.det(body.rest[body.faces]).sum())
+        faces[8:16] = faces[8:16, ::-1]
+    assert sizes[0] == pytest.approx(sizes[1]) != 0
+
+
+def test_triangles_of_either_winding_are_turned():
+    body, rest, mixed = rig_of(rig()), cloth().vertices[0], np.array(cloth().faces)
+    before = body.facing(rest, mixed)
+    mixed[:10] = mixed[:10, ::-1]
+    np.testing.assert_array_equal(np.flatnonzero(body.facing(rest, mixed) != before), range(10))
+
+
+def test_blend_shapes_that_are_held_are_added_and_others_named(tmp_path):
+    moved, amounts = np.zeros((2, 18, 3)), np.ones((FRAMES, 2))
+    moved[:, :6], amounts[:, 1] = 0.1, np.linspace(0, 1, FRAMES)
+    ssdr.save(ssdr.ShapedSkinning(rig(), ssdr.Shapes(moved, amounts)), tmp_path / "a.glb")
+    said: list[str] = []
+    found = rig_of(read_rig(tmp_path / "a.glb", Source(), None, "a", said.append)).body
+    assert "a.glb: 2 blend shapes left out" in said[0]
+    assert largest_gap(found.rest, rig().rest + moved[0]) < 1e-6
 
 
 def test_files_without_times_have_the_rate_that_is_stated(pair, tmp_path):
@@ -111,7 +144,7 @@ def test_files_without_times_have_the_rate_that_is_stated(pair, tmp_path):
     store = import_clips([files], tmp_path / "a.clips", ImportOptions(fps=30.0), say=said.append)
     assert store.fps == 30
     assert "walk%04d.obj states no frame rate: 30 frames a second" in said
-    assert store.clip(store.names("train")[0]).n_frames == 48
+    assert store.clip("walk04d").n_frames == 60
 
 
 @pytest.mark.parametrize("stems", [("take1", "take2", "take10"), ("walk", "walk2", "walk11")])
@@ -131,7 +164,7 @@ def test_pieces_that_face_the_body_are_turned_round(pair, tmp_path):
     other = dataclasses.replace(two, faces=two.faces[:, ::-1])
     pairs = [pair("one", two), pair("other", other)]
     store = import_clips(pairs, tmp_path / "a.clips", say=said.append)
-    assert len(store.names()) == 6
+    assert len(store.names()) == 2
     half = len(one.faces)
     assert f"{half} of {2 * half} triangles face the body: they are turned round" in said
     a, b, c = store.rest[store.faces].swapaxes(0, 1)
@@ -148,23 +181,42 @@ def test_clips_go_to_named_splits_and_are_added_once(pair, tmp_path):
     for _ in range(2):
         store = import_clips(pairs, tmp_path / "a.clips", options)
     assert store.names("test") == ("run",)
-    assert store.names("train") == ("jump-train", "walk-train")
-    assert store.names("validation") == ("jump-validation", "walk-validation")
+    assert (store.names("train"), store.names("validation")) == (("walk",), ("jump",))
     assert {c.parameters.bending for c in store.clips()} == {1.5}
-    with pytest.raises(InputError, match="clip run is of"):
-        import_clips([other("run", 9)], tmp_path / "a.clips", ImportOptions(test=("run",)))
+    with pytest.raises(InputError, match=r"clip run is of .* imported with other files or options"):
+        import_clips([other("run", 9)], tmp_path / "a.clips", options)
+    with pytest.raises(InputError, match=r"or options \(bending 1\.5, density"):
+        import_clips(pairs, tmp_path / "a.clips")
 
 
-@pytest.mark.parametrize("first", [{}, {"test": ("walk",)}])
-def test_a_clip_is_in_a_store_in_one_way_alone(files, tmp_path, first):
-    """Imported once more in other splits, frames for testing would be trained on."""
-    store = import_clips([files], tmp_path / "a.clips", ImportOptions(**first))
-    names = store.names()
-    for other in ({}, {"test": ("walk",)}, {"validation": ("walk",)}):
-        if other != first:
-            with pytest.raises(InputError, match=r"the splits in which the store has walk \(walk"):
-                import_clips([files], tmp_path / "a.clips", ImportOptions(**other))
-        assert ClipStore.open(store.path).names() == names
+@pytest.mark.parametrize(
+    ("count", "named", "found"),
+    [
+        (1, {}, "r"),
+        (2, {}, "rv"),
+        (3, {}, "rvt"),
+        (20, {}, "r" * 16 + "vvtt"),
+        (3, {"test": ("a",)}, "trv"),
+        (3, {"validation": ("c",)}, "rtv"),
+        (2, {"test": ("b",)}, "rt"),
+    ],
+)
+def test_the_last_clips_are_for_validation_and_testing(count, named, found):
+    said: list[str] = []
+    splits = _splits(
+        list("abcdefghijklmnopqrst"[:count]), ImportOptions(**named), None, said.append
+    )
+    assert "".join({"train": "r"}.get(s, s[0]) for s in splits.values()) == found
+    assert len(said) == 3 - len(set(found))
+
+
+def test_a_clip_keeps_its_split(files, tmp_path):
+    """Imported once more in another, frames for testing would be trained on."""
+    for options in ({"test": ("walk",)}, {}):
+        store = import_clips([files], tmp_path / "a.clips", ImportOptions(**options))
+        assert store.names("test") == ("walk",)
+    with pytest.raises(InputError, match=r"the split in which the store has walk \(test\)"):
+        import_clips([files], tmp_path / "a.clips", ImportOptions(validation=("walk",)))
 
 
 def test_another_rate_is_resampled_and_said(pair, tmp_path):
@@ -173,7 +225,7 @@ def test_another_rate_is_resampled_and_said(pair, tmp_path):
     source = pair(new_rig=rig(fast, fps=2 * FPS))
     store = import_clips([source], tmp_path / "a.clips", say=said.append)
     assert any("resampled from 60 to 30" in text for text in said)
-    np.testing.assert_allclose(joints_of(store), fast[::2], atol=1e-5)
+    np.testing.assert_allclose(store.clip("walk").joints, fast[::2], atol=1e-5)
 
 
 TURNED = cloth().vertices[..., [0, 2, 1]] * np.float32([1, -1, 1])  # z up
@@ -260,7 +312,7 @@ def test_usd_in_centimetres_with_z_up_is_read_in_metres_with_y_up(pair, tmp_path
 
 def test_files_and_their_animations_may_have_spaces_in_their_names(pair, tmp_path):
     """The second of two animations has the name of the cloth; the clip that of both without it."""
-    clips = (ssdr.Clip("walk", 0, 60, FPS), ssdr.Clip("ä go back", 60, 120, FPS))
+    clips = (ssdr.Clip("Rig|walk", 0, 60, FPS), ssdr.Clip("Rig|Ä Go Back", 60, 120, FPS))
     both = np.concatenate([motion(), motion()[::-1]])
     source = pair("ä go back", cloth(motion()[::-1]), rig(both, clips=clips, fps=None))
     store = import_clips([source], tmp_path / "a.clips", ImportOptions(test=("ä go back",)))
@@ -268,13 +320,31 @@ def test_files_and_their_animations_may_have_spaces_in_their_names(pair, tmp_pat
     np.testing.assert_allclose(store.clip("goback").joints, motion()[::-1], atol=1e-5)
     with pytest.raises(InputError, match="cloth: expected one file or more, of different names"):
         import_clips([pair("ä")], tmp_path / "b.clips")
+    with pytest.raises(InputError, match=r"animation with the name jump, got Rig\|walk, Rig\|Ä Go"):
+        import_clips([(pair("jump")[0], source[1])], tmp_path / "b.clips")
+    back = read_cloth(source[1], Source(), None, print)
+    assert largest_gap(back.vertices[0], rig(motion()[::-1]).skin(0)) < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("wrong", "text"),
+    [
+        ({"cloth": Source(scale=-1.0)}, "cloth_scale: expected a positive number"),
+        ({"rig": Source(scale=0.0)}, "rig_scale"),
+        ({"fps": np.inf}, "fps"),
+        ({"offset": np.nan}, "offset: expected a number of seconds"),
+    ],
+)
+def test_numbers_are_checked(wrong, text):
+    with pytest.raises(InputError, match=text):
+        ImportOptions(**wrong)
 
 
 def test_only_common_frames_are_taken(pair, tmp_path):
     late = motion()[10:]
     source = pair(new_cloth=cloth(late))
     store = import_clips([source], tmp_path / "b.clips", ImportOptions(offset=1 / 3))
-    np.testing.assert_allclose(joints_of(store), late, atol=1e-5)
+    np.testing.assert_allclose(store.clip("walk").joints, late, atol=1e-5)
 
 
 def test_a_skeleton_in_another_place_and_order_is_the_same(pair, tmp_path):
@@ -287,7 +357,8 @@ def test_a_skeleton_in_another_place_and_order_is_the_same(pair, tmp_path):
     indices = np.argsort(order)[body.indices]
     other = dataclasses.replace(other, rest=body.rest @ turn.T + shift, indices=indices)
     store = import_clips([pair(), pair("again", new_rig=other)], tmp_path / "a.clips")
-    np.testing.assert_allclose(joints_of(store, "again"), joints_of(store), atol=1e-5)
+    again, walk = (store.clip(name).joints for name in ("again", "walk"))
+    np.testing.assert_allclose(again, walk, atol=1e-5)
 
 
 def test_a_prop_and_an_open_body_do_no_harm(pair, tmp_path):
@@ -313,10 +384,12 @@ def test_a_prop_and_an_open_body_do_no_harm(pair, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_rig_without_a_body_is_learned_and_drawn(files, tmp_path):
+def test_a_rig_without_a_body_is_learned_and_drawn(tmp_path):
     """Its joints stand for the body: nothing is pushed out, and nothing counts as inside."""
     from pxr import Usd
 
+    for name in "abc":
+        ssdr.save(cloth(), tmp_path / f"{name}.usda")
     ssdr.save(rig(), tmp_path / "bones.usda")
     stage = Usd.Stage.Open(str(tmp_path / "bones.usda"))
     stage.RemovePrim("/body/Mesh")
@@ -328,7 +401,8 @@ def test_a_rig_without_a_body_is_learned_and_drawn(files, tmp_path):
         return result
 
     store, run = tmp_path / "a.clips", tmp_path / "run"
-    done = call("import", "--cloth", files[0], "--rig", tmp_path / "bones.usda", "-o", store)
+    source = "--cloth", tmp_path / "?.usda", "--rig", tmp_path / "bones.usda"
+    done = call("import", *source, "-o", store)
     assert "no body: nothing can be pushed out" in done.stderr
     assert len(ClipStore.open(store).body.faces) == 0
     small = "bones.count=6 low.hidden=8 high.hidden=8 train.epochs=1 train.high_epochs=1 "
@@ -342,11 +416,11 @@ def test_a_rig_without_a_body_is_learned_and_drawn(files, tmp_path):
         run,
         *(w for s in small.split() for w in ("--set", s)),
     )
-    network, clip = run / "checkpoint.safetensors", store / "clips" / "walk-test.npz"
+    network, clip = run / "checkpoint.safetensors", store / "clips" / "c.npz"
     done = call("predict", network, clip, "-o", tmp_path / "a.png", "-o", tmp_path / "a.npz")
     assert "nothing is pushed out: the body has no closed mesh" in done.stderr
     assert (tmp_path / "a.png").is_file()
-    assert ssdr.load(tmp_path / "a.npz").vertices.shape == (6, 50, 3)
+    assert ssdr.load(tmp_path / "a.npz").vertices.shape == (60, 50, 3)
     table = call("evaluate", network, "--store", store, "-o", tmp_path / "e", "--no-baselines")
     assert "run" in table.stdout
 
@@ -362,8 +436,8 @@ def test_the_command_takes_patterns_and_one_rig_for_all(files, tmp_path):
     result = call(app, [*words, "--parameters", "bending=2,density=0.3"])
     assert result.exit_code == 0, result.output
     store = ClipStore.open(tmp_path / "a.clips")
-    assert store.names() == ("back", "walk-train", "walk-validation")
-    assert store.clip("walk-train").parameters == SimulationParameters(2.0, 0.3)
+    assert (store.names("test"), store.names("train")) == (("back",), ("walk",))
+    assert store.clip("walk").parameters == SimulationParameters(2.0, 0.3)
     np.testing.assert_allclose(store.clip("back").joints, motion()[::-1], atol=1e-5)
     for bad, text in (
         (["--parameters", "weight=2"], "weight"),

@@ -15,6 +15,8 @@ from ssdr.common.errors import InputError, SsdrError
 
 FIRST = "cloth: expected the mesh of the first clip, 50 vertices and 80 triangles"
 LOWER = JOINTS - [[0, 0, 0], [0, 0.3, 0], [0, 0, 0]]
+LEG = np.array(rig().rest)
+LEG[6:12] += (JOINTS[1] - LEG[6:12]) * [2, 2, 0]  # half a turn about the joint
 SCALED = motion()
 SCALED[20:, 2, :, :3] *= 1.5
 DOUBLED = np.concatenate([cloth().vertices, cloth().vertices[:, :1]], axis=1)
@@ -27,6 +29,9 @@ REFUSED = {
     },
     "none such: leg_r": {"new_rig": rig(parents=[-1, 0, 1])},
     "bind pose of the first clip, got leg_l 0.": {"new_rig": rig(joint_positions=LOWER)},
+    "bind pose of the first clip, got the skin 0.": {
+        "new_rig": dataclasses.replace(rig(), rest=LEG)
+    },
     "joints that turn and move, got leg_r scaled": {
         "new_rig": rig(SCALED, bone_model="similarity")
     },
@@ -59,9 +64,6 @@ def test_other_skeletons_topologies_and_times_are_refused(pair, files, tmp_path)
     ssdr.save(MeshSequence(cloth().vertices[:1], cloth().faces[:-1]), tmp_path / "cut.npz")
     with pytest.raises(InputError, match="rest: expected the mesh of the first clip"):
         import_clips([files], tmp_path / "b.clips", rest=tmp_path / "cut.npz")
-    short = pair("short", cloth(motion()[:10]), rig(motion()[:10]))
-    with pytest.raises(InputError, match="cloth: expected 20 frames or more, got 10"):
-        import_clips([short], tmp_path / "b.clips")
     assert not (tmp_path / "b.clips").exists()
 
 
@@ -74,7 +76,7 @@ def test_a_garment_at_rest_is_on_the_body_and_that_of_the_store(pair, files, tmp
             import_clips([files], tmp_path / "a.clips", rest=tmp_path / "other.npz")
         import_clips([files], tmp_path / "a.clips", rest=tmp_path / "cut.npz")
     again = import_clips([pair("run")], tmp_path / "a.clips", rest=tmp_path / "cut.npz")
-    assert len(again.names()) == 6
+    assert len(again.names()) == 2
 
 
 def test_the_output_is_checked_before_anything_is_read(files, tmp_path):

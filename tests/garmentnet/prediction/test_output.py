@@ -9,7 +9,7 @@ from PIL import Image, ImageSequence
 
 import ssdr
 from garmentnet.data.parameters import SimulationParameters
-from garmentnet.prediction.output import check_output, save_prediction
+from garmentnet.prediction.output import check_outputs, save_prediction
 from garmentnet.prediction.prediction import predict
 from helpers.page import Held
 
@@ -66,7 +66,7 @@ def test_a_page_of_the_prediction_beside_the_simulation(toy_network, toy_store, 
 def test_pictures_and_films(toy_network, joints, tmp_path):
     p = predict(toy_network, joints[:5])
     seen = []
-    save_prediction(p, tmp_path / "a.png", frames=2)
+    save_prediction(p, tmp_path / "a.png")
     # Of every second frame, at the same speed.
     options = {"size": 64, "every": 2, "progress": lambda _, done: seen.append(done)}
     save_prediction(p, tmp_path / "a.gif", **options)
@@ -117,8 +117,8 @@ def test_what_is_read_is_not_written_over(tmp_path):
     np.savez(motion, joints=np.zeros(3))
     for same in (motion, tmp_path / "." / "walk.npz"):
         with pytest.raises(ssdr.InputError, match="output"):
-            check_output(same, [motion])
-    check_output(tmp_path / "dress.npz", [motion])
+            check_outputs([same], [motion])
+    check_outputs([tmp_path / "dress.npz"], [motion])
 
 
 def test_a_fast_motion_is_a_film_at_its_speed(toy_network, joints, tmp_path):

@@ -17,7 +17,8 @@ class OneNumber(loop.TrainingObjective):
 
     def __init__(self, validation, slope=1.0):
         self.module = torch.nn.Linear(1, 1, bias=False)
-        self.tracks, self.validation = [], iter(validation)
+        self.tracks, self.said = [], iter(validation)
+        self.validation = [v for v in validation if v == v]
         self.slope, self.after = slope, []
 
     def loss(self, batch, state, rng):
@@ -28,7 +29,7 @@ class OneNumber(loop.TrainingObjective):
 
     def validate(self):
         self.after.append(float(self.module.weight.detach()))
-        return next(self.validation)
+        return next(self.said)
 
     def trained(self):
         return 0.0
@@ -60,3 +61,14 @@ def test_without_validation_it_ends_with_the_last_weights(tmp_path, monkeypatch)
 def test_a_loss_that_is_not_finite_is_an_error(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="learning_rate"):
         run(OneNumber([1.0], slope=NAN), tmp_path, monkeypatch)
+
+
+def test_a_gradient_that_is_not_finite_leaves_the_state_of_before(tmp_path, monkeypatch):
+    objective = OneNumber([NAN, NAN, NAN])
+    run(objective, tmp_path, monkeypatch, epochs=1)
+    state = (tmp_path / "low.state.safetensors").read_bytes()
+    # A loss of 0, whose slope is none.
+    objective.loss = lambda *_: ((0 * objective.module.weight).sqrt().sum(), torch.zeros(1))
+    with pytest.raises(InputError, match="learning_rate"):
+        run(objective, tmp_path, monkeypatch)
+    assert (tmp_path / "low.state.safetensors").read_bytes() == state

@@ -18,7 +18,8 @@ def test_learns_what_a_pose_does_not_tell(toy_store, toy_bones, toy_network):
 
     names = [n for n in toy_store.names("train") if n.startswith("base")]
     held = [n for n in toy_store.names("validation") if n.startswith("base")]
-    others = [MeanShape(toy_bones, names), Ridge(toy_bones, names, held)]
+    mean = MeanShape(toy_bones, names)
+    others = [mean, Ridge(toy_bones, names, held, mean.high)]
     methods = [Network("network", toy_network), *others]
     rows = {r.name: r for r in evaluate(toy_bones, methods, ["base-test-0", "base-test-1"])}
     for other in others:
@@ -77,6 +78,12 @@ def test_a_start_is_where_it_starts(short_store, toy_config, toy_network, tmp_pa
     gap = load_checkpoint(path).predict(joints) - toy_network.predict(joints)
     assert np.abs(gap).max() < 1e-5
 
+    # A detail module that does not fit is found before anything is trained.
+    other = dataclasses.replace(config, high=dataclasses.replace(config.high, hidden=8))
+    with pytest.raises(InputError, match="start"):
+        train(short_store, other, tmp_path / "other", start=toy_network)
+    assert not list((tmp_path / "other").glob("*.state.*"))
+
 
 def test_clips_are_chosen_by_parameters_and_motions(toy_store, toy_config):
     config = toy_config()
@@ -110,3 +117,5 @@ def test_clips_are_chosen_by_parameters_and_motions(toy_store, toy_config):
     assert held[0] not in names(leave_out=left)
     assert names("test", leave_out=left) == [n for n in held if toy_store.clip(n).motion == left]
     assert names("validation", leave_out=left) == []
+    with pytest.raises(InputError, match=r"data\.leave_out.*no-such"):
+        names(leave_out="no-such-*")
