@@ -27,7 +27,8 @@ class Garment:
 
     def __init__(self, session, about, armature):
         self.session, self.about, self.armature = session, about, armature
-        self.placed = armature.matrix_world.inverted()  # a scale of 0.01, say, is no joint's
+        # A scale of 0.01, say, or a turn of the axes is no joint's motion.
+        self.placed = armature.matrix_world.to_3x3().inverted().to_4x4()
         missing = [j for j in about["joints"] if j not in armature.pose.bones]
         if missing:
             raise SystemExit(f"{armature.name} lacks the joints {', '.join(missing)}")

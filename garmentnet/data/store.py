@@ -310,7 +310,7 @@ class ClipStore(Outfit):
         frames = len(v)
         m = check_joints(joints, self.skeleton.n_joints).astype(np.float32)
         if len(m) != frames:
-            raise InputError("joints", f"{frames} frames, as there are vertices", len(m))
+            raise InputError("joints", f"as many frames as the vertices have ({frames})", len(m))
         recorded = np.full(frames, CLASSES.index("recorded"))
         c = np.asarray(recorded if classes is None else classes, dtype=np.int8)
         if c.shape != (frames,) or c.min() < 0 or c.max() >= len(CLASSES):

@@ -20,8 +20,8 @@ from ..data.clip import CLASSES, Clip
 from ..data.outfit import Outfit
 
 MILLIMETRES = ("mm", 1000.0)
-# Azimuth of the camera from the front, degrees: shows both the front and the depth of a skirt.
 _SHOWN = 5  # frames of a sheet
+# Azimuth of the camera from the front, degrees: shows both the front and the depth of a skirt.
 _AZIMUTH = 32.0
 _SMOOTH = 0.25  # s, deviation of the Gaussian that smooths the path of the camera
 _HORIZONTAL = np.array([1.0, 0.0, 1.0])

@@ -80,14 +80,18 @@ def report(
     for network in networks:
         of = network.checkpoint
         of.subject.check_fits(store)
-        theirs = of.networks[0].config.bones.length, _base(of, store)
-        if theirs != (config.bones.length, base):
-            wanted = f"bones.length {config.bones.length} and {base}, as of the first"
-            raise InputError("checkpoints", wanted, f"{theirs[0]} and {theirs[1]}")
+        theirs = of.networks[0].config
+        for name, known, other in (
+            ("bones.length", config.bones.length, theirs.bones.length),
+            ("data.leave_out", config.data.leave_out, theirs.data.leave_out),
+            ("parameters", base, _base(of, store)),
+        ):
+            if other != known:
+                raise InputError("checkpoints", f"{name} {known}, as of the first", other)
     reading = [n for n in networks if n.checkpoint.reads_parameters]
     test: Sequence[str] = store.names("test", base)
     if config.data.leave_out:
-        test = choose_clips(store, config, "test", base)[0]
+        test = choose_clips(store, config, "test", base)[0] or test
     sections = _sections(store, base, test, bool(reading), clips)
     bones = virtual_bones(store, config.bones, subject=first.subject, progress=progress)
     bound, chaos = BonesThemselves(), Chaos(store)

@@ -151,6 +151,7 @@ def import_clips(
             cloth, rig = _read(*files, o, o.fps if store is None else store.fps, say)
             if store is None:
                 rig = rig.trimmed()
+                say(f"the skeleton begins at {rig.skeleton.names[0]}")
             else:
                 _check_mesh("cloth", cloth, store.faces, len(store.rest))
                 rig = rig.matched(store.skeleton, store.body)
@@ -208,9 +209,9 @@ def _rest_of(
     path: Path, cloth: MeshSequence, rig: MovingBody, o: ImportOptions, say: Say
 ) -> NDArray[Any]:
     """Rest pose of the garment from its file, checked against the cloth and the body."""
-    # A garment as it was cut is often alone in its file, in a format that gives meshes no names.
-    named = o.cloth if list_meshes(path) else dataclasses.replace(o.cloth, mesh="")
-    mesh = read_cloth(path, named, None, say)
+    # A garment as it was cut is often alone in its file.
+    alone = len(list_meshes(path)) < 2
+    mesh = read_cloth(path, dataclasses.replace(o.cloth, mesh="") if alone else o.cloth, None, say)
     _check_mesh("rest", mesh, cloth.faces, cloth.n_vertices)
     bind = np.tile(np.eye(3, 4), (1, rig.joints.shape[1], 1, 1))
     dataclasses.replace(rig, joints=bind).check_cloth(mesh.vertices[:1], "rest")
@@ -262,20 +263,23 @@ def _splits(
     """Split of every clip of a call; those that the store has keep theirs."""
     there = {n: store.clip(n).split for n in names if store is not None and n in store}
     named: dict[Split, Sequence[str]] = {"test": o.test, "validation": o.validation}
-    splits = {n: split for split, some in named.items() for n in some}
+    splits: dict[str, Split] = {n: split for split, some in named.items() for n in some}
     for name, split in there.items():
         if splits.get(name, split) != split:
             expected = f"the split in which the store has {name} ({split})"
             raise InputError("test, validation", expected, "another, for which make a new store")
-    left = [n for n in names if n not in splits]
-    tenth, unnamed = max(1, len(left) // 10), [split for split, some in named.items() if not some]
-    for k, split in enumerate(unnamed):
-        if len(left) > len(unnamed) - k:
-            splits |= dict.fromkeys(left[-tenth:], split)
-            del left[-tenth:]
-        elif store is None or not store.names(split):
+    tenth = max(1, sum(n not in splits for n in names) // 10)
+    splits |= there
+    left, known = [n for n in names if n not in splits], list(there.values())
+    short = {s: tenth - known.count(s) for s, some in named.items() if not some}
+    short = {s: count for s, count in short.items() if count > 0}
+    for k, (split, count) in enumerate(short.items()):
+        if len(left) + ("train" in known) > len(short) - k:
+            splits |= dict.fromkeys(left[-count:], split)
+            del left[-count:]
+        elif store is None or not store.names(split, o.parameters):
             say(f"no clip is left for {split}: --{split} NAME names one")
-    return {n: there.get(n) or splits.get(n, "train") for n in names}
+    return {n: splits.get(n, "train") for n in names}
 
 
 def _pins(
@@ -287,13 +291,11 @@ def _pins(
     a vertex hangs.  Of what the body carried in a single clip some may have been still by chance;
     what it carried in more must be carried in this one.
     """
-    others, (some,) = list(store.clips()), spread([len(vertices)], _PIN_FRAMES)
-    motions = {c.motion for c in others} - {name}
-    names = [c.name for c in others if c.motion in motions]
+    names, (some,) = store.names(), spread([len(vertices)], _PIN_FRAMES)
     found = find_body_bound(store, names, also=(vertices[some], joints[some]))
     if names and (before := find_body_bound(store, names)) is not None:
         kept = 0 if found is None else np.isin(before.index, found.index).mean()
-        if kept < (_LEAST_KEPT if len(motions) == 1 else 1):
+        if kept < (_LEAST_KEPT if len(names) == 1 else 1):
             found = before
         elif kept < 1:
             say(f"{name}: {1 - kept:.0%} of the vertices that the body carried before are free")
@@ -314,6 +316,8 @@ def _add(
 ) -> None:
     m = joints.astype(np.float32)
     provenance = {"cloth": files[0].name, "rig": files[1].name, "parameter_set": "imported"}
+    if any(c.motion == name != c.name for c in store.clips(accepted=None)):
+        raise InputError("path", f"a store without parts of {name}", "one that has some")
     provenance["sha256"] = hashlib.sha256(vertices.tobytes() + m.tobytes()).hexdigest()
     if name in store:
         there = store.clip(name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import numpy as np
 import trimesh
@@ -20,6 +21,7 @@ from ..data.skeleton import Skeleton
 _ROUNDING = 0.02
 # Distance, relative to the skeleton's size, below which two joints at rest coincide.
 _SAME_PLACE = 2e-3
+_SAME_SKIN = 0.03  # likewise of skins, whose blend shapes may be held otherwise
 _EXACT = 1e-4  # metres, or entries of a rotation, by which bones differ that are one joint
 _LOOKED_AT = 8  # number of frames in which the cloth must be at the body
 _FAR = 0.25  # largest median distance from the body, relative to the larger size of the two
@@ -107,14 +109,15 @@ class MovingBody:
         if np.abs(rest - skeleton.rest).max() > near:
             turn = kabsch(skeleton.rest, rest)
         gap = np.linalg.norm(skeleton.rest @ turn[:, :3].T + turn[:, 3] - rest, axis=1)
-        off = {skeleton.names[int(gap.argmax())]: gap.max()}
+        off = [(skeleton.names[int(gap.argmax())], gap.max(), near)]
         there, mine = body.rest @ turn[:, :3].T + turn[:, 3], self.body
         if len(body.faces) and len(mine.faces) and len(there) == mine.n_vertices:
             # The place of a joint at an end does not show its turn, the skin does.  Its vertices
             # may be in another order.
-            off["the skin"] = np.max(cKDTree(mine.rest).query(there)[0])
-        for what, far in off.items():
-            if far > near:
+            far = np.max(cKDTree(mine.rest).query(there)[0])
+            off.append(("the skin", far, _SAME_SKIN * rest_diagonal(skeleton.rest)))
+        for what, far, most in off:
+            if far > most:
                 text = f"{what} {far:.3g} m from its place"
                 raise InputError("rig", "the bind pose of the first clip", text)
         m = self.joints[:, order]
@@ -123,18 +126,19 @@ class MovingBody:
         return MovingBody(skeleton, body, moved)
 
     def trimmed(self) -> MovingBody:
-        """This rig from the lowest joint on that is above all joints which move the body.
+        """This rig without joints that stand still above all those that move the body.
 
-        What is above it may stand still, as the root of engines does: a network that looks from
-        there would read where in the world the body is.
+        So stands the root of engines: a network that looks from there would read where in the world
+        the body is.
         """
         body, parents = self.body, self.skeleton.parents
         below = np.eye(len(parents), dtype=bool)  # or the joint itself
         for j in range(len(parents) - 1, 0, -1):
             below[parents[j]] |= below[j]
         moving = np.unique(body.indices[body.weights > 0])
-        lowest = int(np.flatnonzero(below[:, moving].all(axis=1))[-1])
-        kept = np.flatnonzero(below[lowest])
+        path = np.flatnonzero(below[:, moving].all(axis=1))
+        moves = np.ptp(self.joints[:, path], axis=0).max(axis=(1, 2)) > _EXACT
+        kept = np.flatnonzero(below[path[moves.argmax()]])  # the first that moves, or the root
         place = np.zeros(len(parents), dtype=np.int32)
         place[kept] = np.arange(len(kept))
         above, names = place[parents[kept]], tuple(self.skeleton.names[j] for j in kept)
@@ -215,6 +219,8 @@ def _body(
     _, first, merged = np.unique(key, axis=0, return_index=True, return_inverse=True)
     triangles = merged.reshape(-1)[faces]
     solid = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
+    if not solid.any():
+        return bare
     used, triangles = np.unique(triangles[solid], return_inverse=True)
     chosen, triangles = first[used], triangles.reshape(-1, 3)
     piece = _pieces(triangles)
@@ -273,11 +279,12 @@ def _same_joints(model: Skinning, main: NDArray[np.bool_]) -> tuple[NDArray[np.i
     a floor that stands as still as the root is no joint.
     """
     same, names = np.arange(model.n_bones), list(model.names())
+    plain = [re.sub(r"_\d+\Z", "", name) for name in names]
     place, moves = np.asarray(model.joint_positions), np.asarray(model.transforms)
     for b in np.flatnonzero(~main):
         near = np.flatnonzero(main & (np.abs(place - place[b]).max(axis=1) < _EXACT))
         for j in near:
-            short, long = sorted((names[j], names[b]), key=len)
-            if long.startswith(short) and np.allclose(moves[:, j], moves[:, b], atol=_EXACT):
-                same[b], names[j] = j, short
+            alike = np.allclose(moves[:, j], moves[:, b], atol=_EXACT)
+            if alike and plain[j] == plain[b]:
+                same[b], names[j] = j, min(names[j], names[b], key=len)
     return same, names

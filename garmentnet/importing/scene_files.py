@@ -79,7 +79,7 @@ def read_cloth(path: Path, source: Source, rate: float | None, say: Say) -> Mesh
         As :func:`ssdr.load`.
     """
     suffix, options = path.suffix.lower(), source.options()
-    if suffix in _SAMPLED:
+    if suffix in RIGS:
         options["clip"] = _animation(ssdr.list_clips(path), path, path.stem)
 
     def read(fps: float | None) -> MeshSequence:
@@ -101,7 +101,9 @@ def read_rig(path: Path, source: Source, rate: float | None, take: str, say: Say
         model, shapes = skinning_and_shapes(found.select(_animation(found.clips, path, take)))
         if shapes is not None:
             say(f"{path.name}: {len(shapes)} blend shapes left out, but for what all frames have")
-            held = np.tensordot(shapes.amounts.min(axis=0), shapes.displacements, 1)
+            a = shapes.amounts
+            kept = a.min(axis=0).clip(min=0) + a.max(axis=0).clip(max=0)
+            held = np.tensordot(kept, shapes.displacements, 1)
             model = dataclasses.replace(model, rest=model.rest + held)
         return source.ready(model)
 
@@ -109,9 +111,9 @@ def read_rig(path: Path, source: Source, rate: float | None, take: str, say: Say
 
 
 def _animation(clips: Sequence[Clip], path: Path, take: str) -> int:
-    """Number of a file's only animation or of the one whose name, after the last "|", is `take`."""
+    """Number of a file's only animation or of the one whose name has a part `take` between "|"."""
     names = [clip.name for clip in clips]
-    alike = [n for n in names if n.rpartition("|")[2].casefold() == take.casefold()]
+    alike = [n for n in names if take.casefold() in n.casefold().split("|")]
     found = names if len(names) == 1 else [take] if take in names else alike
     if len(found) != 1:
         raise InputError(path.name, f"one animation with the name {take}", ", ".join(names))

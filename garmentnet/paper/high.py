@@ -9,8 +9,9 @@ on the low-frequency mesh that the trained low-frequency module predicts, with a
 for the second term.  By default the target is all that this mesh leaves of the garment, Ĝ − G_LF,
 not the high-frequency part alone (``high.target``).
 
-An alternative, :mod:`garmentnet.networks.detail_basis`, predicts coefficients of principal
-components of the detail.  `MotionNetwork.add_high` chooses between them, and is where others go.
+Of the presets `faithful` alone has this module.  :mod:`garmentnet.networks.detail_basis`, which the
+others have, predicts coefficients of principal components of the detail.  `MotionNetwork.add_high`
+chooses between them, and is where others go.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ def neighbour_table(faces: Any, n_vertices: int) -> Tensor:
 
 
 class EdgeConv(nn.Module):
-    """x_i' = max_j act(W [x_i, x_j − x_i] + b) over the neighbours j (Wang et al. 2019).
+    """x_i' = max_j act(W [x_i, (x_j − x_i) / scale] + b) over the neighbours j (Wang et al. 2019).
 
     The activation is a PReLU with one slope per channel, kept at 0 or above, so that it is monotone
     and the maximum can be taken before it.  With W = [W_a, W_b] the layer is

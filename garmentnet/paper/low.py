@@ -8,8 +8,9 @@ over the n vertices that the module predicts, divided by √n, and averaged over
 LBS is linear in the transforms, LBS(M_v) = A M, so both terms are norms ‖A M − G‖, each with its
 own matrix and target.  :class:`_SkinnedNorm` computes them without the vertices.
 
-Another network goes in place of :class:`LowFrequency` where `MotionNetwork.__init__` makes it: with
-its `code`, and a `forward` with the same arguments and one tensor as state, (1, N, H).
+Another network goes in place of :class:`LowFrequency` where `MotionNetwork.__init__` makes it, in
+training and when a checkpoint is read: with its `code`, and a `forward` with the same arguments and
+one tensor as state, (1, N, H), where H is the configuration's ``low.hidden``.
 """
 
 from __future__ import annotations

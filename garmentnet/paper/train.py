@@ -91,8 +91,6 @@ def choose_clips(
     elif chosen is None and not config.data.condition:
         chosen = store.parameters()[0] if store.parameters() else None
     o = config.data
-    if o.leave_out and not any(fnmatchcase(c.motion, o.leave_out) for c in store.clips()):
-        raise InputError("data.leave_out", "a pattern of motions of the store", o.leave_out)
 
     def used(clip: Clip) -> bool:
         if not (clip.parameters == chosen if chosen else roles[clip.parameters] == "train"):
@@ -193,6 +191,9 @@ def train(
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     names, parameters = choose_clips(store, config)
+    left = config.data.leave_out
+    if left and not any(fnmatchcase(c.motion, left) for c in store.clips()):
+        raise InputError("data.leave_out", "a pattern of motions of the store", left)
     held = choose_clips(store, config, "validation")[0]
     if not held:
         _logger.warning("no clips for validation: all epochs, and the weights of the last")
@@ -213,14 +214,14 @@ def train(
     tracks = load_tracks(network, bones, learned)
     validation = load_tracks(network, bones, held)
 
-    begun = None
+    begun = start is not None and start.networks[0].high is not None
     if o.high_epochs:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(o.seed + 1)
             network.add_high()
         network.to(device)
-        if start is not None and start.networks[0].high is not None:
-            load_weights(network, begun := start, "high")
+        if start is not None and begun:
+            load_weights(network, start, "high")
     targets = LowTargets(bones, network.features, learned)
     low_loss = LowFrequencyObjective(network, targets, tracks, validation)
     learn = functools.partial(fit, options=o, folder=folder, progress=progress)
@@ -228,7 +229,7 @@ def train(
     if o.high_epochs:
         every = max(1, sum(t.n_frames for t in tracks) // _DETAIL_FRAMES)
         kind = DetailObjective if config.high.kind == "basis" else HighFrequencyObjective
-        high_loss = kind(network, tracks[::every], validation, start=begun is not None)
+        high_loss = kind(network, tracks[::every], validation, start=begun)
         epochs, rate = o.high_epochs, o.high_learning_rate
         history["high"] = learn(high_loss, name="high", epochs=epochs, learning_rate=rate)
     found = {k: [e["rmse"] for e in h if e["rmse"] is not None] for k, h in history.items()}

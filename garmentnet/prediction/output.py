@@ -58,7 +58,8 @@ def check_outputs(paths: Sequence[Path], inputs: Sequence[Path] = (), *, frames:
             raise InputError("output", "a number such as %04d, for a file a frame", str(file))
         if suffix in meshes:
             ssdr.io.check_outputs([file], inputs=seen)
-        check_file(file, "output", others=seen)
+        else:
+            check_file(file, "output", others=seen)
         seen.append(file)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import types
 
 import numpy as np
 import pytest
@@ -109,6 +110,16 @@ def test_a_joint_that_a_mesh_has_anew_is_one():
     indices = np.where(rig().indices == 2, 3, rig().indices)
     found = rig_of(dataclasses.replace(anew, indices=indices))
     assert (found.skeleton.names, found.body.n_vertices) == (NAMES, 18)
+    # Another joint of the same place and motion is another joint.
+    twist = rig(
+        motion()[:, [0, 1, 2, 2, 2]],
+        bone_names=("hips", "leg_l", "leg_r_twist", "leg_r", "leg_r_1"),
+        parents=[*PARENTS, 0, -1],
+        joint_positions=JOINTS[[0, 1, 2, 2, 2]],
+    )
+    found = rig_of(dataclasses.replace(twist, indices=np.where(indices == 3, 4, indices)))
+    assert found.skeleton.names == twist.names()[:4]
+    assert set(found.body.indices[found.body.weights > 0]) == {0, 1, 3}
 
 
 def test_pieces_of_the_body_face_outwards():
@@ -208,6 +219,28 @@ def test_the_last_clips_are_for_validation_and_testing(count, named, found):
     )
     assert "".join({"train": "r"}.get(s, s[0]) for s in splits.values()) == found
     assert len(said) == 3 - len(set(found))
+
+
+class Stored(dict):
+    """Splits of the clips of a store, by name."""
+
+    def names(self, split, _):
+        return [name for name, own in self.items() if own == split]
+
+    def clip(self, name):
+        return types.SimpleNamespace(split=self[name])
+
+
+def test_splits_of_a_store_that_grows_or_whose_import_was_interrupted():
+    names = list("abcdefghijklmnopqrstuvwx")
+    whole = _splits(names, ImportOptions(), None, print)
+    for done in range(len(names)):
+        some = Stored({name: whole[name] for name in names[:done]})
+        assert _splits(names, ImportOptions(), some, print) == whole
+    grown = Stored()
+    for count in range(3, 13):
+        grown |= _splits(names[:count], ImportOptions(), grown, print)
+    assert list(grown.values()) == ["train", "validation", "test"] + ["train"] * 9
 
 
 def test_a_clip_keeps_its_split(files, tmp_path):
@@ -312,7 +345,7 @@ def test_usd_in_centimetres_with_z_up_is_read_in_metres_with_y_up(pair, tmp_path
 
 def test_files_and_their_animations_may_have_spaces_in_their_names(pair, tmp_path):
     """The second of two animations has the name of the cloth; the clip that of both without it."""
-    clips = (ssdr.Clip("Rig|walk", 0, 60, FPS), ssdr.Clip("Rig|Ä Go Back", 60, 120, FPS))
+    clips = (ssdr.Clip("Rig|walk", 0, 60, FPS), ssdr.Clip("Rig|Ä Go Back|BaseLayer", 60, 120, FPS))
     both = np.concatenate([motion(), motion()[::-1]])
     source = pair("ä go back", cloth(motion()[::-1]), rig(both, clips=clips, fps=None))
     store = import_clips([source], tmp_path / "a.clips", ImportOptions(test=("ä go back",)))
