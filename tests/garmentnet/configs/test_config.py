@@ -34,6 +34,9 @@ def test_bad_configurations(tmp_path):
         ("[low]\nwidth = 3", FormatError, r"c\.toml.*width"),
         ("[high]\nedge_features = [8, 'x']", FormatError, "edge_features"),
         ("[low]\nhidden = 0", FormatError, "hidden"),
+        ("[high]\nframes = 1", FormatError, "frames"),
+        ("[train]\ngradient_norm = 0", FormatError, "gradient_norm"),
+        ("[train]\ndevice = 'gpu'", FormatError, "device"),
         ("[high]\nkind = 'basis'\ncollision = 0.1", InputError, r"high\.collision.*basis"),
     ):
         file.write_text(text)

@@ -62,8 +62,10 @@ def test_half_precision(file, toy_network, toy_store, tmp_path, monkeypatch):
     load_weights(toy_network.networks[0], load_checkpoint(small), "low")
 
 
-def test_the_dress_that_ships():
+def test_the_dress_that_ships(tmp_path, monkeypatch):
     """It hangs from a body that stands still: edges as they were cut, the hem at the knee."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "dress").mkdir()  # no checkpoint
     model = load_checkpoint("dress")
     still = np.tile(np.eye(3, 4), (60, model.subject.skeleton.n_joints, 1, 1))
     before, hanging = model.predict(still, SimulationParameters())[-2:]

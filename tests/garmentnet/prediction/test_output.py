@@ -119,6 +119,12 @@ def test_what_is_read_is_not_written_over(tmp_path):
         with pytest.raises(ssdr.InputError, match="output"):
             check_outputs([same], [motion])
     check_outputs([tmp_path / "dress.npz"], [motion])
+    for twice in ([tmp_path / "a.png"] * 2, [tmp_path / "a.npz"] * 2):
+        with pytest.raises(ssdr.InputError, match="output"):
+            check_outputs(twice)
+    check_outputs([tmp_path / "a.obj", tmp_path / "a%03d.obj"])
+    with pytest.raises(ssdr.InputError, match=r"output: .* %04d.*a\.obj"):
+        check_outputs([tmp_path / "a.obj"], frames=2)
 
 
 def test_a_fast_motion_is_a_film_at_its_speed(toy_network, joints, tmp_path):

@@ -33,9 +33,10 @@ def test_from_store_to_ensemble(short_store, toy_config, tmp_path):
 
 def test_settings_that_do_not_fit_are_refused_before_any_training(toy_store, toy_config, tmp_path):
     config = toy_config()
-    reading = dataclasses.replace(config, data=dataclasses.replace(config.data, condition=True))
-    with pytest.raises(InputError, match=r"data\.condition"):
-        train_ensemble(toy_store, reading, tmp_path)
+    for setting in ({"condition": True}, {"parameters": "2,0.2,1"}):
+        own = dataclasses.replace(config, data=dataclasses.replace(config.data, **setting))
+        with pytest.raises(InputError, match=r"data\.condition, data\.parameters"):
+            train_ensemble(toy_store, own, tmp_path)
     many = dataclasses.replace(config, ensemble=dataclasses.replace(config.ensemble, pivots=6))
     with pytest.raises(InputError, match=r"ensemble\.pivots: .*at most 5"):
         train_ensemble(toy_store, many, tmp_path)
