@@ -9,7 +9,6 @@ from typing import Annotated, Any
 import typer
 
 from ssdr.common.errors import InputError
-from ssdr.io.outputs import check_file
 
 from .progress import log, progress_bar
 
@@ -160,6 +159,8 @@ def export(
     output: Annotated[Path, typer.Option("--output", "-o", help="dress.onnx")],
 ) -> None:
     """Write a network as .onnx, which engines run; `garmentnet predict` writes a .glb to play."""
+    from ssdr.io.outputs import check_file
+
     from ..networks.checkpoint import load_checkpoint
     from ..runtime.onnx_file import export_onnx
 

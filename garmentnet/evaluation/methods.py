@@ -19,7 +19,7 @@ Array = NDArray[np.float32]
 
 
 class Method(ABC):
-    """A prediction of the garment from the body's motion, in two parts.
+    """Method that predicts a garment's low and high frequencies from the body's motion.
 
     Of a clip, it may read only the motion ``joints`` and the ``parameters``.
     """

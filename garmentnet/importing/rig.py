@@ -126,10 +126,10 @@ class MovingBody:
         return MovingBody(skeleton, body, moved)
 
     def trimmed(self) -> MovingBody:
-        """This rig without joints that stand still above all those that move the body.
+        """Rig without the joints at its top that stand still, such as the root of an engine.
 
-        So stands the root of engines: a network that looks from there would read where in the world
-        the body is.
+        They are above all joints that move the body: a network that looks from there would read
+        where in the world the body is.
         """
         body, parents = self.body, self.skeleton.parents
         below = np.eye(len(parents), dtype=bool)  # or the joint itself
@@ -255,7 +255,7 @@ def _rigid(
 
 
 def _pieces(faces: NDArray[np.integer]) -> NDArray[np.int64]:
-    """Piece ``(T,)`` of each triangle: triangles of one winding that edges join."""
+    """Number of the connected piece of each triangle ``(T,)``; a piece has one winding."""
     start, end = faces.astype(np.int64).ravel(), np.roll(faces, -1, axis=1).ravel()
     size = faces.max() + 1
     _, i, j = np.intersect1d(start * size + end, end * size + start, return_indices=True)
@@ -264,7 +264,7 @@ def _pieces(faces: NDArray[np.integer]) -> NDArray[np.int64]:
 
 
 def _parents(skeleton: Skeleton, kept: tuple[str, ...]) -> dict[str, str]:
-    """Of every joint its nearest ancestor among those that are kept, or an empty name."""
+    """Nearest ancestor of every joint among those that are kept, by name; empty for a root."""
     above, names = {"": ""}, skeleton.names
     for name, p in zip(names, skeleton.parents, strict=True):
         parent = names[p] if p >= 0 else ""
@@ -273,10 +273,11 @@ def _parents(skeleton: Skeleton, kept: tuple[str, ...]) -> dict[str, str]:
 
 
 def _same_joints(model: Skinning, main: NDArray[np.bool_]) -> tuple[NDArray[np.int64], list[str]]:
-    """Joint that each bone ``(B,)`` is, itself or one of the main tree, and the names of all.
+    """Index of the joint that each bone ``(B,)`` stands for, and the names of all bones.
 
-    A joint has the shortest of its names: readers number those that are taken.  They must agree, as
-    a floor that stands as still as the root is no joint.
+    That is the bone itself, or one of the main tree with its place, motion and name.  A joint has
+    the shortest of its names: readers number those that are taken.  They must agree, as a floor
+    that stands as still as the root is no joint.
     """
     same, names = np.arange(model.n_bones), list(model.names())
     plain = [re.sub(r"_\d+\Z", "", name) for name in names]

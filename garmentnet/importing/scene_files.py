@@ -111,7 +111,10 @@ def read_rig(path: Path, source: Source, rate: float | None, take: str, say: Say
 
 
 def _animation(clips: Sequence[Clip], path: Path, take: str) -> int:
-    """Number of a file's only animation or of the one whose name has a part `take` between "|"."""
+    """Index of the animation to read: a file's only one, or that with the name `take`.
+
+    Programs join names by "|"; each part counts.
+    """
     names = [clip.name for clip in clips]
     alike = [n for n in names if take.casefold() in n.casefold().split("|")]
     found = names if len(names) == 1 else [take] if take in names else alike

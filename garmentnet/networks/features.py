@@ -167,7 +167,7 @@ def _heading(root: Tensor) -> Tensor:
 
 
 def _quaternions(r: Tensor) -> Tensor:
-    """Four multiples ``(..., 16)`` of the quaternion of matrices, by its w, x, y and z, less 1."""
+    """Products 4 q qᵀ of the quaternions q of rotations, less the identity: ``(..., 16)``."""
     a, b, c = r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]
     trace = a + b + c
     x, y, z = (r[..., i, j] - r[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0)))

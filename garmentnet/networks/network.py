@@ -199,7 +199,7 @@ class MotionNetwork(nn.Module, PoseReader, Predictor):
         return moved(self.blend(z, joints), self.skinning.rest)
 
     def _spread(self, own: Tensor) -> Tensor:
-        """Rows ``(F, V, 3)`` of all vertices, from the free ones' and 0 elsewhere."""
+        """Detail ``(F, V, 3)`` of all vertices, from that of the free ones; 0 for the others."""
         none = own.new_zeros(len(own), len(self.gap) - len(self.free), 3)
         return torch.cat([own, none], dim=1).index_select(1, self.order)
 

@@ -183,7 +183,7 @@ def virtual_bones(
 def _home(
     store: ClipStore, options: BoneOptions, bones: Skinning | None = None
 ) -> tuple[Path, dict[str, Any]]:
-    """Folder of the bones with these options, or of given ones, and what its name stands for."""
+    """Folder of bones with these options, or of given ones, and the record that names it."""
     roles = parameter_roles(store)
     names = [
         c.name

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 import ssdr
 from helpers import motions
@@ -190,3 +191,8 @@ class Ticks:
     def read(self) -> float:
         self.now += self.step
         return self.now
+
+
+def largest_gap(a, b):
+    """Largest distance from a point of either set to the nearest of the other."""
+    return max(cKDTree(x).query(y)[0].max() for x, y in ((a, b), (b, a)))

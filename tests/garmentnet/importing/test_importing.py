@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import types
 
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 pytest.importorskip("pxr")
@@ -19,17 +17,12 @@ from garmentnet.cli import app
 from garmentnet.cli.importing import _files
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.data.store import ClipStore
-from garmentnet.importing.importing import ImportOptions, _splits, import_clips
-from garmentnet.importing.rig import rig_of
-from garmentnet.importing.scene_files import Source, read_cloth, read_rig
+from garmentnet.importing.importing import ImportOptions, import_clips
+from garmentnet.importing.scene_files import Source, read_cloth
+from helpers.measures import largest_gap
 from helpers.walking_rig import FPS, FRAMES, JOINTS, NAMES, PARENTS, cloth, motion, rig
 from ssdr import MeshSequence, Skinning
 from ssdr.common.errors import InputError
-
-
-def largest_gap(a, b):
-    """Of every point of either set to the nearest of the other."""
-    return max(cKDTree(x).query(y)[0].max() for x, y in ((a, b), (b, a)))
 
 
 def test_a_store_has_the_files_vertices_and_motion(files, tmp_path):
@@ -93,61 +86,6 @@ def test_joints_that_the_first_rig_has_not_are_left_out(pair, files, tmp_path):
     np.testing.assert_allclose(store.clip("other").joints, motion(), atol=1e-5)
 
 
-def test_a_prop_of_one_joint_is_a_rig():
-    one = {"bone_names": NAMES[:1], "parents": [-1], "joint_positions": JOINTS[:1]}
-    pole = dataclasses.replace(rig(), indices=0 * rig().indices, transforms=motion()[:, :1], **one)
-    assert rig_of(pole).skeleton.names == ("hips",)
-
-
-def test_a_joint_that_a_mesh_has_anew_is_one():
-    """As in glTF, where every mesh has a skin of its own."""
-    anew = rig(
-        motion()[:, [0, 1, 2, 2]],
-        bone_names=("hips", "leg_l", "leg_r_1", "leg_r"),
-        parents=[*PARENTS, -1],
-        joint_positions=JOINTS[[0, 1, 2, 2]],
-    )
-    indices = np.where(rig().indices == 2, 3, rig().indices)
-    found = rig_of(dataclasses.replace(anew, indices=indices))
-    assert (found.skeleton.names, found.body.n_vertices) == (NAMES, 18)
-    # Another joint of the same place and motion is another joint.
-    twist = rig(
-        motion()[:, [0, 1, 2, 2, 2]],
-        bone_names=("hips", "leg_l", "leg_r_twist", "leg_r", "leg_r_1"),
-        parents=[*PARENTS, 0, -1],
-        joint_positions=JOINTS[[0, 1, 2, 2, 2]],
-    )
-    found = rig_of(dataclasses.replace(twist, indices=np.where(indices == 3, 4, indices)))
-    assert found.skeleton.names == twist.names()[:4]
-    assert set(found.body.indices[found.body.weights > 0]) == {0, 1, 3}
-
-
-def test_pieces_of_the_body_face_outwards():
-    faces, sizes = np.array(rig().faces), []
-    for _ in range(2):
-        body = rig_of(rig(faces=faces)).body
-        sizes.append(np.linalg.det(body.rest[body.faces]).sum())
-        faces[8:16] = faces[8:16, ::-1]
-    assert sizes[0] == pytest.approx(sizes[1]) != 0
-
-
-def test_triangles_of_either_winding_are_turned():
-    body, rest, mixed = rig_of(rig()), cloth().vertices[0], np.array(cloth().faces)
-    before = body.facing(rest, mixed)
-    mixed[:10] = mixed[:10, ::-1]
-    np.testing.assert_array_equal(np.flatnonzero(body.facing(rest, mixed) != before), range(10))
-
-
-def test_blend_shapes_that_are_held_are_added_and_others_named(tmp_path):
-    moved, amounts = np.zeros((2, 18, 3)), np.ones((FRAMES, 2))
-    moved[:, :6], amounts[:, 1] = 0.1, np.linspace(0, 1, FRAMES)
-    ssdr.save(ssdr.ShapedSkinning(rig(), ssdr.Shapes(moved, amounts)), tmp_path / "a.glb")
-    said: list[str] = []
-    found = rig_of(read_rig(tmp_path / "a.glb", Source(), None, "a", said.append)).body
-    assert "a.glb: 2 blend shapes left out" in said[0]
-    assert largest_gap(found.rest, rig().rest + moved[0]) < 1e-6
-
-
 def test_files_without_times_have_the_rate_that_is_stated(pair, tmp_path):
     ssdr.save(cloth(), tmp_path / "walk%04d.obj")
     said: list[str] = []
@@ -198,58 +136,6 @@ def test_clips_go_to_named_splits_and_are_added_once(pair, tmp_path):
         import_clips([other("run", 9)], tmp_path / "a.clips", options)
     with pytest.raises(InputError, match=r"or options \(bending 1\.5, density"):
         import_clips(pairs, tmp_path / "a.clips")
-
-
-@pytest.mark.parametrize(
-    ("count", "named", "found"),
-    [
-        (1, {}, "r"),
-        (2, {}, "rv"),
-        (3, {}, "rvt"),
-        (20, {}, "r" * 16 + "vvtt"),
-        (3, {"test": ("a",)}, "trv"),
-        (3, {"validation": ("c",)}, "rtv"),
-        (2, {"test": ("b",)}, "rt"),
-    ],
-)
-def test_the_last_clips_are_for_validation_and_testing(count, named, found):
-    said: list[str] = []
-    splits = _splits(
-        list("abcdefghijklmnopqrst"[:count]), ImportOptions(**named), None, said.append
-    )
-    assert "".join({"train": "r"}.get(s, s[0]) for s in splits.values()) == found
-    assert len(said) == 3 - len(set(found))
-
-
-class Stored(dict):
-    """Splits of the clips of a store, by name."""
-
-    def names(self, split, _):
-        return [name for name, own in self.items() if own == split]
-
-    def clip(self, name):
-        return types.SimpleNamespace(split=self[name])
-
-
-def test_splits_of_a_store_that_grows_or_whose_import_was_interrupted():
-    names = list("abcdefghijklmnopqrstuvwx")
-    whole = _splits(names, ImportOptions(), None, print)
-    for done in range(len(names)):
-        some = Stored({name: whole[name] for name in names[:done]})
-        assert _splits(names, ImportOptions(), some, print) == whole
-    grown = Stored()
-    for count in range(3, 13):
-        grown |= _splits(names[:count], ImportOptions(), grown, print)
-    assert list(grown.values()) == ["train", "validation", "test"] + ["train"] * 9
-
-
-def test_a_clip_keeps_its_split(files, tmp_path):
-    """Imported once more in another, frames for testing would be trained on."""
-    for options in ({"test": ("walk",)}, {}):
-        store = import_clips([files], tmp_path / "a.clips", ImportOptions(**options))
-        assert store.names("test") == ("walk",)
-    with pytest.raises(InputError, match=r"the split in which the store has walk \(test\)"):
-        import_clips([files], tmp_path / "a.clips", ImportOptions(validation=("walk",)))
 
 
 def test_another_rate_is_resampled_and_said(pair, tmp_path):
